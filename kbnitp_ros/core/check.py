@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check numbers that come from outside, with errors that name the field."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def probability(name: str, value: float) -> float:
+    """
+    Return `value` as a float if it is a probability.
+
+    Raises
+    ------
+    ValueError
+        If it is NaN or outside [0, 1].
+
+    """
+    number = float(value)
+    if not 0.0 <= number <= 1.0:
+        raise ValueError(f'{name} is {value}: it must be a probability in [0, 1]')
+    return number
+
+
+def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
+    """
+    Return `values` as one probability a cell.
+
+    Parameters
+    ----------
+    name : str
+        What the map is called in an error.
+    values : array_like, shape (cells,)
+        Row-major, in [0, 1].
+    cells : int, optional
+        How many there must be; without it any number from 1 up.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another, or a value is NaN or outside [0, 1] (names the first such cell).
+
+    """
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1 or not array.size or cells not in (None, array.size):
+        wanted = 'one value a cell' if cells is None else f'shape ({cells},), one value a cell'
+        raise ValueError(f'{name} has shape {array.shape}: it must have {wanted}')
+    bad = np.flatnonzero(~((array >= 0.0) & (array <= 1.0)))
+    if bad.size:
+        raise ValueError(
+            f'{name} of cell {bad[0]} is {array[bad[0]]}: it must be a probability in [0, 1]'
+        )
+    return array
+
+
+def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
+    """
+    Return `value` as an int if it is a whole number from `low` to `high`.
+
+    Raises
+    ------
+    ValueError
+        If it is not whole or out of range.
+
+    """
+    if not (value >= low and (high is None or value <= high) and value == value // 1):
+        allowed = f'at least {low}' if high is None else f'from {low} to {high}'
+        raise ValueError(f'{name} is {value}: it must be a whole number {allowed}')
+    return int(value)
+
+
+def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
+    """
+    Return `values`, of any shape, as booleans.
+
+    Raises
+    ------
+    ValueError
+        If one of them is neither True nor False, nor 1 nor 0 (names the first).
+
+    """
+    array = np.array(values)
+    bad = ~np.isin(array, (0, 1))
+    if bad.any():
+        raise ValueError(f'{name} is {array[bad][0]!r}: it must be True or False')
+    return array.astype(bool)
+
+
+def frozen(array: NDArray[np.generic]) -> None:
+    """Make `array` read-only in place."""
+    array.flags.writeable = False

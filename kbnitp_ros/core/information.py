@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The information one deployment is expected to bring."""
+
+from __future__ import annotations
+
+from math import lgamma
+
+from kbnitp_ros.core.belief import Belief
+from kbnitp_ros.core.entropy import binary_entropy, surprisal
+from kbnitp_ros.core.observation import as_path, Visits
+from kbnitp_ros.core.sensor import SensorModel
+from kbnitp_ros.core.survival import log_predicted_survival, times_log
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> float:
+    """
+    Return the mutual information between the field and the outcome of one deployment.
+
+    The paper's objective I(X; Y | Theta) + I(Z; Theta) equals the whole I(Z, X; Theta, Y), since
+    the readings tell of Z nothing that X does not. It is computed exactly as
+
+        h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    path : array_like of int, shape (steps + 1,)
+        The cells in order.
+
+    Returns
+    -------
+    float
+        Nats, at least 0 but for rounding.
+
+    Raises
+    ------
+    ValueError
+        If the path has no step or leaves the belief's cells.
+
+    """
+    cells = as_path(path)
+    if cells.min() < 0 or cells.max() >= belief.cells:
+        raise ValueError(
+            f'path has cells from {cells.min()} to {cells.max()}: '
+            f'the belief has the cells 0 to {belief.cells - 1}'
+        )
+    visits = Visits.of(cells)
+    steps = len(cells) - 1
+    hazard = belief.hazard[visits.cells]
+    survival = np.exp(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
+    exposures = np.zeros(steps + 1)
+    exposures[0] = 1.0
+    for z, count in zip(hazard, visits.counts):
+        exposures[count:] = (1.0 - z) * exposures[count:] + z * exposures[:-count]
+        exposures[:count] *= 1.0 - z
+    left_open = exposures @ fate_entropy(model, steps)
+    read = sum(
+        reading_information(belief.joint[visits.cells[visits.counts == count]], model, count).sum()
+        for count in np.unique(visits.counts)
+    )
+    return float(binary_entropy(survival) - left_open + survival * read)
+
+
+def fate_entropy(model: SensorModel, steps: int) -> NDArray[np.float64]:
+    """
+    Return the entropy of a robot's fate for each number of exposures to hazards.
+
+    Parameters
+    ----------
+    model : SensorModel
+        Gives s0 and s1.
+    steps : int
+        Of the path, at least 1.
+
+    Returns
+    -------
+    ndarray, shape (steps + 1,)
+        h(s0^(steps - c) s1^c) for c = 0 to `steps` steps into hazardous cells, in nats.
+
+    """
+    exposures = np.arange(steps + 1)
+    safe, deadly = model.log_survival
+    return binary_entropy(
+        np.exp(times_log(steps - exposures, safe) + times_log(exposures, deadly))
+    )
+
+
+def reading_information(
+    joint: NDArray[np.float64], model: SensorModel, visits: int
+) -> NDArray[np.float64]:
+    """
+    Return I(X; Y^n | the robot survived n visits) of cells, with n readings in each.
+
+    The readings enter through their count of positives, which is sufficient.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (n_cells, 2, 2)
+        The cells' joint beliefs.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    visits : int
+        n, at least 1.
+
+    Returns
+    -------
+    ndarray, shape (n_cells,)
+        Nats; 0 where n visits cannot be survived.
+
+    """
+    survived = joint * np.exp(visits * model.log_survival)[:, None]
+    total = survived.sum(axis=(1, 2))
+    target = survived.sum(axis=1) / np.where(total > 0.0, total, 1.0)[:, None]
+    positives = np.arange(visits + 1)
+    orderings = np.array(
+        [lgamma(visits + 1) - lgamma(k + 1) - lgamma(visits - k + 1) for k in positives]
+    )
+    read_not, read = model.log_reading
+    given = np.exp(
+        orderings[:, None]
+        + times_log(positives[:, None], read)
+        + times_log((visits - positives)[:, None], read_not)
+    )
+    entropy: NDArray[np.float64] = surprisal(target @ given.T).sum(axis=1)
+    entropy -= target @ surprisal(given).sum(axis=0)
+    return entropy

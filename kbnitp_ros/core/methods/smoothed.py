@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Smoothing: all losses held as factors, by belief propagation conditioned on a few cells.
+
+A loss ties the hazards of its path together, which a belief of independent cells forgets. Here
+every lost path stays a factor 1 - prod_i s_{z_i}^{n_i} over its cells, and every return a local
+log-likelihood. Sum-product messages between them give the marginals. Where losses share cells
+the graph has cycles and plain messages count evidence twice; the cells that carry most of it are
+therefore fixed to each of their joint values in turn (cutset conditioning, Pearl 1988), and the
+answers are averaged with the Bethe approximation of each value's evidence as weights.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+from kbnitp_ros.core.belief import Belief
+from kbnitp_ros.core.observation import Observation, Visits
+from kbnitp_ros.core.sensor import SensorModel
+from kbnitp_ros.core.survival import times_log
+from kbnitp_ros.core.update import condition, returned_log_likelihood
+import numpy as np
+from numpy.typing import NDArray
+
+SWEEPS = 3
+CONDITIONED_CELLS = 4
+# Log odds beyond which a cell is as good as certain: keeps infinities out of the messages.
+CERTAIN = 500.0
+SMALLEST = np.finfo(np.float64).tiny
+
+
+class Smoother:
+    """
+    The evidence of a mission and the belief it gives.
+
+    Parameters
+    ----------
+    prior : Belief
+        Before the first deployment.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+
+    """
+
+    def __init__(self, prior: Belief, model: SensorModel) -> None:
+        self._prior = prior
+        self._model = model
+        self._returned = np.zeros((prior.cells, 2, 2))
+        self._visited = np.zeros(prior.cells, dtype=bool)
+        # One entry for each cell of each lost path.
+        self._cell: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self._factor: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self._log_spared: NDArray[np.float64] = np.empty((0, 2))
+        self._messages: NDArray[np.float64] = np.empty((1, 0))
+        self._factors = 0
+
+    def assimilate(self, observation: Observation) -> Belief:
+        """
+        Return the belief after one more deployment, at the cost of a few message sweeps.
+
+        Raises
+        ------
+        ValueError
+            If the outcome is impossible; the evidence then stays as it was.
+
+        """
+        visits = Visits.of(observation.path)
+        if observation.readings is not None:
+            evidence = returned_log_likelihood(self._model, visits, observation.readings)
+            condition(self._prior.joint[visits.cells], self._returned[visits.cells] + evidence)
+            self._returned[visits.cells] += evidence
+        else:
+            self._add_factor(visits)
+        self._visited[visits.cells] = True
+        return self._belief()
+
+    def _add_factor(self, visits: Visits) -> None:
+        log_spared = times_log(visits.counts[:, None], self._model.log_survival)
+        possible = self._prior.hazard[visits.cells] > 0.0
+        if not (log_spared[:, 0].sum() < 0.0 or (log_spared[possible, 1] < 0.0).any()):
+            raise ValueError(
+                'the outcome is impossible under this belief and sensor model: '
+                'nothing on the path can destroy a robot'
+            )
+        self._cell = np.concatenate([self._cell, visits.cells])
+        self._factor = np.concatenate([self._factor, np.full(visits.cells.size, self._factors)])
+        self._log_spared = np.concatenate([self._log_spared, log_spared])
+        self._messages = np.pad(self._messages, ((0, 0), (0, visits.cells.size)))
+        self._factors += 1
+
+    def _belief(self) -> Belief:
+        with np.errstate(divide='ignore'):
+            local = np.log(self._prior.joint) + self._returned
+        by_hazard = np.logaddexp(local[:, :, 0], local[:, :, 1])
+        odds = (by_hazard[:, 1] - by_hazard[:, 0]).clip(-CERTAIN, CERTAIN)
+        evidence = self._returned.copy()
+        evidence[:, 1] += (self._smoothed_odds(odds) - odds)[:, None]
+        joint = self._prior.joint.copy()
+        joint[self._visited] = condition(joint[self._visited], evidence[self._visited])
+        return Belief(joint)
+
+    def _smoothed_odds(self, odds: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the log odds of each hazard given all evidence, from those without the losses."""
+        if not self._factors:
+            return odds
+        for _ in range(SWEEPS):
+            self._messages = self._sweep(odds[None], self._messages)
+        fixed = self._most_entangled(odds)
+        values = np.array(list(product((0.0, 1.0), repeat=fixed.size))).reshape(-1, fixed.size)
+        conditioned = np.tile(odds, (len(values), 1))
+        conditioned[:, fixed] = np.where(values, CERTAIN, -CERTAIN)
+        messages = np.tile(self._messages, (len(values), 1))
+        for _ in range(SWEEPS):
+            messages = self._sweep(conditioned, messages)
+        weight = self._log_evidence(conditioned, messages)
+        weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
+        total = self._total_odds(conditioned, messages)
+        hazardous: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(-total))
+        safe: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(total))
+        return hazardous - safe
+
+    def _most_entangled(self, odds: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Return the undecided cells that the losses say most about."""
+        total = self._total_odds(odds[None], self._messages)[0]
+        hazard = np.exp(-softplus(-total))
+        said = np.bincount(self._cell, np.abs(self._messages[0]), minlength=odds.size)
+        score = said * hazard * (1.0 - hazard)
+        best: NDArray[np.intp] = np.argsort(-score, kind='stable')[:CONDITIONED_CELLS]
+        return best[: np.count_nonzero(score[best])]
+
+    def _total_odds(
+        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return each cell's log odds with all messages to it, shape (values, cells)."""
+        return odds + sum_by(self._cell, messages, odds.shape[1])
+
+    def _cavity_survival(
+        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return log odds and log S of each entry, without what its own factor says."""
+        cavity = self._total_odds(odds, messages)[:, self._cell] - messages
+        hazard = 0.5 + 0.5 * np.tanh(0.5 * cavity)
+        lost = -np.expm1(self._log_spared)
+        loss = lost[:, 0] + hazard * (lost[:, 1] - lost[:, 0])
+        return cavity, np.log((1.0 - loss).clip(min=SMALLEST))
+
+    def _sweep(
+        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """
+        Return the next messages of all factors at once.
+
+        The message to cell i is log(1 - s1^n prod S_k) - log(1 - s0^n prod S_k), the products
+        over the factor's other cells.
+
+        Parameters
+        ----------
+        odds : ndarray, shape (values, cells)
+            Log odds of each hazard without the losses, for each value of the fixed cells.
+        messages : ndarray, shape (values, entries)
+            Before.
+
+        """
+        _, survival = self._cavity_survival(odds, messages)
+        others = sum_by(self._factor, survival, self._factors)[:, self._factor] - survival
+        lost = -np.expm1(self._log_spared + others[..., None])
+        log_lost = np.log(lost.clip(min=SMALLEST))
+        message: NDArray[np.float64] = log_lost[..., 1] - log_lost[..., 0]
+        return message
+
+    def _log_evidence(
+        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the Bethe log evidence of the losses, shape (values,)."""
+        cavity, survival = self._cavity_survival(odds, messages)
+        total = self._total_odds(odds, messages)
+        lost = -np.expm1(sum_by(self._factor, survival, self._factors))
+        factors = np.log(lost.clip(min=SMALLEST)).sum(axis=1)
+        cells = (softplus(total) - softplus(odds)).sum(axis=1)
+        entries = (softplus(cavity + messages) - softplus(cavity)).sum(axis=1)
+        evidence: NDArray[np.float64] = factors + cells - entries
+        return evidence
+
+
+def softplus(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return log(1 + exp(x)) without overflow: minus the log of P(Z = 0) at log odds x."""
+    result: NDArray[np.float64] = np.logaddexp(0.0, log_odds)
+    return result
+
+
+def sum_by(
+    group: NDArray[np.intp], values: NDArray[np.float64], groups: int
+) -> NDArray[np.float64]:
+    """Return the sums of `values`, shape (rows, entries), over equal `group`, (rows, groups)."""
+    rows = len(values)
+    place = np.arange(rows)[:, None] * groups + group
+    sums = np.bincount(place.ravel(), values.ravel(), rows * groups)
+    return sums.reshape(rows, groups).astype(np.float64, copy=False)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole mission without ROS: plan, traverse, update, robot after robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kbnitp_ros.core.belief import Belief
+from kbnitp_ros.core.check import whole_number
+from kbnitp_ros.core.estimator import Estimator
+from kbnitp_ros.core.grid import Grid
+from kbnitp_ros.core.observation import Observation
+from kbnitp_ros.core.plan import Plan, plan
+from kbnitp_ros.core.sensor import SensorModel
+from kbnitp_ros.core.world import World
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Deployment:
+    """
+    One robot's part of a mission.
+
+    Attributes
+    ----------
+    plan : Plan
+        Where it was sent and what was expected.
+    observation : Observation
+        What came of it.
+    belief : Belief
+        Given this and all earlier deployments.
+
+    """
+
+    plan: Plan
+    observation: Observation
+    belief: Belief
+
+
+def run_mission(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    world: World,
+    robots: int,
+    rng: np.random.Generator,
+    method: str = 'kappa_bnitp',
+    *,
+    max_steps: int = 18,
+    planner: str = 'beam',
+    width: int = 16,
+    max_visits: int = 3,
+    world_model: SensorModel | None = None,
+) -> list[Deployment]:
+    """
+    Deploy robots one after another (arXiv:2305.06929, Algorithm 1).
+
+    Robot k is traversed with the k-th child of `rng`, so that its fate does not depend on what
+    was drawn before, and missions that differ in their method share their random numbers.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    belief : Belief
+        The prior.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    world : World
+        The hidden truth.
+    robots : int
+        How many are deployed, at least 0.
+    rng : numpy.random.Generator
+        The only source of randomness: ``rng.spawn(1)`` for each robot.
+    method : str
+        The estimator's, one of `METHODS`.
+    max_steps, planner, width, max_visits
+        As for `plan`.
+    world_model : SensorModel, optional
+        What the robots and their sensors are really like, if not as believed.
+
+    Returns
+    -------
+    list of Deployment
+        In order.
+
+    Raises
+    ------
+    ValueError
+        If the world or the belief does not fit the grid, or an argument is out of range.
+
+    """
+    world.check(grid)
+    estimator = Estimator(belief, model, method)
+    truth = model if world_model is None else world_model
+    deployments = []
+    for _ in range(whole_number('robots', robots, 0)):
+        planned = plan(
+            grid,
+            estimator.belief,
+            model,
+            max_steps,
+            planner,
+            width=width,
+            max_visits=max_visits,
+        )
+        observation = world.traverse(planned.path, truth, rng.spawn(1)[0])
+        estimator.assimilate(observation)
+        deployments.append(Deployment(planned, observation, estimator.belief))
+    return deployments

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a mission: the believed maps beside the truth, and how they got there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from kbnitp_ros.core import Belief, Grid, log_loss, Observation, World
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+
+def mission_maps(
+    path: Path, grid: Grid, belief: Belief, world: World, observations: Sequence[Observation]
+) -> None:
+    """
+    Draw the final belief maps beside the truth, and where the robots went.
+
+    Parameters
+    ----------
+    path : Path
+        The PNG to write.
+    grid : Grid
+        The field.
+    belief : Belief
+        After the last deployment.
+    world : World
+        The hidden truth.
+    observations : sequence of Observation
+        All deployments.
+
+    """
+    returned = sum(o.survived for o in observations)
+    panels = [
+        ('hazard, believed', belief.hazard, 'Reds'),
+        ('target, believed', belief.target, 'Greens'),
+        ('kappa, believed', belief.kappa, 'Purples'),
+        ('hazard, true', world.hazard, 'Reds'),
+        ('target, true', world.target, 'Greens'),
+        (
+            f'steps into each cell\n{len(observations)} robots, {returned} returned',
+            steps_into(grid, observations),
+            'Blues',
+        ),
+    ]
+    figure = Figure(figsize=(11, 7), layout='constrained')
+    for axes, (title, values, colours) in zip(figure.subplots(2, 3).flat, panels):
+        draw_map(axes, grid, np.asarray(values, dtype=np.float64), colours, title)
+    figure.savefig(path, dpi=120)
+
+
+def draw_map(
+    axes: Axes, grid: Grid, values: NDArray[np.float64], colours: str, title: str
+) -> None:
+    """
+    Draw one value a cell as the field is seen from above, the base as a white square.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where.
+    grid : Grid
+        The field.
+    values : ndarray, shape (cells,)
+        Probabilities are drawn on the scale [0, 1], larger numbers up to their maximum. Blocked
+        cells are grey.
+    colours : str
+        A matplotlib colour map.
+    title : str
+        Above the map.
+
+    """
+    image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
+    left, bottom = grid.origin
+    right, top = left + grid.width * grid.resolution, bottom + grid.height * grid.resolution
+    drawn = axes.imshow(
+        image,
+        origin='lower',
+        cmap=colours,
+        vmin=0.0,
+        vmax=max(1.0, values.max()),
+        extent=(left, right, bottom, top),
+    )
+    axes.set_facecolor('0.6')
+    ((x, y),) = grid.centers([grid.base])
+    axes.plot(x, y, 's', color='white', markeredgecolor='black')
+    axes.set_title(title)
+    axes.set_xlabel('x (m)')
+    axes.set_ylabel('y (m)')
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.8)
+
+
+def steps_into(grid: Grid, observations: Sequence[Observation]) -> NDArray[np.float64]:
+    """Return how many planned steps led into each cell, shape (cells,)."""
+    entered = [np.empty(0, dtype=np.intp), *(o.path[1:] for o in observations)]
+    return np.bincount(np.concatenate(entered), minlength=grid.cells).astype(np.float64)
+
+
+def mission_progress(
+    path: Path, beliefs: Sequence[Belief], world: World, observations: Sequence[Observation]
+) -> None:
+    """
+    Draw entropy and log loss after each deployment, in nats; red ticks are lost robots.
+
+    Parameters
+    ----------
+    path : Path
+        The PNG to write.
+    beliefs : sequence of Belief
+        The prior, then one after each deployment.
+    world : World
+        The hidden truth.
+    observations : sequence of Observation
+        One a deployment.
+
+    """
+    figure = Figure(figsize=(8, 5), layout='constrained')
+    axes = figure.subplots()
+    axes.plot([belief.entropy() for belief in beliefs], color='black', label='entropy H(Z) + H(X)')
+    for name, colour in (('hazard', 'tab:red'), ('target', 'tab:green')):
+        losses = [log_loss(getattr(belief, name), getattr(world, name)) for belief in beliefs]
+        axes.plot(losses, color=colour, label=f'log loss of the {name} map')
+    lost = [number for number, o in enumerate(observations, start=1) if not o.survived]
+    axes.plot(
+        lost,
+        np.zeros(len(lost)),
+        '|',
+        color='tab:red',
+        markersize=12,
+        clip_on=False,
+        label=f'robot lost ({len(lost)} of {len(observations)})',
+    )
+    axes.set_xlim(0, max(1, len(observations)))
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel('deployment')
+    axes.set_ylabel('nats, summed over the cells')
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=120)
