@@ -1,0 +1,51 @@
+# Everything on the ROS 2 wheels of PyPI, in .venv; no ROS installation is needed. Where one is
+# installed, `colcon build` and `colcon test` do the same with it.
+
+ifdef ROS_DISTRO
+$(error ROS 2 $(ROS_DISTRO) is sourced and would mix with the wheels: use colcon build and colcon test, or a new shell)
+endif
+
+SHELL := bash
+.SHELLFLAGS := -eo pipefail -c
+.PHONY: build demo test check clean
+
+# What a new .venv is made with: Python 3.10 to 3.13.
+PYTHON ?= python3
+
+# The Python sources are linked into install/, so that only these need a build.
+SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
+  $(wildcard msg_defs/*.* msg_defs/msg/*.msg resource/* launch/*.py config/*.* rviz/*.rviz)
+
+build: install/.done
+
+demo: build
+	. ./env.sh && python3 -m kbnitp_ros demo
+
+test: build .venv/.dev
+	. ./env.sh && python3 -m pytest
+
+check: .venv/.dev
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/ament_flake8 kbnitp_ros launch test setup.py
+	.venv/bin/ament_pep257 kbnitp_ros launch test setup.py
+
+clean:
+	rm -rf .venv build install log
+
+# What was built with another environment may not fit a new one, so it goes with the old one.
+.venv/.run: requirements.txt
+	tools/check_machine.sh $(PYTHON)
+	rm -rf .venv build install log
+	$(PYTHON) -m venv .venv
+	.venv/bin/pip install --quiet --requirement requirements.txt
+	touch $@
+
+.venv/.dev: requirements-dev.txt .venv/.run
+	.venv/bin/pip install --quiet --requirement requirements-dev.txt
+	touch $@
+
+install/.done: .venv/.run $(SOURCES)
+	. ./env.sh && colcon build
+	touch $@

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Informative path planning from robots that do not all come back."""

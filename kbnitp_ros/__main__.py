@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
+
+from importlib import import_module
+import sys
+
+# Each module has main(argv=None), whose result is the exit status; None is 0.
+COMMANDS = {
+    'demo': 'kbnitp_ros.cli.demo',
+    'replay': 'kbnitp_ros.cli.replay',
+    'planner': 'kbnitp_ros.nodes.planner',
+    'agent': 'kbnitp_ros.nodes.agent',
+    'estimator': 'kbnitp_ros.nodes.estimator',
+    'recorder': 'kbnitp_ros.nodes.recorder',
+}
+
+USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(COMMANDS)}'
+
+
+def main(argv: list[str] | None = None) -> int | None:
+    name, *arguments = (sys.argv[1:] if argv is None else argv) or ['']
+    if name in ('-h', '--help'):
+        print(USAGE)
+        return 0
+    if name not in COMMANDS:
+        print(f'{name!r} is no command. {USAGE}' if name else USAGE, file=sys.stderr)
+        return 2
+    return import_module(COMMANDS[name]).main(arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

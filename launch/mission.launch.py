@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launch a mission, recorded unless told not to, and in RViz if told to."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, SetEnvironmentVariable, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import (
+    EnvironmentVariable,
+    IfElseSubstitution,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node, PushROSNamespace
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+SHARE = FindPackageShare('kbnitp_ros')
+SWITCH = ['true', 'false']
+PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+
+
+def generate_launch_description():
+    record = LaunchConfiguration('record')
+    arguments = [
+        DeclareLaunchArgument(
+            'namespace', default_value='', description='Namespace of all nodes and topics.'
+        ),
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
+            description='YAML file with the parameters of the nodes.',
+        ),
+        DeclareLaunchArgument(
+            'record',
+            default_value='true',
+            choices=SWITCH,
+            description='Whether to record the mission, to the file that the parameters name.',
+        ),
+        DeclareLaunchArgument(
+            'rviz',
+            default_value='false',
+            choices=SWITCH,
+            description='Whether to show the mission in RViz.',
+        ),
+    ]
+    # Nodes find each other at once, unless the user has a Fast DDS profile of their own.
+    discovery = SetEnvironmentVariable(
+        PROFILES,
+        EnvironmentVariable(
+            PROFILES, default_value=PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
+        ),
+    )
+    nodes = [
+        # First, so that nothing runs yet when it turns out not to be installed.
+        Node(
+            package='rviz2',
+            executable='rviz2',
+            arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', 'mission.rviz'])],
+            condition=IfCondition(LaunchConfiguration('rviz')),
+        ),
+        mission_node('recorder', condition=IfCondition(record)),
+        # The recorder is one subscriber more, and must miss nothing.
+        mission_node('estimator', await_subscribers=IfElseSubstitution(record, '2', '1')),
+        mission_node('agent'),
+        mission_node('planner', await_subscribers=IfElseSubstitution(record, '3', '2')),
+    ]
+    mission = GroupAction([PushROSNamespace(LaunchConfiguration('namespace')), *nodes])
+    return LaunchDescription([*arguments, discovery, mission])
+
+
+def mission_node(name, condition=None, **counts):
+    """Return a node that the mission cannot go on without; counts are parameters of it."""
+    own = {key: ParameterValue(value, value_type=int) for key, value in counts.items()}
+    return Node(
+        package='kbnitp_ros',
+        executable=name,
+        name=name,
+        parameters=[LaunchConfiguration('params_file'), own],
+        condition=condition,
+        output='screen',
+        on_exit=Shutdown(),
+    )
