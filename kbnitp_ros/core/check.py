@@ -83,7 +83,7 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     array = np.array(values)
     bad = ~np.isin(array, (0, 1))
     if bad.any():
-        raise ValueError(f'{name} is {array[bad][0]!r}: it must be True or False')
+        raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
 
 

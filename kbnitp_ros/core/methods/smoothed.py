@@ -76,7 +76,7 @@ class Smoother:
 
     def _add_factor(self, visits: Visits) -> None:
         log_spared = times_log(visits.counts[:, None], self._model.log_survival)
-        possible = self._prior.hazard[visits.cells] > 0.0
+        possible = self._local_odds()[visits.cells] > -np.inf
         if not (log_spared[:, 0].sum() < 0.0 or (log_spared[possible, 1] < 0.0).any()):
             raise ValueError(
                 'the outcome is impossible under this belief and sensor model: '
@@ -88,11 +88,16 @@ class Smoother:
         self._messages = np.pad(self._messages, ((0, 0), (0, visits.cells.size)))
         self._factors += 1
 
-    def _belief(self) -> Belief:
+    def _local_odds(self) -> NDArray[np.float64]:
+        """Return the log odds of each hazard without the losses, shape (cells,)."""
         with np.errstate(divide='ignore'):
             local = np.log(self._prior.joint) + self._returned
         by_hazard = np.logaddexp(local[:, :, 0], local[:, :, 1])
-        odds = (by_hazard[:, 1] - by_hazard[:, 0]).clip(-CERTAIN, CERTAIN)
+        odds: NDArray[np.float64] = by_hazard[:, 1] - by_hazard[:, 0]
+        return odds
+
+    def _belief(self) -> Belief:
+        odds = self._local_odds().clip(-CERTAIN, CERTAIN)
         evidence = self._returned.copy()
         evidence[:, 1] += (self._smoothed_odds(odds) - odds)[:, None]
         joint = self._prior.joint.copy()

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The belief: one joint of hazard and target per cell, the three maps being views of it."""
+
+from math import log
+
+import brute_force
+from kbnitp_ros.core import Belief, Grid
+import numpy as np
+import pytest
+
+
+def maps_of(joint):
+    hazard = joint[:, 1].sum(axis=1)
+    return hazard, joint[:, :, 1].sum(axis=1), joint[:, 1, 1] / hazard
+
+
+def naive_entropy(probabilities):
+    return -sum(p * log(p) for p in probabilities if p > 0)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_maps_and_joint_are_views_of_each_other(seed):
+    joint = np.random.default_rng(seed).dirichlet(np.full(4, 0.7), 30).reshape(-1, 2, 2)
+    hazard, target, kappa = maps_of(joint)
+    belief = Belief.from_maps(hazard, target, kappa)
+    np.testing.assert_allclose(belief.joint, joint, atol=1e-14)
+    np.testing.assert_allclose(belief.hazard, hazard, atol=1e-14)
+    np.testing.assert_allclose(belief.target, target, atol=1e-14)
+    np.testing.assert_allclose(belief.kappa, kappa, atol=1e-12)
+    again = Belief(joint)
+    np.testing.assert_allclose(again.hazard, hazard, atol=1e-15)
+    np.testing.assert_allclose(again.target, target, atol=1e-15)
+    np.testing.assert_allclose(again.kappa, kappa, rtol=1e-14)
+
+
+def test_joint_of_one_cell_written_out():
+    belief = Belief.from_maps([0.2], [0.5], [0.9])
+    assert belief.joint.shape == (1, 2, 2)
+    assert belief.joint.dtype == np.float64
+    np.testing.assert_allclose(belief.joint[0], [[0.48, 0.32], [0.02, 0.18]], atol=1e-15)
+
+
+def test_the_extremes_have_a_joint():
+    belief = Belief.from_maps([0, 1, 1, 0.5, 0.5], [0.3, 0.7, 0, 1, 0.5], [0.3, 0.7, 0, 1, 1])
+    np.testing.assert_allclose(
+        belief.joint.reshape(-1, 4),
+        [[0.7, 0.3, 0, 0], [0, 0, 0.3, 0.7], [0, 0, 1, 0], [0, 0.5, 0, 0.5], [0.5, 0, 0, 0.5]],
+        atol=1e-15,
+    )
+    assert (belief.joint >= 0).all()
+
+
+def test_rounding_alone_is_no_reason_to_refuse():
+    rng = np.random.default_rng(5)
+    hazard, kappa = rng.random(10000), rng.random(10000)
+    for q in (0.0, 1.0):
+        target = kappa * hazard + q * (1 - hazard)
+        joint = Belief.from_maps(hazard, target, kappa).joint
+        assert (joint >= 0).all()
+        np.testing.assert_allclose(joint.sum(axis=(1, 2)), 1, atol=1e-15)
+
+
+def test_views_never_leave_the_probabilities_by_rounding():
+    """What a belief shows, from_maps takes back: also near certainty."""
+    joint = np.random.default_rng(0).dirichlet([1e-3, 1.0, 1e-3, 1.0], 20000).reshape(-1, 2, 2)
+    for nearly in (joint, joint.transpose(0, 2, 1)):
+        belief = Belief(nearly)
+        for view in (belief.hazard, belief.target, belief.kappa):
+            assert view.max() <= 1
+        again = Belief.from_maps(belief.hazard, belief.target, belief.kappa)
+        np.testing.assert_allclose(again.joint, nearly, rtol=0, atol=1e-9)
+        assert np.isfinite(belief.entropy())
+
+
+def test_kappa_is_the_target_where_there_is_no_hazard():
+    belief = Belief([[[0.7, 0.3], [0.0, 0.0]], [[0.5, 0.3], [0.1, 0.1]]])
+    np.testing.assert_allclose(belief.kappa, [0.3, 0.5], atol=1e-15)
+
+
+@pytest.mark.parametrize('field', ['hazard', 'target', 'kappa'])
+@pytest.mark.parametrize('value', [np.nan, -0.1, 1.1, np.inf])
+def test_maps_of_no_probability_are_refused_at_the_first_bad_cell(field, value):
+    maps = {name: np.full(12, 0.5) for name in ('hazard', 'target', 'kappa')}
+    maps[field][[7, 9]] = value
+    with pytest.raises(ValueError, match=rf'{field} of cell 7 is {value}.*\[0, 1\]'):
+        Belief.from_maps(**maps)
+
+
+@pytest.mark.parametrize(
+    'hazard, target, kappa',
+    [
+        (0.5, 0.1, 0.8),  # more hazardous targets than targets
+        (0.5, 0.9, 0.2),  # more hazardless targets than hazardless cells
+        (1.0, 0.3, 0.8),  # certain hazard: target is kappa
+    ],
+)
+def test_maps_without_a_joint_are_refused_at_the_first_bad_cell(hazard, target, kappa):
+    maps = np.full((3, 12), 0.5)
+    maps[:, [7, 9]] = np.array([[hazard], [target], [kappa]])
+    with pytest.raises(ValueError, match=r'cell 7\b.*') as refusal:
+        Belief.from_maps(*maps)
+    for value in (hazard, target, kappa):
+        assert str(value) in str(refusal.value)
+
+
+@pytest.mark.parametrize('shapes', [(3, 3, 4), (3, 2, 3), (1, 3, 3), (0, 0, 0), ((3, 1),) * 3])
+def test_maps_of_wrong_shape_are_refused(shapes):
+    with pytest.raises(ValueError, match='(hazard|target|kappa).*shape'):
+        Belief.from_maps(*(np.full(shape, 0.5) for shape in shapes))
+
+
+@pytest.mark.parametrize(
+    'joint, message',
+    [
+        (np.full((3, 4), 0.25), r'joint.*shape.*\(3, 4\)'),
+        (np.full((3, 2, 3), 0.25), r'joint.*shape.*\(3, 2, 3\)'),
+        (np.full((0, 2, 2), 0.25), 'joint.*shape'),
+        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.7], [-0.2, 0.0]]], 'joint.*cell 1'),
+        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.5], [0.5, 0.5]]], 'joint.*cell 1'),
+        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, np.nan], [0.5, 0.0]]], 'joint.*cell 1'),
+    ],
+)
+def test_joints_that_are_no_distribution_are_refused(joint, message):
+    with pytest.raises(ValueError, match=message):
+        Belief(joint)
+
+
+def test_prior_has_no_hazard_at_the_base_and_nothing_in_blocked_cells():
+    grid = Grid(3, 2, base=4, blocked=(1, 5))
+    belief = Belief.prior(grid, hazard=0.5, target=0.45, kappa=0.8)
+    usual = [[0.45, 0.05], [0.1, 0.4]]
+    for cell in (0, 2, 3):
+        np.testing.assert_allclose(belief.joint[cell], usual, atol=1e-15)
+    np.testing.assert_allclose(belief.joint[4], [[0.9, 0.1], [0, 0]], atol=1e-15)
+    for cell in (1, 5):
+        assert belief.joint[cell].tolist() == [[1, 0], [0, 0]]
+
+
+def test_prior_takes_maps():
+    """At the base the target is q = (0.3 - 0.4 * 0.5) / 0.5: what it is where no hazard is."""
+    grid = Grid(3, 1, base=1)
+    hazard, target, kappa = [0.2, 0.5, 0.4], [0.5, 0.3, 0.2], [0.9, 0.4, 0.1]
+    belief = Belief.prior(grid, hazard, target, kappa)
+    np.testing.assert_allclose(belief.hazard, [0.2, 0.0, 0.4], atol=1e-15)
+    np.testing.assert_allclose(belief.target, [0.5, 0.2, 0.2], atol=1e-15)
+    np.testing.assert_allclose(belief.kappa, [0.9, 0.2, 0.1], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    'maps, message',
+    [
+        ({'hazard': 1.5}, r'hazard.*1.5.*\[0, 1\]'),
+        ({'target': np.nan}, r'target.*nan.*\[0, 1\]'),
+        ({'kappa': -1}, r'kappa.*-1.*\[0, 1\]'),
+        ({'hazard': [0.5, 0.5]}, r'hazard.*shape \(2,\).*6'),
+        ({'target': 0.1}, 'cell 0'),
+    ],
+)
+def test_bad_priors_are_refused(maps, message):
+    with pytest.raises(ValueError, match=message):
+        Belief.prior(Grid(3, 2, base=4), **{'hazard': 0.5, 'target': 0.45, 'kappa': 0.8, **maps})
+
+
+def test_a_base_certainly_hazardous_is_refused():
+    with pytest.raises(ValueError, match='hazard.*(cell|base) 1'):
+        Belief.prior(Grid(3, 1, base=1), [0.2, 1.0, 0.2], 0.5, 0.5)
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_entropies(seed):
+    joint = brute_force.random_joint(np.random.default_rng(seed), 20, base=3)
+    joint[0] = [[1, 0], [0, 0]]
+    joint[1] = [[0, 0], [0, 1]]
+    belief = Belief(joint)
+    by_map = sum(naive_entropy([p, 1 - p]) for p in joint[:, 1].sum(axis=1))
+    by_map += sum(naive_entropy([p, 1 - p]) for p in joint[:, :, 1].sum(axis=1))
+    assert belief.entropy() == pytest.approx(by_map, rel=1e-12)
+    assert belief.joint_entropy() == pytest.approx(naive_entropy(joint.ravel()), rel=1e-12)
+
+
+def test_entropy_of_even_odds_is_in_nats():
+    even = Belief.from_maps(np.full(10, 0.5), np.full(10, 0.5), np.full(10, 0.5))
+    assert even.entropy() == pytest.approx(20 * log(2))
+    assert even.joint_entropy() == pytest.approx(20 * log(2))
+    tied = Belief.from_maps(np.full(10, 0.5), np.full(10, 0.5), np.full(10, 1.0))
+    assert tied.entropy() == pytest.approx(20 * log(2))
+    assert tied.joint_entropy() == pytest.approx(10 * log(2))
+
+
+def test_certainty_has_no_entropy():
+    certain = Belief.from_maps([0, 1, 1], [1, 0, 1], [1, 0, 1])
+    assert certain.entropy() == 0
+    assert certain.joint_entropy() == 0
+
+
+def test_beliefs_cannot_be_changed():
+    joint = np.full((3, 2, 2), 0.25)
+    belief = Belief(joint)
+    with pytest.raises(AttributeError):
+        belief.joint = joint
+    with pytest.raises(ValueError, match='read-only'):
+        belief.joint[0, 0, 0] = 1
+    joint[0] = [[1, 0], [0, 0]]
+    assert belief.joint[0, 0, 0] == 0.25

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grid: which cells there are, where they lie and which paths a robot may take."""
+
+import math
+from re import escape
+
+import brute_force
+from kbnitp_ros.core import Grid
+import numpy as np
+import pytest
+
+
+def test_neighbors_are_the_eight_around_and_the_cell_itself():
+    assert Grid(5, 4).neighbors(12).tolist() == [6, 7, 8, 11, 12, 13, 16, 17, 18]
+
+
+def test_neighbors_stay_inside():
+    grid = Grid(4, 3)
+    assert grid.neighbors(0).tolist() == [0, 1, 4, 5]
+    assert grid.neighbors(3).tolist() == [2, 3, 6, 7]
+    assert grid.neighbors(7).tolist() == [2, 3, 6, 7, 10, 11]
+    assert grid.neighbors(8).tolist() == [4, 5, 8, 9]
+    assert grid.neighbors(11).tolist() == [6, 7, 10, 11]
+
+
+def test_neighbors_leave_out_blocked_cells():
+    assert Grid(3, 3, blocked=(1, 4)).neighbors(0).tolist() == [0, 3]
+
+
+@pytest.mark.parametrize('width, height', [(1, 1), (1, 5), (5, 1), (4, 3)])
+def test_neighbors_of_every_cell(width, height):
+    grid = Grid(width, height)
+    for cell, expected in brute_force.adjacent(width, height).items():
+        assert grid.neighbors(cell).tolist() == expected
+
+
+def test_cells_are_counted_row_by_row_from_the_bottom():
+    grid = Grid(4, 3)
+    assert grid.cells == 12
+    assert grid.centers([0, 3, 4, 11]).tolist() == [[0.5, 0.5], [3.5, 0.5], [0.5, 1.5], [3.5, 2.5]]
+
+
+def test_centers_follow_resolution_and_origin():
+    grid = Grid(4, 3, resolution=0.5, origin=(-2.0, 10.0))
+    np.testing.assert_allclose(grid.centers([0, 5]), [[-1.75, 10.25], [-1.25, 10.75]], atol=1e-15)
+
+
+def test_points_find_the_cell_they_lie_in():
+    grid = Grid(4, 3, resolution=0.5, origin=(-2.0, 10.0))
+    everywhere = np.arange(grid.cells)
+    assert grid.cells_at(grid.centers(everywhere)).tolist() == everywhere.tolist()
+    assert grid.cells_at([[-1.99, 10.01], [-0.01, 11.49], [-1.49, 10.49]]).tolist() == [0, 11, 1]
+
+
+@pytest.mark.parametrize(
+    'point',
+    [
+        (-0.01, 0.5),
+        (0.5, -0.01),
+        (4.01, 0.5),
+        (0.5, 3.01),
+        (math.nan, 0.5),
+        (0.5, math.inf),
+        (-math.inf, 0.5),
+    ],
+)
+def test_points_outside_are_refused(point):
+    with pytest.raises(ValueError, match=escape(f'({point[0]}, {point[1]})') + '.*4 x 3'):
+        Grid(4, 3).cells_at([point])
+
+
+@pytest.mark.parametrize('shape', [(6,), (3, 3)])
+def test_points_are_pairs(shape):
+    with pytest.raises(ValueError, match='point'):
+        Grid(4, 3).cells_at(np.full(shape, 0.5))
+
+
+def test_steps_to_base():
+    assert Grid(3, 2, base=4).steps_to_base.tolist() == [1, 1, 1, 1, 0, 1]
+    assert Grid(4, 4).steps_to_base[[0, 5, 15, 12]].tolist() == [0, 1, 3, 3]
+
+
+def test_steps_to_base_go_around_blocked_cells():
+    wall = Grid(5, 3, base=0, blocked=(2, 7))
+    assert wall.steps_to_base[[1, 6, 11, 12, 13, 3, 4]].tolist() == [1, 1, 2, 2, 3, 4, 4]
+
+
+def test_a_cell_walled_off_is_farther_than_any_other():
+    walled = Grid(4, 1, blocked=(1,)).steps_to_base
+    assert walled[0] == 0
+    assert (walled[[1, 2, 3]] >= 4).all()
+
+
+@pytest.mark.parametrize(
+    'arguments, message',
+    [
+        ({'width': 0}, 'width is 0.*at least 1'),
+        ({'height': -2}, 'height is -2.*at least 1'),
+        ({'width': 2.5}, 'width is 2.5.*whole number'),
+        ({'width': math.nan}, 'width is nan.*whole number'),
+        ({'width': math.inf}, 'width is inf.*whole number'),
+        ({'base': 12}, 'base is 12.*0 to 11'),
+        ({'base': -1}, 'base is -1.*0 to 11'),
+        ({'base': 1.5}, 'base is 1.5.*0 to 11'),
+        ({'base': 5, 'blocked': (4, 5)}, 'base is 5.*blocked'),
+        ({'blocked': (3, 12)}, 'blocked.*12.*0 to 11'),
+        ({'blocked': (-1,)}, 'blocked.*-1.*0 to 11'),
+        ({'blocked': (2.5,)}, 'blocked.*2.5.*0 to 11'),
+        ({'resolution': 0.0}, 'resolution is 0.*positive'),
+        ({'resolution': -1.0}, 'resolution is -1.*positive'),
+        ({'resolution': math.nan}, 'resolution is nan.*positive'),
+        ({'resolution': math.inf}, 'resolution is inf'),
+        ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
+        ({'origin': (0.0,)}, 'origin.*two'),
+        ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
+    ],
+)
+def test_bad_grids_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Grid(**{'width': 4, 'height': 3, **arguments})
+
+
+def test_grids_compare_and_cannot_be_changed():
+    grid = Grid(4, 3, base=2, blocked=[7, 5])
+    assert grid == Grid(4, 3, base=2, blocked=(5, 7))
+    assert grid != Grid(4, 3, base=2)
+    with pytest.raises(AttributeError):
+        grid.base = 3
+
+
+@pytest.mark.parametrize(
+    'path',
+    [
+        [5, 5],
+        [5, 6, 5],
+        [5, 5, 5, 5],
+        [5, 0, 4, 8, 5],
+        [5, 10, 11, 11, 10, 5],
+    ],
+)
+def test_legal_paths_pass(path):
+    checked = Grid(4, 3, base=5).check_path(path, max_steps=5)
+    assert checked.tolist() == path
+    assert np.issubdtype(checked.dtype, np.integer)
+
+
+@pytest.mark.parametrize(
+    'path, message',
+    [
+        ([], 'path.*at least two'),
+        ([5], 'path.*at least two'),
+        (5, 'path.*at least two'),
+        ([[5, 5], [5, 5]], 'path'),
+        ([5, 12, 5], 'path leaves the grid.*12.*0 to 11'),
+        ([5, -1, 5], 'path leaves the grid.*-1.*0 to 11'),
+        ([5, 7, 5], 'path jumps.*5 to 7'),
+        ([5, 4, 7, 6, 5], 'path jumps.*4 to 7'),
+        ([5, 4, 3, 4, 5], 'path jumps.*4 to 3'),
+        ([4, 5], 'path must start at the base 5.*4'),
+        ([5, 4], 'path must end at the base 5.*4'),
+        ([4, 5, 4], 'path must start at the base 5.*4'),
+        ([5, 9, 5], 'path enters a blocked cell.*9'),
+        ([5, 5, 5, 5, 5, 5, 5], 'path has 6 steps.*5'),
+        ([5.0, 6.5, 5.0], 'path.*float.*whole numbers'),
+        ([5, math.nan, 5], 'path.*whole numbers'),
+        ([True, True], 'path.*whole numbers'),
+        (['5', '6', '5'], 'path.*whole numbers'),
+    ],
+)
+def test_bad_paths_are_refused(path, message):
+    with pytest.raises(ValueError, match=message):
+        Grid(4, 3, base=5, blocked=(9,)).check_path(path, max_steps=5)
+
+
+def test_paths_are_of_any_length_unless_limited():
+    assert len(Grid(2, 2).check_path([0] * 1000)) == 1000
+
+
+def test_the_longest_path_has_max_steps_moves():
+    grid = Grid(2, 2)
+    grid.check_path([0, 1, 2, 0], max_steps=3)
+    with pytest.raises(ValueError, match='path has 3 steps.*2'):
+        grid.check_path([0, 1, 2, 0], max_steps=2)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole missions without ROS: plan, deploy, learn, again."""
+
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    METHODS,
+    plan,
+    run_mission,
+    SensorModel,
+    update,
+    World,
+)
+import numpy as np
+import pytest
+
+GRID = Grid(5, 5, base=12, blocked=(3,))
+MODEL = SensorModel(0.5)
+PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
+
+
+def fly(seed, robots=12, **options):
+    rng = np.random.default_rng(seed)
+    world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
+    options = {'max_steps': 8, **options}
+    return world, run_mission(GRID, PRIOR, MODEL, world, robots, rng, **options)
+
+
+def trace(deployments):
+    return [
+        (
+            d.plan.path.tobytes(),
+            d.plan.information,
+            d.plan.survival,
+            d.observation.survived,
+            d.observation.readings is not None and d.observation.readings.tobytes(),
+            d.belief.joint.tobytes(),
+        )
+        for d in deployments
+    ]
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('method', METHODS)
+def test_the_same_seed_is_the_same_mission(method, planner):
+    one, same, other = (trace(fly(s, method=method, planner=planner)[1]) for s in (1, 1, 2))
+    assert one == same
+    assert one != other
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_beliefs_are_the_fold_of_the_observations(method):
+    _, deployments = fly(3, method=method)
+    assert {d.observation.survived for d in deployments} == {True, False}
+    estimator = Estimator(PRIOR, MODEL, method)
+    for deployment in deployments:
+        expected = plan(GRID, estimator.belief, MODEL, 8)
+        assert deployment.plan.path.tolist() == expected.path.tolist()
+        assert deployment.observation.path.tolist() == expected.path.tolist()
+        assert deployment.plan.information == expected.information
+        estimator.assimilate(deployment.observation)
+        assert deployment.belief.joint.tobytes() == estimator.belief.joint.tobytes()
+
+
+def test_each_deployment_draws_from_its_own_child_of_the_seed():
+    """The convention by which a mission on ROS meets the same fates, robot by robot."""
+    world, deployments = fly(4, robots=8)
+    rng = np.random.default_rng(4)
+    drawn = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
+    assert drawn.hazard.tobytes() == world.hazard.tobytes()
+    for deployment in deployments:
+        fate = drawn.traverse(deployment.plan.path, MODEL, rng.spawn(1)[0])
+        assert fate.survived == deployment.observation.survived
+        if fate.survived:
+            assert fate.readings.tolist() == deployment.observation.readings.tolist()
+
+
+def test_a_longer_mission_begins_as_the_shorter():
+    assert trace(fly(5, robots=10)[1])[:4] == trace(fly(5, robots=4)[1])
+
+
+def test_the_world_may_have_other_sensors_than_the_robots_believe():
+    deadly = SensorModel(1.0, malfunction=1.0)
+    _, deployments = fly(6, robots=5, world_model=deadly)
+    assert not any(d.observation.survived for d in deployments)
+    belief = PRIOR
+    for d in deployments:
+        belief = update(belief, MODEL, d.observation)
+    assert deployments[-1].belief.joint.tobytes() == belief.joint.tobytes()
+
+
+def test_a_mission_learns():
+    """Many robots, mild hazards: entropy falls and the belief comes to agree with the world."""
+    rng = np.random.default_rng(7)
+    model = SensorModel(0.3)
+    world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
+    after = run_mission(GRID, PRIOR, model, world, 60, rng, max_steps=8)[-1].belief
+    assert after.entropy() < 0.5 * PRIOR.entropy()
+    reachable = np.delete(np.arange(25), 3)
+    assert ((after.target > 0.5) == world.target)[reachable].mean() > 0.9
+
+
+def test_no_robots_no_deployments():
+    assert fly(8, robots=0)[1] == []
+
+
+@pytest.mark.parametrize(
+    'options, message',
+    [
+        ({'robots': -1}, 'robots is -1.*at least 0'),
+        ({'robots': 1.5}, 'robots is 1.5.*whole number'),
+        ({'method': 'magic'}, 'method.*magic.*kappa_bnitp'),
+        ({'planner': 'magic'}, 'planner.*magic.*beam'),
+        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+    ],
+)
+def test_bad_missions_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        fly(0, **options)
+
+
+def test_a_world_of_another_grid_is_refused():
+    small = World(np.zeros(4, bool), np.zeros(4, bool))
+    with pytest.raises(ValueError, match='world.*4 cells.*5 x 5'):
+        run_mission(GRID, PRIOR, MODEL, small, 3, np.random.default_rng(0), max_steps=8)

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planning, against an exhaustive search over all closed paths."""
+
+from functools import cache
+from itertools import pairwise
+
+import brute_force
+from kbnitp_ros.core import Belief, Grid, path_information, plan, PLANNERS, SensorModel
+import numpy as np
+import pytest
+
+BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
+
+
+@cache
+def every_path(base, most_steps=7):
+    return brute_force.all_visit_counts(4, 4, base, most_steps)
+
+
+def random_problem(seed):
+    """Draw a belief; the sensors are the paper's, with one of its six lethalities."""
+    rng = np.random.default_rng(seed)
+    grid = Grid(4, 4, base=BASES[seed % len(BASES)])
+    belief = Belief(brute_force.random_joint(rng, 16, grid.base))
+    return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
+
+
+def optimum(grid, belief, model):
+    visits = every_path(grid.base)
+    return brute_force.information_of_visits(belief.joint, model, visits).max()
+
+
+def test_the_search_sees_all_closed_paths():
+    """Two cells: every number of visits to the base, and to the other one before a return."""
+    visits = brute_force.all_visit_counts(2, 1, 0, 3)
+    assert visits.tolist() == [[1, 0], [1, 1], [1, 2], [2, 0], [2, 1], [3, 0]]
+
+
+@pytest.mark.parametrize('seed', range(50))
+def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
+    grid, belief, model = random_problem(seed)
+    best = optimum(grid, belief, model)
+    found = plan(grid, belief, model, 7, planner='beam', width=16).information
+    record_property('beam_ratio', found / best)
+    assert found <= best + 1e-9
+    assert found >= 0.995 * best
+
+
+def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
+    ratios = []
+    for seed in range(50):
+        grid, belief, model = random_problem(seed)
+        found = plan(grid, belief, model, 7, planner='relaxed').information
+        ratios.append(found / optimum(grid, belief, model))
+    record_property('relaxed_ratio_least', min(ratios))
+    record_property('relaxed_ratio_mean', float(np.mean(ratios)))
+    print(f'relaxed reaches at least {min(ratios):.4f}, on average {np.mean(ratios):.4f}')
+    assert max(ratios) <= 1 + 1e-9
+    assert min(ratios) > 0.5
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('seed', range(24))
+def test_plans_are_legal_and_say_what_they_are_worth(seed, planner):
+    rng = np.random.default_rng(seed)
+    width, height = rng.integers(2, 7, 2)
+    base, *blocked = rng.permutation(width * height)[: 1 + width * height // 5].tolist()
+    grid = Grid(int(width), int(height), base=base, blocked=tuple(blocked))
+    joint = brute_force.random_joint(rng, grid.cells, base)
+    joint[blocked] = [[1, 0], [0, 0]]
+    belief, model = Belief(joint), SensorModel(**brute_force.random_sensors(rng))
+    max_steps, max_visits = int(rng.integers(1, 13)), int(rng.integers(1, 4))
+    found = plan(grid, belief, model, max_steps, planner=planner, max_visits=max_visits)
+    path, visits = found.path.tolist(), np.bincount(found.path[1:], minlength=grid.cells)
+    around = brute_force.adjacent(width, height, blocked)
+    assert path[0] == path[-1] == base
+    assert 2 <= len(path) <= max_steps + 1
+    assert all(after in around[before] for before, after in pairwise(path))
+    assert visits.max() <= max_visits
+    assert found.information == pytest.approx(path_information(belief, model, path), abs=1e-9)
+    assert found.survival == pytest.approx(
+        brute_force.survival_of_visits(joint, model, visits[None])[0], abs=1e-12
+    )
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+def test_the_most_visits_bind(planner):
+    """One interesting cell: the plan would look again and again, and is held to max_visits."""
+    belief = Belief.from_maps([0, 0, 0], [0, 0.5, 0], [0, 0.5, 0])
+    model = SensorModel(0.5, malfunction=0.001, true_positive=0.6, false_positive=0.4)
+
+    def looks(**limit):
+        path = plan(Grid(3, 1), belief, model, 8, planner=planner, **limit).path
+        return (path == 1).sum()
+
+    assert [looks(max_visits=n) for n in (1, 2, 3, 5)] == [1, 2, 3, 5]
+    assert looks() == 3
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+def test_the_steps_are_used_up_to_the_last(planner):
+    """A promising cell max_steps there and back is reached; with one step less it is not."""
+    belief = Belief.from_maps(np.zeros(5), [0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.5])
+    model = SensorModel(0.5, malfunction=0.001)
+    far = plan(Grid(5, 1), belief, model, 8, planner=planner)
+    assert far.path.tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0]
+    assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+def test_ties_are_broken_the_same_way_every_time(planner):
+    grid = Grid(6, 6, base=14)
+    belief, model = Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5)
+    first = plan(grid, belief, model, 9, planner=planner)
+    again = plan(Grid(6, 6, base=14), Belief(belief.joint.copy()), model, 9, planner=planner)
+    assert first.path.tolist() == again.path.tolist()
+    assert first.information == again.information
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('base', range(9))
+def test_any_cell_can_be_the_base(base, planner):
+    grid = Grid(3, 3, base=base)
+    found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 5, planner=planner)
+    assert found.path[0] == found.path[-1] == base
+    assert len(set(found.path)) > 1
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('grid', [Grid(1, 1), Grid(3, 1, base=1, blocked=(0, 2))])
+def test_a_robot_with_nowhere_to_go_stays(grid, planner):
+    found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, planner=planner)
+    assert set(found.path) == {grid.base}
+    assert 2 <= len(found.path) <= 4
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+def test_a_single_step_is_a_stay_at_the_base(planner):
+    grid = Grid(3, 3, base=4)
+    found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 1, planner=planner)
+    assert found.path.tolist() == [4, 4]
+
+
+def test_a_wider_beam_is_no_worse_on_average():
+    gains = []
+    for seed in range(20):
+        grid, belief, model = random_problem(seed)
+        narrow, wide = (plan(grid, belief, model, 7, width=w).information for w in (1, 16))
+        gains.append(wide - narrow)
+    assert np.mean(gains) >= 0
+
+
+@pytest.mark.parametrize(
+    'arguments, message',
+    [
+        ({'planner': 'oracle'}, 'planner.*oracle(?=.*beam)(?=.*relaxed)'),
+        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+        ({'max_steps': -3}, 'max_steps is -3.*at least 1'),
+        ({'max_steps': 2.5}, 'max_steps is 2.5.*whole number'),
+        ({'width': 0}, 'width is 0.*at least 1'),
+        ({'max_visits': 0}, 'max_visits is 0.*at least 1'),
+    ],
+)
+def test_bad_requests_are_refused(arguments, message):
+    grid = Grid(3, 3)
+    request = {'max_steps': 4, **arguments}
+    with pytest.raises(ValueError, match=message):
+        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), **request)
+
+
+def test_known_planners():
+    assert {'beam', 'relaxed'} <= set(PLANNERS)
+
+
+def test_a_belief_of_another_grid_is_refused():
+    belief = Belief.prior(Grid(3, 3), 0.3, 0.4, 0.8)
+    with pytest.raises(ValueError, match='belief.*9.*16'):
+        plan(Grid(4, 4), belief, SensorModel(0.5), 4)
+
+
+def test_a_plan_cannot_be_changed():
+    found = plan(Grid(3, 3), Belief.prior(Grid(3, 3), 0.3, 0.4, 0.8), SensorModel(0.5), 4)
+    with pytest.raises(AttributeError):
+        found.information = 9.0
+    with pytest.raises(ValueError, match='read-only'):
+        found.path[0] = 1

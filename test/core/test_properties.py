@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds of every belief, model and path."""
+
+from math import log
+
+import brute_force
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    METHODS,
+    Observation,
+    path_information,
+    SensorModel,
+    update,
+)
+import numpy as np
+import pytest
+
+CELLS = 6
+thorough = settings(max_examples=100, deadline=None, derandomize=True)
+
+probability = st.one_of(st.sampled_from([0.0, 1.0, 0.5]), st.floats(1e-6, 1 - 1e-6))
+per_cell = st.lists(probability, min_size=CELLS, max_size=CELLS)
+
+
+@st.composite
+def beliefs(draw, kappa=True):
+    """Any joint per cell, certain ones too, by hazard, P(X=1|Z=0) and kappa."""
+    hazard, q = np.array(draw(per_cell)), np.array(draw(per_cell))
+    kappa = np.array(draw(per_cell)) if kappa else q
+    hazard[0] = 0.0
+    return Belief(
+        np.stack(
+            [
+                np.stack([(1 - hazard) * (1 - q), (1 - hazard) * q], axis=-1),
+                np.stack([hazard * (1 - kappa), hazard * kappa], axis=-1),
+            ],
+            axis=1,
+        )
+    )
+
+
+rate = st.one_of(st.just(0.0), st.floats(1e-6, 0.5))
+models = st.builds(
+    SensorModel,
+    lethality=st.floats(0.01, 1),
+    malfunction=rate,
+    false_negative=rate,
+    true_positive=rate.map(lambda miss: 1 - miss),
+    false_positive=rate,
+)
+
+paths = st.lists(st.integers(0, CELLS - 1), max_size=10).map(lambda inner: [0, *inner, 0])
+
+
+@st.composite
+def observations(draw, survived=None):
+    path = draw(paths)
+    if survived is False or (survived is None and draw(st.booleans())):
+        return Observation(path, False)
+    steps = len(path) - 1
+    return Observation(path, True, draw(st.lists(st.booleans(), min_size=steps, max_size=steps)))
+
+
+def updated(belief, model, *observations, method='kappa_bnitp'):
+    """Take the observations in, unless they are impossible."""
+    estimator = Estimator(belief, model, method)
+    try:
+        for observation in observations:
+            estimator.assimilate(observation)
+    except ValueError as refusal:
+        if 'impossible' not in str(refusal):
+            raise
+        assume(False)
+    return estimator.belief
+
+
+@pytest.mark.parametrize('method', METHODS)
+@thorough
+@given(belief=beliefs(), model=models, observation=observations())
+def test_every_update_leaves_a_distribution_per_cell(method, belief, model, observation):
+    after = updated(belief, model, observation, method=method)
+    for probabilities in (after.joint, after.hazard, after.target, after.kappa):
+        assert ((probabilities >= 0) & (probabilities <= 1)).all()
+    np.testing.assert_allclose(after.joint.sum(axis=(1, 2)), 1, rtol=0, atol=1e-12)
+    assert after.entropy() >= 0
+    assert after.joint_entropy() >= 0
+
+
+@thorough
+@given(beliefs(), models, observations())
+def test_only_impossible_evidence_is_refused(belief, model, observation):
+    probability = brute_force.evidence_probability(
+        belief.joint, model, observation.path.tolist(), observation.readings
+    )
+    assume(probability == 0 or probability > 1e-250)
+    try:
+        update(belief, model, observation)
+    except ValueError:
+        assert probability == 0
+    else:
+        assert probability > 0
+
+
+@thorough
+@given(beliefs(), models, observations())
+def test_the_certain_stays_certain(belief, model, observation):
+    after = updated(belief, model, observation)
+    assert (after.joint[belief.joint == 0] == 0).all()
+
+
+@thorough
+@given(beliefs(), models, observations(survived=False))
+def test_a_loss_never_makes_a_hazard_less_likely(belief, model, observation):
+    after = updated(belief, model, observation)
+    assert (after.hazard >= belief.hazard - 1e-12).all()
+
+
+@pytest.mark.parametrize('method', METHODS)
+@thorough
+@given(belief=beliefs(), model=models, observation=observations(survived=False))
+def test_a_loss_leaves_kappa_as_it_was(method, belief, model, observation):
+    before = Estimator(belief, model, method).belief
+    after = updated(belief, model, observation, method=method)
+    told = (before.hazard > 1e-9) & (after.hazard > 1e-9)
+    np.testing.assert_allclose(after.kappa[told], before.kappa[told], rtol=0, atol=1e-9)
+
+
+@thorough
+@given(beliefs(kappa=False), models, observations(survived=True))
+def test_a_return_never_makes_a_hazard_more_likely_when_targets_tell_nothing(belief, model, seen):
+    after = updated(belief, model, seen)
+    assert (after.hazard <= belief.hazard + 1e-12).all()
+
+
+@thorough
+@given(beliefs(), models, paths, st.data())
+def test_a_positive_reading_never_makes_a_target_less_likely_than_a_negative(
+    belief, model, path, data
+):
+    steps = len(path) - 1
+    one = np.array(data.draw(st.lists(st.booleans(), min_size=steps, max_size=steps)))
+    other = one.copy()
+    step = data.draw(st.integers(0, steps - 1))
+    one[step], other[step] = False, True
+    negative = updated(belief, model, Observation(path, True, one))
+    positive = updated(belief, model, Observation(path, True, other))
+    cell = path[step + 1]
+    assert positive.target[cell] >= negative.target[cell] - 1e-9
+
+
+@pytest.mark.parametrize('method', METHODS)
+@thorough
+@given(
+    belief=beliefs(),
+    model=models,
+    returned=st.lists(observations(survived=True), min_size=2, max_size=4),
+    data=st.data(),
+)
+def test_the_order_of_returned_robots_does_not_matter(method, belief, model, returned, data):
+    shuffled = data.draw(st.permutations(returned))
+    one = updated(belief, model, *returned, method=method)
+    other = updated(belief, model, *shuffled, method=method)
+    np.testing.assert_allclose(one.joint, other.joint, rtol=0, atol=1e-12)
+
+
+@thorough
+@given(beliefs(), models, observations(survived=True))
+def test_one_long_return_is_as_two_short_ones(belief, model, observation):
+    """A path through the base is worth the two halves, one after the other."""
+    whole = updated(belief, model, observation)
+    path, readings = observation.path.tolist(), observation.readings.tolist()
+    at_base = path.index(0, 1)
+    assume(at_base < len(path) - 1)
+    first = Observation(path[: at_base + 1], True, readings[:at_base])
+    second = Observation(path[at_base:], True, readings[at_base:])
+    folded = updated(belief, model, first, second)
+    np.testing.assert_allclose(folded.joint, whole.joint, rtol=0, atol=1e-12)
+
+
+@thorough
+@given(beliefs(), models, paths)
+def test_information_is_bounded(belief, model, path):
+    information = path_information(belief, model, path)
+    steps = len(path) - 1
+    assert information >= -1e-12
+    assert information <= log(2) * (1 + steps) + 1e-12  # bits of the fate and the readings
+    assert information <= belief.joint_entropy() + 1e-9  # what there is to know
+
+
+@thorough
+@given(beliefs(), models, paths)
+def test_information_is_the_expected_fall_of_uncertainty_at_one_cell(belief, model, path):
+    """With one uncertain cell there is nothing to tie together: entropies add up exactly."""
+    joint = belief.joint.copy()
+    joint[2:] = [[1, 0], [0, 0]]
+    joint[0] = [[1, 0], [0, 0]]
+    path = [min(cell, 1) for cell in path[:6]] + [0]
+    before, after = Belief(joint), 0.0
+    steps = len(path) - 1
+    outcomes = [None] + [[bool(bits >> k & 1) for k in range(steps)] for bits in range(2**steps)]
+    for readings in outcomes:
+        weight = brute_force.evidence_probability(joint, model, path, readings)
+        if weight > 1e-12:
+            outcome = Observation(path, readings is not None, readings)
+            after += weight * update(before, model, outcome).joint_entropy()
+    fall = before.joint_entropy() - after
+    assert path_information(before, model, path) == pytest.approx(fall, abs=1e-7)
