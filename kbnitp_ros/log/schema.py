@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How topics are described in a log: their type's definition and hash, and the QoS offered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+import yaml
+
+ENCODING = 'ros2msg'
+SEPARATOR = '=' * 80
+
+
+@dataclass(frozen=True)
+class TypeDescription:
+    """
+    What a reader needs to know of a message type.
+
+    Attributes
+    ----------
+    definition : str
+        The type's definition, then that of every type it refers to, directly or not.
+    type_hash : str
+        REP-2011 hash, 'RIHS01_' and 64 hex digits.
+
+    """
+
+    definition: str
+    type_hash: str
+
+
+def describe(type_name: str) -> TypeDescription:
+    """
+    Return the description of an installed message type.
+
+    Parameters
+    ----------
+    type_name : str
+        Such as 'nav_msgs/msg/Path'.
+
+    Raises
+    ------
+    LookupError
+        If its package is not installed.
+    OSError
+        If the package does not have it.
+
+    """
+    description = json.loads(interface_file(type_name, 'json').read_text())
+    hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
+    message = description['type_description_msg']
+    sections = [interface_file(type_name, 'msg').read_text()]
+    for referenced in message['referenced_type_descriptions']:
+        text = interface_file(referenced['type_name'], 'msg').read_text()
+        short_name = referenced['type_name'].replace('/msg/', '/')
+        sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
+    return TypeDescription('\n'.join(sections), hashes[type_name])
+
+
+def interface_file(type_name: str, suffix: str) -> Path:
+    """Return where the description of `type_name` is installed, as 'msg' or as 'json'."""
+    package, kind, name = type_name.split('/')
+    return Path(get_package_share_directory(package), kind, f'{name}.{suffix}')
+
+
+def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
+    """
+    Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic.
+
+    Parameters
+    ----------
+    profiles : iterable of rclpy.qos.QoSProfile
+        One for each publisher.
+
+    Returns
+    -------
+    str
+        A YAML list; each entry has all nine policies.
+
+    """
+
+    def duration(value: Any) -> dict[str, int]:
+        seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
+        return {'sec': seconds, 'nsec': nanoseconds}
+
+    text: str = yaml.safe_dump(
+        [
+            {
+                'history': profile.history.name.lower(),
+                'depth': profile.depth,
+                'reliability': profile.reliability.name.lower(),
+                'durability': profile.durability.name.lower(),
+                'deadline': duration(profile.deadline),
+                'lifespan': duration(profile.lifespan),
+                'liveliness': profile.liveliness.name.lower(),
+                'liveliness_lease_duration': duration(profile.liveliness_lease_duration),
+                'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+            }
+            for profile in profiles
+        ],
+        sort_keys=False,
+    )
+    return text

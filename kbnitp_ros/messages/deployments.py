@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the two messages of a deployment mean: the path it was sent on and how it ended.
+
+A deployment's key is its agent and the stamp of its path. The path's topic names the agent, the
+report names both.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import Point, Pose, PoseStamped
+from kbnitp_msgs.msg import DeploymentReport, TargetReading
+from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
+from kbnitp_ros.messages.headers import check_frame, from_stamp, header, to_stamp
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def path_message(grid: Grid, cells: ArrayLike, stamp: int) -> Path:
+    """
+    Return the message that sends an agent along `cells`.
+
+    Parameters
+    ----------
+    grid : Grid
+        Where the cells' centres are.
+    cells : array_like of int, shape (steps + 1,)
+        The path, the base first and last.
+    stamp : int
+        Names the deployment together with the agent, in nanoseconds; never used twice.
+
+    """
+    same = header(stamp)
+    return Path(
+        header=same,
+        poses=[
+            PoseStamped(header=same, pose=Pose(position=Point(x=x, y=y)))
+            for x, y in grid.centers(cells).tolist()
+        ],
+    )
+
+
+def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDArray[np.intp]]:
+    """
+    Return which deployment a nav_msgs/Path names and the cells it leads through.
+
+    Whether a robot can go that way is for `Grid.check_path` to say.
+
+    Parameters
+    ----------
+    grid : Grid
+        A pose stands for the cell it lies in.
+    agent : str
+        Whose topic the message came on.
+    message : nav_msgs/Path
+        As received, or as decoded from a log.
+
+    Raises
+    ------
+    ValueError
+        If it has no pose, or one is in another frame, not finite or outside the grid.
+
+    """
+    check_frame('header.frame_id', message.header.frame_id)
+    if not message.poses:
+        raise ValueError('poses is empty: a path starts and ends at the base')
+    for index, pose in enumerate(message.poses):
+        check_frame(f'poses[{index}].header.frame_id', pose.header.frame_id)
+    positions = [pose.pose.position for pose in message.poses]
+    points = np.array([(position.x, position.y) for position in positions])
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        first = np.argmin(finite)
+        raise ValueError(
+            f'poses[{first}].pose.position is {tuple(points[first].tolist())}: it must be finite'
+        )
+    return DeploymentKey(agent, from_stamp(message.header.stamp)), grid.cells_at(points)
+
+
+def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> DeploymentReport:
+    """
+    Return the message of how a deployment ended.
+
+    Parameters
+    ----------
+    key : DeploymentKey
+        Which one.
+    observation : Observation
+        What came of it.
+    stamp : int
+        When the base learnt it, in nanoseconds.
+
+    """
+    readings = () if observation.readings is None else observation.readings.tolist()
+    return DeploymentReport(
+        header=header(stamp),
+        agent=key.agent,
+        deployment=to_stamp(key.stamp),
+        survived=observation.survived,
+        readings=[
+            TargetReading(cell=cell, detected=detected)
+            for cell, detected in zip(observation.path[1:].tolist(), readings)
+        ],
+    )
+
+
+def read_report(message: Any) -> tuple[DeploymentKey, Report]:
+    """
+    Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says.
+
+    Whether the readings are those of the deployment's path is for `Ledger.record_report` to say.
+
+    Raises
+    ------
+    ValueError
+        If it is in another frame or names no agent.
+
+    """
+    check_frame('header.frame_id', message.header.frame_id)
+    if not message.agent:
+        raise ValueError("agent is '': it must name the agent that was deployed")
+    key = DeploymentKey(message.agent, from_stamp(message.deployment))
+    readings = tuple((int(reading.cell), bool(reading.detected)) for reading in message.readings)
+    return key, Report(bool(message.survived), readings)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a grid message means, said once.
+
+Cells are in row-major order, row 0 at the bottom, as in the core. A probability is shown as whole
+percent, 0 to 100; a cell that no robot can enter is -1. The origin is the lower-left corner of
+cell 0 and is never rotated.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable
+from math import isfinite
+from typing import Any
+
+from geometry_msgs.msg import Point, Pose
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.headers import header
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+UNKNOWN = -1
+
+
+def map_metadata(grid: Grid) -> MapMetaData:
+    """Return the geometry of `grid`."""
+    x, y = grid.origin
+    return MapMetaData(
+        width=grid.width,
+        height=grid.height,
+        resolution=float(np.float32(grid.resolution)),
+        origin=Pose(position=Point(x=x, y=y)),
+    )
+
+
+def read_map_metadata(info: Any, base: int = 0, blocked: Iterable[int] = ()) -> Grid:
+    """
+    Return the grid with the geometry of a nav_msgs/MapMetaData.
+
+    Parameters
+    ----------
+    info : nav_msgs/MapMetaData
+        Sizes in cells, resolution and origin in metres.
+    base : int
+        The base's cell, which this message does not name.
+    blocked : iterable of int
+        The blocked cells, likewise.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, the origin is rotated, or there is no such grid.
+
+    """
+    origin = info.origin
+    numbers = {
+        'info.resolution': info.resolution,
+        'info.origin.position.x': origin.position.x,
+        'info.origin.position.y': origin.position.y,
+    }
+    for name, value in numbers.items():
+        if not isfinite(value):
+            raise ValueError(f'{name} is {value}: it must be finite, in metres')
+    rotation = (origin.orientation.x, origin.orientation.y, origin.orientation.z)
+    if any(rotation):
+        raise ValueError(f'info.origin.orientation has x, y, z = {rotation}: it must be 0, 0, 0')
+    return Grid(
+        width=info.width,
+        height=info.height,
+        base=base,
+        # A float32 message field: 0.1 m comes back as 0.1, and not as 0.10000000149.
+        resolution=float(str(np.float32(info.resolution))),
+        origin=(origin.position.x, origin.position.y),
+        blocked=blocked,
+    )
+
+
+def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> OccupancyGrid:
+    """
+    Return a map for people to look at.
+
+    Parameters
+    ----------
+    grid : Grid
+        Its blocked cells are shown as -1.
+    probabilities : array_like, shape (cells,)
+        In [0, 1]; the truth is a map of 0 and 1.
+    stamp : int
+        When the map was computed, in nanoseconds.
+
+    """
+    percent = np.rint(100.0 * np.asarray(probabilities, dtype=np.float64)).astype(np.int8)
+    shown = np.where(grid.free, percent, np.int8(UNKNOWN))
+    return OccupancyGrid(
+        header=header(stamp),
+        info=map_metadata(grid),
+        # Of all that can be assigned, only this type is not checked value by value.
+        data=array('b', shown.tobytes()),
+    )
+
+
+def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
+    """
+    Return the probabilities that a nav_msgs/OccupancyGrid shows.
+
+    Returns
+    -------
+    ndarray, shape (height * width,)
+        In [0, 1], to half a percent; NaN where the map says -1.
+
+    Raises
+    ------
+    ValueError
+        If its frame is empty, its geometry is not finite, its data is not of its size or holds a
+        value that is neither -1 nor 0 to 100.
+
+    """
+    if not message.header.frame_id:
+        raise ValueError("header.frame_id is '': it must name the frame of the map")
+    cells = read_map_metadata(message.info).cells
+    percent = np.asarray(message.data, dtype=np.int16)
+    if percent.size != cells:
+        raise ValueError(
+            f'data has {percent.size} values: it must have width * height = '
+            f'{message.info.width} * {message.info.height} = {cells}'
+        )
+    illegal = np.flatnonzero((percent < UNKNOWN) | (percent > 100))
+    if illegal.size:
+        cell = illegal[0]
+        raise ValueError(f'data of cell {cell} is {percent[cell]}: it must be -1 or 0 to 100')
+    return np.where(percent == UNKNOWN, np.nan, percent / 100.0)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot read on its way, for people to look at."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.messages.headers import header
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker
+
+DETECTED = ColorRGBA(r=1.0, g=0.6, b=0.0, a=1.0)
+NOTHING = ColorRGBA(r=0.4, g=0.5, b=0.6, a=0.6)
+
+# Diameter of a reading in sides of a cell.
+SIZE = 0.3
+
+
+def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
+    """
+    Return a sphere for each reading, in the order of the steps.
+
+    Parameters
+    ----------
+    grid : Grid
+        Where the cells' centres are.
+    observation : Observation
+        Of a robot that returned; the marker of a lost one is empty.
+    stamp : int
+        When the base learnt it, in nanoseconds.
+
+    """
+    readings = () if observation.readings is None else observation.readings.tolist()
+    centers = grid.centers(observation.path[1:])[: len(readings)]
+    size = SIZE * grid.resolution
+    return Marker(
+        header=header(stamp),
+        ns='readings',
+        type=Marker.SPHERE_LIST,
+        action=Marker.ADD,
+        pose=Pose(orientation=Quaternion(w=1.0)),
+        scale=Vector3(x=size, y=size, z=size),
+        points=[Point(x=x, y=y) for x, y in centers.tolist()],
+        colors=[DETECTED if detected else NOTHING for detected in readings],
+    )

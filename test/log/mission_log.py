@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a mission publishes, made without ROS running, and logs of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    run_mission,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.deployments import path_message, read_report, report_message
+from kbnitp_ros.messages.grids import occupancy_grid
+import numpy as np
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+
+GRID = Grid(5, 4, base=2, resolution=0.1, origin=(-1.3, 0.7), blocked=(8, 9))
+MODEL = SensorModel(0.6, malfunction=0.02)
+MAX_STEPS = 8
+
+# 2026-11-20, in nanoseconds.
+START = 1_795_132_800_000_000_000
+
+QOS = QoSProfile(depth=7, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@dataclass
+class Sent:
+    """A message on its topic."""
+
+    topic: str
+    message: Any
+    time: int
+
+    @property
+    def type_name(self):
+        """Such as 'nav_msgs/msg/Path'."""
+        kind = type(self.message)
+        return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+
+    @cached_property
+    def data(self):
+        """The bytes on the wire; what is between the fields differs from time to time."""
+        return serialize_message(self.message)
+
+
+class Mission:
+    """
+    Publishes like the nodes of a mission, into the list `sent`.
+
+    Its clock ticks a microsecond with every message.
+    """
+
+    def __init__(self, method='kappa_bnitp', namespace='', grid=GRID):
+        self.sent = []
+        self.grid = grid
+        self.namespace = namespace
+        self.method = method
+        self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
+        self.now = START
+        self.start_estimator()
+
+    def start_estimator(self):
+        """Publish the prior, as an estimator does when it is started."""
+        estimator = Estimator(self.prior, MODEL, self.method)
+        self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
+        self.publish_belief()
+
+    def publish(self, topic, message):
+        """Send a message."""
+        self.now += 1000
+        self.sent.append(Sent(f'{self.namespace}/{topic}', message, self.now))
+
+    def publish_belief(self):
+        """Send the belief and its views."""
+        stamp = self.now
+        self.publish('belief', belief_maps(self.ledger, stamp))
+        for name in ('hazard', 'target', 'kappa'):
+            view = getattr(self.ledger.belief, name)
+            self.publish(f'belief/{name}', occupancy_grid(self.grid, view, stamp))
+
+    def send_out(self, path, agent='scout_1'):
+        """Send a robot along a path; return the deployment's key."""
+        key = DeploymentKey(agent, self.now)
+        self.publish(f'{agent}/path', path_message(self.grid, path, key.stamp))
+        return key
+
+    def come_back(self, key, observation):
+        """Report how a deployment ended."""
+        self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
+        return read_report(self.sent[-1].message)
+
+    def assimilate(self, path, key, report):
+        """Let the estimator take in a deployment."""
+        self.ledger.record_path(key, path)
+        assert self.ledger.record_report(key, report)
+        self.publish_belief()
+
+    def deploy(self, observation, agent='scout_1'):
+        """Do all of it."""
+        key = self.send_out(observation.path, agent)
+        self.assimilate(observation.path, *self.come_back(key, observation))
+        return key
+
+
+def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID):
+    """Return the deployments of a mission in the core."""
+    rng = np.random.default_rng(seed)
+    world = World.random(grid, rng, 0.2, 0.7, 0.2)
+    return run_mission(
+        grid,
+        Belief.prior(grid, 0.3, 0.4, 0.7),
+        MODEL,
+        world,
+        robots,
+        rng,
+        method,
+        max_steps=MAX_STEPS,
+    )
+
+
+def mission(robots=8, **options):
+    """Return a whole mission, one robot after another."""
+    method = options.get('method', 'kappa_bnitp')
+    grid = options.get('grid', GRID)
+    whole = Mission(**options)
+    for deployment in observations(robots, method=method, grid=grid):
+        whole.deploy(deployment.observation)
+        assert whole.ledger.belief.joint.tobytes() == deployment.belief.joint.tobytes()
+    return whole
+
+
+def record(path, sent, qos=QOS):
+    """Write messages to a finished log."""
+    with LogWriter(path) as log:
+        record_to(log, sent, qos)
+    return path
+
+
+def record_to(log, sent, qos=QOS, synced=False):
+    """Write messages to a log, adding topics as they appear."""
+    known = set()
+    for each in sent:
+        if each.topic not in known:
+            known.add(each.topic)
+            log.add_topic(each.topic, each.type_name, qos_profiles_yaml([qos]))
+        log.write(each.topic, each.data, each.time + 500, each.time)
+        if synced:
+            log.sync()
+
+
+def on(sent, *topics):
+    """Return the messages of these topics."""
+    return [each for each in sent if each.topic in topics]
+
+
+def without(sent, *unwanted):
+    """Return all messages but those."""
+    return [each for each in sent if not any(each is one for one in unwanted)]
+
+
+def instead(sent, old, message):
+    """Return all messages, one of them replaced."""
+    return [replace(each, message=message) if each is old else each for each in sent]
+
+
+def same(recorded, original):
+    """
+    Return whether a message decoded by some library has the values that were sent.
+
+    Integers, strings and booleans are equal, floats bit for bit.
+    """
+    if hasattr(original, 'get_fields_and_field_types'):
+        return all(
+            same(getattr(recorded, name), getattr(original, name))
+            for name in original.get_fields_and_field_types()
+        )
+    if isinstance(original, (str, bool, int)):
+        return recorded == original
+    if isinstance(original, bytes):
+        return bytes([recorded] if isinstance(recorded, int) else recorded) == original
+    if isinstance(original, float):
+        return np.float64(recorded).tobytes() == np.float64(original).tobytes()
+    if len(recorded) != len(original):
+        return False
+    if hasattr(original, 'typecode'):
+        return np.array(list(recorded), original.typecode).tobytes() == original.tobytes()
+    return all(map(same, recorded, original))

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reader takes what there is, and has one kind of error."""
+
+from contextlib import suppress
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.log.reader import is_finished, LogError, read_log
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.writer import LogWriter
+from mcap.exceptions import EndOfFile
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from mission_log import on, QOS, record, record_to, same
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+
+
+@pytest.fixture(scope='module')
+def files(whole_mission, tmp_path_factory):
+    """Return a finished log with one message a chunk, one with few chunks, and an unfinished one."""
+    folder = tmp_path_factory.mktemp('log')
+    with LogWriter(folder / 'finished.mcap') as log:
+        record_to(log, whole_mission.sent, synced=True)
+    record(folder / 'few_chunks.mcap', whole_mission.sent)
+    log = LogWriter(folder / 'open.mcap')
+    record_to(log, whole_mission.sent, synced=True)
+    (folder / 'unfinished.mcap').write_bytes(log.path.read_bytes())
+    log.close()
+    return folder
+
+
+def messages(path):
+    """Return what is read before the end or an error, and the error."""
+    read = []
+    try:
+        read.extend(read_log(path))  # keeps what came before an error
+    except LogError as error:
+        return read, error
+    return read, None
+
+
+def is_start_of(read, sent):
+    """Return whether these are the first messages that were sent."""
+    return len(read) <= len(sent) and all(
+        (one.topic, one.type_name, one.publish_time, one.log_time)
+        == (each.topic, each.type_name, each.time, each.time + 500)
+        and same(one.message, each.message)
+        for one, each in zip(read, sent)
+    )
+
+
+@pytest.mark.parametrize('name', ['finished.mcap', 'few_chunks.mcap', 'unfinished.mcap'])
+def test_everything_is_read_in_order(files, whole_mission, name):
+    read, error = messages(files / name)
+    assert error is None
+    assert len(read) == len(whole_mission.sent)
+    assert is_start_of(read, whole_mission.sent)
+    assert is_finished(files / name) == (name != 'unfinished.mcap')
+
+
+def test_types_can_be_chosen(files, whole_mission):
+    wanted = 'kbnitp_msgs/msg/DeploymentReport'
+    read = list(read_log(files / 'finished.mcap', [wanted]))
+    assert is_start_of(read, on(whole_mission.sent, '/scout_1/report'))
+    assert len(read) == 8
+
+
+def test_positions_grow_to_the_size_of_the_file(files):
+    path = files / 'finished.mcap'
+    positions = [each.position for each in read_log(path)]
+    assert positions == sorted(positions)
+    assert 0 < positions[0] < positions[-1] <= path.stat().st_size
+
+
+def whole_messages(content):
+    """Return how many messages lie whole in the first bytes of a log, by the records' lengths."""
+    count, position = 0, 8
+    while position + 9 <= len(content):
+        end = position + 9 + int.from_bytes(content[position + 1 : position + 9], 'little')
+        if end > len(content):
+            break
+        # Here a chunk, opcode 6, holds one message.
+        count += content[position] == 6
+        position = end
+    return count
+
+
+def test_a_file_cut_anywhere_yields_what_comes_before(files, whole_mission, tmp_path):
+    content = (files / 'finished.mcap').read_bytes()
+    path = tmp_path / 'cut.mcap'
+    for cut in [
+        *range(8, 700, 23),
+        *range(700, len(content), 1999),
+        *range(len(content) - 9, 0, -997),
+    ]:
+        if cut < 8:
+            continue
+        path.write_bytes(content[:cut])
+        read, error = messages(path)
+        assert error is None
+        assert len(read) == whole_messages(content[:cut])
+        assert is_start_of(read, whole_mission.sent)
+        assert not is_finished(path)
+    assert len(read) == whole_messages(content[:cut])
+
+
+def test_every_way_to_cut_a_record_is_met(files, tmp_path):
+    """Cuts at each byte of one chunk with its index, and of the end of the file."""
+    content = (files / 'finished.mcap').read_bytes()
+    starts = [position for position, _ in records(content)]
+    path = tmp_path / 'cut.mcap'
+    for cut in [*range(starts[3], starts[5], 7), *range(starts[-2], len(content))]:
+        path.write_bytes(content[:cut])
+        read, error = messages(path)
+        assert error is None
+        assert len(read) == whole_messages(content[:cut])
+        assert not is_finished(path)
+
+
+def records(content):
+    """Yield (start, end) of the records of an MCAP file."""
+    position = 8
+    while position < len(content) - 8:
+        end = position + 9 + int.from_bytes(content[position + 1 : position + 9], 'little')
+        yield position, end
+        position = end
+
+
+@pytest.mark.parametrize('content', [b'', b'\x89MCA', b'no log at all', b'SQLite format 3\0'])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r'mission.mcap is no MCAP file'):
+        list(read_log(path))
+    with pytest.raises(LogError, match=r'mission.mcap is no MCAP file'):
+        is_finished(path)
+
+
+def test_no_file_is_refused(tmp_path):
+    with pytest.raises(LogError, match=r'gone.mcap cannot be read: No such file'):
+        list(read_log(tmp_path / 'gone.mcap'))
+    with pytest.raises(LogError, match=r'cannot be read: Is a directory'):
+        list(read_log(tmp_path))
+
+
+def test_nothing_but_the_first_bytes_is_an_empty_log(files, tmp_path):
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes((files / 'finished.mcap').read_bytes()[:8])
+    assert list(read_log(path)) == []
+    assert not is_finished(path)
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_a_damaged_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_factory, data):
+    """Nothing is lost or changed in silence, and no other error is raised."""
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    start, end = data.draw(st.sampled_from(list(records(content))))
+    # Lengths and kinds of records are rare among the bytes and matter most.
+    place = start + data.draw(st.integers(0, 60) | st.integers(0, end - start - 1))
+    content[min(place, end - 1)] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.getbasetemp() / 'damaged.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    if error is None:
+        assert len(read) == len(whole_mission.sent)
+        assert is_start_of(read, whole_mission.sent)
+
+
+def test_a_chunk_that_is_not_taken_for_one_is_missed(files, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    chunks = [start for start, _ in records(content) if content[start] == 6]
+    content[chunks[20]] = 0x86
+    path = tmp_path / 'damaged.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert f'{len(chunks) - 1} messages found, {len(chunks)} were written' in str(error)
+
+
+def test_a_damaged_message_is_an_error_after_those_before(files, whole_mission, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    chunks = [(start, end) for start, end in records(content) if content[start] == 6]
+    content[chunks[20][1] - 5] ^= 1
+    path = tmp_path / 'damaged.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert f'damaged.mcap is damaged near byte {chunks[20][1]}' in str(error)
+    assert len(read) == 20
+    assert is_start_of(read, whole_mission.sent)
+
+
+def test_a_damaged_length_does_not_pass_for_the_end(files, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    chunks = [start for start, _ in records(content) if content[start] == 6]
+    content[chunks[20] + 4] ^= 1
+    path = tmp_path / 'damaged.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert len(read) == 20
+    assert 'is damaged' in str(error)
+
+
+def test_a_tail_of_zeros_is_none_of_the_log(files, whole_mission, tmp_path):
+    """A file system may have made room for what it never got to write."""
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes((files / 'unfinished.mcap').read_bytes() + bytes(5000))
+    read, error = messages(path)
+    assert error is None
+    assert len(read) == len(whole_mission.sent)
+
+
+def test_bytes_that_are_no_message_are_an_error(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_topic('/scout_1/path', 'nav_msgs/msg/Path', qos_profiles_yaml([QOS]))
+        log.write('/scout_1/path', b'\0\1\0\0abc', 1, 1)
+    with pytest.raises(
+        LogError, match=r'mission.mcap: a message of topic /scout_1/path is no nav'
+    ):
+        list(read_log(log.path))
+    assert list(read_log(log.path, ['kbnitp_msgs/msg/BeliefMaps'])) == []
+
+
+@pytest.mark.parametrize('schema', [0, 1])
+def test_what_is_no_ros_message_is_an_error_only_when_asked_for(tmp_path, schema):
+    path = tmp_path / 'mission.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        writer.register_schema('Temperature', 'jsonschema', b'{}')
+        channel = writer.register_channel('/temperature', 'json', schema)
+        writer.add_message(channel, 1, b'{}', 1)
+        writer.finish()
+    with pytest.raises(LogError, match=r"topic /temperature is 'json'.* must be 'cdr'"):
+        list(read_log(path))
+    assert list(read_log(path, ['nav_msgs/msg/Path'])) == []
+
+
+def test_a_bag_by_another_writer_is_read(files, whole_mission, tmp_path):
+    """A bag in rosbag2's own form, made by rosbags."""
+    store = get_typestore(Stores.EMPTY)
+    with BagWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connections = {}
+        for each in whole_mission.sent:
+            if each.topic not in connections:
+                definition = next(iter_definitions(files / 'finished.mcap', each.type_name))
+                store.register(get_types_from_msg(definition, each.type_name))
+                connections[each.topic] = bag.add_connection(
+                    each.topic, each.type_name, typestore=store
+                )
+            bag.write(connections[each.topic], each.time + 500, each.data)
+    read = list(read_log(tmp_path / 'bag' / 'bag.mcap'))
+    assert len(read) == len(whole_mission.sent)
+    for one, each in zip(read, whole_mission.sent):
+        assert (one.topic, one.log_time) == (each.topic, each.time + 500)
+        assert same(one.message, each.message)
+
+
+def iter_definitions(path, type_name):
+    """Yield the definitions of a type in a log."""
+    with path.open('rb') as file, suppress(EndOfFile):
+        for record_ in StreamReader(file).records:
+            if getattr(record_, 'name', None) == type_name:
+                yield record_.data.decode()

@@ -1,0 +1,501 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A log's beliefs are computed again, and whatever is not reproduced is said."""
+
+from array import array
+from copy import deepcopy
+import re
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.cli.replay import main
+from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
+from kbnitp_ros.log.reader import LogError
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.messages.deployments import path_message, report_message
+from kbnitp_ros.messages.grids import occupancy_grid
+from mcap.writer import Writer
+from mission_log import (
+    instead,
+    Mission,
+    mission,
+    observations,
+    on,
+    QOS,
+    record,
+    record_to,
+    Sent,
+    START,
+    without,
+)
+from nav_msgs.msg import Path
+import numpy as np
+import pytest
+
+ROBOTS = 8
+VIEWS = ('/belief/hazard', '/belief/target', '/belief/kappa')
+REPRODUCED = dict.fromkeys(('/belief', *VIEWS), ROBOTS + 1)
+
+
+@pytest.fixture
+def replayed(tmp_path):
+    """Return a function that records messages and replays the log."""
+
+    def replayed(sent, name='mission.mcap'):
+        return replay(record(tmp_path / name, sent))
+
+    return replayed
+
+
+def keys(sent):
+    """Return the deployments of the paths, in order."""
+    stamps = [each.message.header.stamp for each in on(sent, '/scout_1/path')]
+    return [DeploymentKey('scout_1', s.sec * 10**9 + s.nanosec) for s in stamps]
+
+
+def beliefs(sent):
+    """Return the messages on the topic of the beliefs."""
+    return on(sent, '/belief')
+
+
+def flipped(message, field, index, bit):
+    """Return a copy of a message with one bit of an array changed."""
+    changed = deepcopy(message)
+    values = getattr(changed, field)
+    content = bytearray(values.tobytes())
+    content[index * values.itemsize + bit // 8] ^= 1 << bit % 8
+    setattr(changed, field, array(values.typecode, bytes(content)))
+    return changed
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_a_mission_is_reproduced(replayed, method):
+    report = replayed(mission(ROBOTS, method=method).sent)
+    assert report.reproduced
+    assert report.mismatches == []
+    assert report.compared == REPRODUCED
+    assert report.method == method
+    assert report.finished
+    observed = [deployment.observation for deployment in observations(ROBOTS, method=method)]
+    assert len(report.evidence.complete) == ROBOTS
+    assert report.evidence.survived == sum(each.survived for each in observed)
+    assert 0 < report.evidence.survived < ROBOTS
+    assert report.passed_over == report.not_yet_held == report.evidence.without_report == []
+    assert report.evidence.without_path == report.evidence.refused == []
+
+
+def test_another_grid_is_reproduced(replayed):
+    whole = mission(5, grid=Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3)))
+    assert replayed(whole.sent).reproduced
+
+
+def test_a_mission_in_a_namespace_is_reproduced(replayed):
+    report = replayed(mission(ROBOTS, namespace='/field/north').sent)
+    assert report.reproduced
+    assert report.compared['/field/north/belief'] == ROBOTS + 1
+    assert len(report.evidence.complete) == ROBOTS
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+def test_the_order_between_topics_does_not_matter(whole_mission, tmp_path_factory, data):
+    """A recorder hears each topic in order, but one may be far behind another."""
+    queues = [on(whole_mission.sent, topic) for topic in {s.topic for s in whole_mission.sent}]
+    shuffled = []
+    while any(queues):
+        queue = data.draw(st.sampled_from([queue for queue in queues if queue]))
+        count = data.draw(st.integers(1, len(queue)))
+        shuffled += queue[:count]
+        del queue[:count]
+    path = tmp_path_factory.mktemp('shuffled') / 'mission.mcap'
+    report = replay(record(path, shuffled))
+    assert report.reproduced
+    assert report.compared == REPRODUCED
+
+
+def test_the_estimators_order_counts_not_the_recorders(replayed):
+    """Two robots are out; the one whose report is recorded first is taken in last."""
+    whole = Mission()
+    first, second = Observation([2, 7, 12, 7, 2], False), Observation([2, 7, 6, 2], False)
+    one, two = whole.send_out(first.path, 'scout_1'), whole.send_out(second.path, 'scout_2')
+    reports = [whole.come_back(one, first), whole.come_back(two, second)]
+    whole.assimilate(second.path, *reports[1])
+    whole.assimilate(first.path, *reports[0])
+    assert replayed(whole.sent).reproduced
+
+    # The two losses overlap, so that the wrong order shows.
+    _, after_second, after_both = beliefs(whole.sent)
+    wrong = deepcopy(after_both.message)
+    wrong.agent, wrong.deployment = 'scout_2', after_second.message.deployment
+    sent = instead(without(whole.sent, after_second), after_both, wrong)
+    belief_mismatch = replayed(sent, 'other.mcap').mismatches[0]
+    assert 'joint' in [difference.field for difference in belief_mismatch.differences]
+
+
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('field', ['joint', 'hazard', 'target', 'kappa'])
+def test_one_flipped_bit_is_found(whole_mission, tmp_path, capsys, method, field):
+    sent = mission(ROBOTS, method=method).sent
+    original = beliefs(sent)[5]
+    cell = 7
+    index = 4 * cell + 3 if field == 'joint' else cell
+    spoiled = flipped(original.message, field, index, bit=0)
+    path = record(tmp_path / 'mission.mcap', instead(sent, original, spoiled))
+
+    report = replay(path)
+    (mismatch,) = report.mismatches
+    assert not report.reproduced
+    assert (mismatch.topic, mismatch.index) == ('/belief', 5)
+    assert mismatch.deployment == keys(sent)[4]
+    (difference,) = mismatch.differences
+    assert (difference.field, difference.cell) == (field, cell)
+    assert difference.largest == abs(
+        getattr(spoiled, field)[index] - getattr(original.message, field)[index]
+    )
+    assert 0.0 < difference.largest < 1e-15
+
+    assert main([str(path)]) == 1
+    told = capsys.readouterr().out.splitlines()
+    assert f'/belief: {ROBOTS} of {ROBOTS + 1} reproduced' in told
+    (line,) = [line for line in told if line.startswith('not reproduced')]
+    assert '/belief message 5' in line
+    assert str(mismatch.deployment) in line
+    assert f'{field} differs in 1 values, by up to {difference.largest:.3g} in cell 7' in line
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data):
+    which = on(whole_mission.sent, '/belief', *VIEWS)
+    original = data.draw(st.sampled_from(which))
+    names = ['data'] if original.topic in VIEWS else ['joint', 'hazard', 'target', 'kappa']
+    field = data.draw(st.sampled_from(names))
+    values = getattr(original.message, field)
+    index = data.draw(st.integers(0, len(values) - 1))
+    bit = data.draw(st.integers(0, 8 * values.itemsize - 1))
+    spoiled = flipped(original.message, field, index, bit)
+    path = tmp_path_factory.mktemp('flipped') / 'mission.mcap'
+    report = replay(record(path, instead(whole_mission.sent, original, spoiled)))
+    assert not report.reproduced
+    if (field, original) != ('joint', which[0]):
+        (mismatch,) = report.mismatches
+        assert mismatch.topic == original.topic
+        assert on(whole_mission.sent, original.topic)[mismatch.index] is original
+
+
+@pytest.mark.parametrize(
+    'field, value',
+    [
+        ('base', 3),
+        ('blocked', [8]),
+        ('max_steps', 9),
+        ('method', 'relaxed_itp'),
+        ('lethality', 0.6000000000000001),
+        ('false_positive', 0.0),
+        ('deployments', 4),
+        ('deployments', 6),
+        ('deployments', 4_000_000_000),
+        ('deployments', 0),
+        ('agent', 'scout_2'),
+        ('agent', ''),
+    ],
+)
+def test_a_changed_field_is_found(whole_mission, replayed, field, value):
+    original = beliefs(whole_mission.sent)[5]
+    spoiled = deepcopy(original.message)
+    setattr(spoiled, field, value)
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    assert 5 in [mismatch.index for mismatch in report.mismatches]
+    assert not report.reproduced
+
+
+@pytest.mark.parametrize('field', ['width', 'height', 'resolution'])
+def test_another_geometry_is_found(whole_mission, replayed, field):
+    original = beliefs(whole_mission.sent)[5]
+    spoiled = deepcopy(original.message)
+    setattr(spoiled.info, field, getattr(spoiled.info, field) * 2)
+    (mismatch,) = replayed(instead(whole_mission.sent, original, spoiled)).mismatches
+    assert [difference.field for difference in mismatch.differences] == [f'info.{field}']
+
+
+def test_a_belief_of_another_size_is_found(whole_mission, replayed):
+    original = beliefs(whole_mission.sent)[5]
+    spoiled = deepcopy(original.message)
+    spoiled.hazard = spoiled.hazard[:-1]
+    (mismatch,) = replayed(instead(whole_mission.sent, original, spoiled)).mismatches
+    assert str(mismatch).endswith('hazard has 19 values, computed are 20')
+
+
+def test_changed_evidence_changes_what_follows(whole_mission, replayed):
+    """All beliefs from that deployment on are listed."""
+    index, original = next(
+        (index, each)
+        for index, each in enumerate(on(whole_mission.sent, '/scout_1/report'))
+        if each.message.survived and index > 1
+    )
+    spoiled = deepcopy(original.message)
+    spoiled.readings[0].detected = not spoiled.readings[0].detected
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    wrong = [mismatch for mismatch in report.mismatches if mismatch.topic == '/belief']
+    assert [mismatch.index for mismatch in wrong] == list(range(index + 1, ROBOTS + 1))
+    assert wrong[0].differences[0].largest > 1e-6
+
+
+def test_a_log_without_the_prior_cannot_be_reproduced(whole_mission, replayed):
+    report = replayed(without(whole_mission.sent, beliefs(whole_mission.sent)[0]))
+    assert not report.reproduced
+    assert len(report.mismatches) == ROBOTS
+    assert all('prior it started from is not on record' in str(m) for m in report.mismatches)
+    assert report.method == ''
+
+
+def test_a_prior_that_can_be_none_is_said(whole_mission, replayed):
+    original = beliefs(whole_mission.sent)[0]
+    spoiled = deepcopy(original.message)
+    spoiled.method = 'guessing'
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    assert "method is 'guessing': known are" in str(report.mismatches[0])
+    assert len(report.mismatches) == ROBOTS + 1
+
+
+def test_a_belief_that_nobody_heard_is_not_needed(whole_mission, replayed):
+    """Beliefs are kept one deep: under load one may be gone before the recorder gets it."""
+    gone = [beliefs(whole_mission.sent)[index] for index in (2, 3, 6)]
+    report = replayed(without(whole_mission.sent, *gone))
+    assert report.reproduced
+    assert report.compared['/belief'] == ROBOTS + 1 - 3
+    assert report.passed_over == report.not_yet_held == []
+
+
+@pytest.mark.parametrize('finished', [True, False])
+def test_a_mission_may_end_before_the_last_belief(whole_mission, tmp_path, capsys, finished):
+    last = [on(whole_mission.sent, topic)[-1] for topic in ('/belief', *VIEWS)]
+    log = LogWriter(tmp_path / 'mission.mcap')
+    record_to(log, without(whole_mission.sent, *last))
+    log.close() if finished else log.sync()
+    report = replay(log.path)
+    assert report.finished == finished
+    assert report.not_yet_held == keys(whole_mission.sent)[-1:]
+    assert report.passed_over == []
+    assert report.reproduced
+    assert main([str(log.path)]) == 0
+    told = capsys.readouterr().out
+    assert f'deployment {keys(whole_mission.sent)[-1]} is in no belief yet' in told
+    assert ('the log is unfinished' in told) != finished
+    if not finished:
+        log.close()
+
+
+def test_a_deployment_that_later_beliefs_pass_over_is_lost(replayed, tmp_path, capsys):
+    """The estimator never took it in, and all else is right."""
+    whole = Mission()
+    first, second, third = (deployment.observation for deployment in observations(3))
+    whole.deploy(first)
+    key = whole.send_out(second.path)
+    whole.come_back(key, second)
+    whole.deploy(third)
+    report = replayed(whole.sent)
+    assert report.mismatches == []
+    assert report.passed_over == [key]
+    assert not report.reproduced
+    assert main([str(tmp_path / 'mission.mcap')]) == 1
+    assert f'not reproduced: deployment {key} is in no belief' in capsys.readouterr().out
+
+
+def test_a_robot_that_is_still_out_is_said(whole_mission, replayed, tmp_path, capsys):
+    whole = deepcopy(whole_mission)
+    key = whole.send_out([2, 2])
+    report = replayed(whole.sent)
+    assert report.evidence.without_report == [key]
+    assert report.reproduced
+    assert main([str(tmp_path / 'mission.mcap')]) == 0
+    assert f'{key} has no report on record: the robot was still out' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('kind', ['path', 'report'])
+def test_lost_evidence_is_said_for_every_belief_that_needs_it(whole_mission, replayed, kind):
+    sent = without(whole_mission.sent, on(whole_mission.sent, f'/scout_1/{kind}')[3])
+    report = replayed(sent)
+    wrong = [mismatch for mismatch in report.mismatches if mismatch.topic == '/belief']
+    assert [mismatch.index for mismatch in wrong] == [4, 5, 6, 7, 8]
+    lost = keys(whole_mission.sent)[3]
+    assert wrong[0].reason == f'{kind} of deployment {lost} is not on record'
+    listed = {'path': report.evidence.without_path, 'report': report.evidence.without_report}
+    assert listed[kind] == [lost]
+
+
+def test_a_restarted_estimator_is_reproduced(whole_mission, replayed):
+    """It publishes its prior, takes in all that is latched and goes on."""
+    whole = deepcopy(whole_mission)
+    evidence = [deployment.observation for deployment in observations(ROBOTS)]
+    reports = on(whole.sent, '/scout_1/report')
+    whole.start_estimator()
+    for key, observation in zip(keys(whole.sent), evidence):
+        whole.assimilate(observation.path, *whole.come_back(key, observation))
+    whole.deploy(evidence[0])
+    assert len(reports) == ROBOTS
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared['/belief'] == 2 * (ROBOTS + 1) + 1
+
+    prior_again = beliefs(whole.sent)[ROBOTS + 1]
+    assert prior_again.message.deployments == 0
+    assert replayed(without(whole.sent, prior_again), 'other.mcap').reproduced
+
+
+def test_what_is_said_twice_counts_once(whole_mission, replayed):
+    """A restarted recorder gets the latched paths, reports and the belief again."""
+    again = on(whole_mission.sent, '/scout_1/path', '/scout_1/report')
+    report = replayed([*whole_mission.sent, *again, beliefs(whole_mission.sent)[-1]])
+    assert report.reproduced
+    assert len(report.evidence.complete) == ROBOTS
+    assert report.evidence.refused == []
+    assert report.compared['/belief'] == ROBOTS + 2
+
+
+def test_what_contradicts_is_refused_as_the_estimator_does(whole_mission, replayed):
+    whole = deepcopy(whole_mission)
+    key = keys(whole.sent)[0]
+    lost = not on(whole.sent, '/scout_1/report')[0].message.survived
+    readings = [False] if lost else None
+    whole.come_back(key, Observation([2, 2], lost, readings))
+    whole.publish('scout_1/path', path_message(whole.grid, [2, 2], key.stamp))
+    unnamed = report_message(DeploymentKey('', 5), Observation([2, 2], False), 5)
+    whole.publish('scout_1/report', unnamed)
+    report = replayed(whole.sent)
+    assert report.reproduced
+    second_report, second_path, no_agent = report.evidence.refused
+    assert second_report == f'a second report of deployment {key}, which differs'
+    assert second_path == f'a second path of deployment {key}, which differs'
+    assert "/scout_1/report: agent is ''" in no_agent
+
+
+def test_what_the_estimator_refused_is_refused_again(replayed, tmp_path, capsys):
+    """Reports without their last reading: of one deployment the first, of another the only one."""
+    whole = Mission()
+    first, second = Observation([2, 3, 2], True, [True] * 2), Observation([2, 7, 2], False)
+    for correct in (True, False):
+        key = whole.send_out(first.path)
+        whole.come_back(key, first)
+        whole.sent[-1].message.readings.pop()
+        if correct:
+            whole.assimilate(first.path, *whole.come_back(key, first))
+    whole.deploy(second)
+    report = replayed(whole.sent)
+    assert report.mismatches == report.passed_over == report.not_yet_held == []
+    assert report.reproduced
+    assert report.compared['/belief'] == 3
+    second_report, misfit = report.evidence.refused
+    assert 'a second report of deployment' in second_report
+    assert f'readings of deployment {key} are of the 1 cells [3]' in misfit
+    assert main([str(tmp_path / 'mission.mcap')]) == 0
+    assert f'refused: {misfit}' in capsys.readouterr().out
+
+
+def test_a_belief_of_what_cannot_be_taken_in_is_said(whole_mission, replayed):
+    original = next(
+        each for each in on(whole_mission.sent, '/scout_1/report') if each.message.survived
+    )
+    spoiled = deepcopy(original.message)
+    spoiled.readings = spoiled.readings[:-1]
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    assert 'readings of deployment' in report.mismatches[0].reason
+    assert not report.reproduced
+
+
+def test_paths_of_others_are_none_of_the_mission(whole_mission, replayed):
+    others = [Sent('/plan', Path(), START), Sent('path', Path(), START), Sent('/path', Path(), 7)]
+    report = replayed([*others, *whole_mission.sent])
+    assert report.reproduced
+    assert len(report.evidence.complete) == ROBOTS
+    assert len(report.evidence.without_report) <= 1
+
+
+def test_maps_of_others_are_none_of_the_mission(whole_mission, replayed):
+    truth = occupancy_grid(whole_mission.grid, np.zeros(20), START)
+    report = replayed([Sent('/truth/hazard', truth, START), *whole_mission.sent])
+    assert report.reproduced
+    assert report.compared == REPRODUCED
+
+
+def refused(path, capsys):
+    """Return the one line on standard error with which a file is refused."""
+    assert main([str(path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    (line,) = captured.err.splitlines()
+    return line
+
+
+def test_two_missions_in_a_log_are_refused(whole_mission, tmp_path, capsys):
+    other = mission(2, namespace='/other')
+    path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *other.sent])
+    assert re.search('beliefs are on record from /belief and /other/belief', refused(path, capsys))
+
+
+def test_a_log_without_beliefs_is_refused(whole_mission, tmp_path, capsys):
+    path = record(tmp_path / 'mission.mcap', on(whole_mission.sent, '/scout_1/path'))
+    assert 'mission.mcap has no beliefs on record: ' in refused(path, capsys)
+
+
+def test_what_is_no_log_is_refused(whole_mission, tmp_path, capsys):
+    assert 'cannot be read: No such file' in refused(tmp_path / 'gone.mcap', capsys)
+    assert 'cannot be read: Is a directory' in refused(tmp_path, capsys)
+    path = tmp_path / 'notes.txt'
+    path.write_text('scout_1 did not come back')
+    assert 'notes.txt is no MCAP file' in refused(path, capsys)
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert 'mission.mcap is damaged near byte' in refused(path, capsys)
+
+
+def test_messages_of_another_version_are_refused(tmp_path, capsys):
+    path = tmp_path / 'mission.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file)
+        writer.start('ros2')
+        schema = writer.register_schema('kbnitp_msgs/msg/BeliefMaps', 'ros2msg', b'uint8 age')
+        channel = writer.register_channel('/belief', 'cdr', schema)
+        writer.add_message(channel, 1, b'\0\1\0\0\7', 1)
+        writer.finish()
+    assert 'messages of another version of their type' in refused(path, capsys)
+
+
+def test_the_command_says_what_it_found(whole_mission, tmp_path, capsys):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent, QOS)
+    assert main([str(path)]) == 0
+    captured = capsys.readouterr()
+    survived = sum(each.message.survived for each in on(whole_mission.sent, '/scout_1/report'))
+    assert captured.out.splitlines() == [
+        f'8 deployments, {survived} survived, {8 - survived} lost; method kappa_bnitp',
+        '/belief: 9 of 9 reproduced',
+        '/belief/hazard: 9 of 9 reproduced',
+        '/belief/kappa: 9 of 9 reproduced',
+        '/belief/target: 9 of 9 reproduced',
+    ]
+    assert captured.err == ''
+
+
+@pytest.mark.parametrize('share', [0.2, 0.5, 0.8, 0.99])
+def test_a_log_that_was_cut_says_what_is_missing(whole_mission, tmp_path, share):
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        record_to(log, whole_mission.sent, synced=True)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    report = replay(path)
+    assert not report.finished
+    assert report.mismatches == []
+    assert report.reproduced
+    assert 0 < report.compared['/belief'] <= ROBOTS + 1
+    unread = len(report.evidence.complete) - (report.compared['/belief'] - 1)
+    assert len(report.not_yet_held) == unread in (0, 1)
+
+
+def test_the_start_of_a_log_is_no_log_of_beliefs(whole_mission, tmp_path):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(LogError, match='no beliefs on record'):
+        replay(path)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the belief message means."""
+
+from array import array
+from math import nan
+
+from hypothesis import given
+from hypothesis import strategies as st
+from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    METHODS,
+    Report,
+    SensorModel,
+)
+from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+MODEL = SensorModel(0.3, 0.02, 0.07, 0.9, 0.04)
+KEY = DeploymentKey('scout_3', 5_000_000_007)
+
+
+def over_the_wire(message):
+    """Return what a subscriber gets."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def ledger_of(seed=0, grid=None, method='kappa_bnitp'):
+    """Return a ledger with a random prior."""
+    grid = grid or Grid(4, 3, base=1, resolution=0.1, origin=(-3.3, 0.7), blocked=(10, 5))
+    joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
+    estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), MODEL, method)
+    return Ledger(grid, 6, estimator)
+
+
+def test_a_prior_says_how_the_mission_starts():
+    ledger = ledger_of()
+    message = belief_maps(ledger, stamp=3_000_000_001)
+    assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
+    assert (message.info.width, message.info.height, message.base) == (4, 3, 1)
+    assert list(message.blocked) == [5, 10]
+    assert (message.max_steps, message.method, message.lethality) == (6, 'kappa_bnitp', 0.3)
+    assert (message.malfunction, message.false_negative) == (0.02, 0.07)
+    assert (message.true_positive, message.false_positive) == (0.9, 0.04)
+    assert (message.deployments, message.agent) == (0, '')
+    assert (message.deployment.sec, message.deployment.nanosec) == (0, 0)
+    assert newest_deployment(message) is None
+
+
+def test_the_joint_is_laid_out_cell_by_cell():
+    joint = np.array([[[0.5, 0.25], [0.125, 0.125]], [[1.0, 0.0], [0.0, 0.0]]])
+    ledger = Ledger(Grid(2, 1), 6, Estimator(Belief(joint), MODEL))
+    message = belief_maps(ledger, stamp=0)
+    # P(Z=0,X=0) P(Z=0,X=1) P(Z=1,X=0) P(Z=1,X=1), then the next cell
+    assert list(message.joint) == [0.5, 0.25, 0.125, 0.125, 1.0, 0.0, 0.0, 0.0]
+    assert list(message.hazard) == [0.25, 0.0]
+    assert list(message.target) == [0.375, 0.0]
+    assert list(message.kappa) == [0.5, 0.0]
+
+
+def test_the_newest_deployment_is_named():
+    ledger = ledger_of()
+    ledger.record_path(KEY, [1, 2, 1])
+    ledger.record_report(KEY, Report(False))
+    message = over_the_wire(belief_maps(ledger, stamp=0))
+    assert (message.deployments, message.agent) == (1, 'scout_3')
+    assert (message.deployment.sec, message.deployment.nanosec) == (5, 7)
+    assert newest_deployment(message) == KEY
+    assert read_belief_maps(message).newest == KEY
+
+
+@pytest.mark.parametrize('method', METHODS)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_belief_comes_back_bit_for_bit(method, seed):
+    ledger = ledger_of(seed, method=method)
+    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, stamp=9)))
+    assert snapshot.belief.joint.tobytes() == ledger.belief.joint.tobytes()
+    assert snapshot.grid == ledger.grid
+    assert (snapshot.max_steps, snapshot.model, snapshot.method) == (6, MODEL, method)
+    assert (snapshot.deployments, snapshot.newest) == (0, None)
+
+
+@given(st.lists(st.floats(0, 1), min_size=5, max_size=5))
+def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
+    ledger = ledger_of()
+    ledger.estimator.model = SensorModel(*probabilities)
+    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, stamp=0)))
+    assert snapshot.model == SensorModel(*probabilities)
+
+
+def test_the_views_on_the_wire_are_those_of_the_joint():
+    ledger = ledger_of()
+    message = over_the_wire(belief_maps(ledger, stamp=0))
+    for name in ('hazard', 'target', 'kappa'):
+        sent = np.asarray(getattr(message, name))
+        assert sent.tobytes() == getattr(read_belief_maps(message).belief, name).tobytes()
+
+
+def test_only_the_joint_counts():
+    message = belief_maps(ledger_of(), stamp=0)
+    joint = read_belief_maps(message).belief.joint
+    message.hazard = array('d', [1.0] * 12)
+    assert (read_belief_maps(message).belief.joint == joint).all()
+
+
+@pytest.mark.parametrize(
+    'field, value, error',
+    [
+        ('joint', array('d', [0.25] * 44), r'joint has 44 values: .* 4 \* width \* height = 48'),
+        ('joint', array('d'), 'joint has 0 values'),
+        ('joint', array('d', [0.3] * 48), 'joint of cell 0 .* sum to 1'),
+        ('joint', array('d', [0.25] * 47 + [nan]), 'joint of cell 11 '),
+        ('joint', array('d', [0.25] * 44 + [1.5, -0.5, 0.0, 0.0]), 'joint of cell 11 '),
+        ('lethality', nan, 'lethality is nan'),
+        ('malfunction', -0.1, 'malfunction is -0.1'),
+        ('false_positive', 1.1, 'false_positive is 1.1'),
+        ('base', 12, 'base is 12'),
+        ('base', 5, 'base is 5: it must be a free cell'),
+        ('blocked', [12], 'blocked cell is 12'),
+        ('deployments', 3, "agent is '' with 3 deployments"),
+    ],
+)
+def test_a_bad_belief_is_refused(field, value, error):
+    message = belief_maps(ledger_of(), stamp=0)
+    setattr(message, field, value)
+    with pytest.raises(ValueError, match=error):
+        read_belief_maps(message)
+
+
+def test_a_belief_about_another_frame_is_refused():
+    message = belief_maps(ledger_of(), stamp=0)
+    message.header.frame_id = 'odom'
+    with pytest.raises(ValueError, match="header.frame_id is 'odom'"):
+        read_belief_maps(message)
+
+
+def test_an_empty_belief_message_is_refused():
+    with pytest.raises(ValueError, match='header.frame_id'):
+        read_belief_maps(BeliefMaps())

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the messages of a deployment mean."""
+
+from math import inf, nan
+
+from hypothesis import given
+from hypothesis import strategies as st
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
+from kbnitp_ros.messages.deployments import (
+    path_message,
+    read_path,
+    read_report,
+    report_message,
+)
+from nav_msgs.msg import Path
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+GRID = Grid(4, 3, base=1, resolution=0.5, origin=(-1.0, 2.0))
+PATH = [1, 6, 11, 6, 6, 1]
+STAMP = 12_000_000_034
+KEY = DeploymentKey('scout_2', 77)
+
+
+def over_the_wire(message):
+    """Return what a subscriber gets."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def test_poses_are_the_centres_of_cells():
+    message = path_message(GRID, PATH[:3], STAMP)
+    positions = [pose.pose.position for pose in message.poses]
+    assert [(p.x, p.y, p.z) for p in positions] == [
+        (-0.25, 2.25, 0.0),
+        (0.25, 2.75, 0.0),
+        (0.75, 3.25, 0.0),
+    ]
+    for header in (message.header, *(pose.header for pose in message.poses)):
+        assert header.frame_id == 'map'
+        assert (header.stamp.sec, header.stamp.nanosec) == (12, 34)
+    assert all(pose.pose.orientation.w == 1.0 for pose in message.poses)
+
+
+@given(
+    st.lists(st.integers(0, 11), min_size=1, max_size=40),
+    st.integers(0, 2**31 * 10**9 - 1),
+    st.sampled_from([0.05, 0.1, 1 / 3, 1.0, 12.3]),
+    st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
+)
+def test_a_path_comes_back(cells, stamp, resolution, origin):
+    grid = Grid(4, 3, resolution=resolution, origin=origin)
+    key, same = read_path(grid, 'scout_1', over_the_wire(path_message(grid, cells, stamp)))
+    assert key == DeploymentKey('scout_1', stamp)
+    assert same.tolist() == cells
+
+
+def test_a_pose_stands_for_the_cell_it_lies_in():
+    message = path_message(GRID, PATH, STAMP)
+    for pose, (x, y) in zip(message.poses, np.random.default_rng(0).uniform(-0.24, 0.24, (6, 2))):
+        pose.pose.position.x += x
+        pose.pose.position.y += y
+    assert read_path(GRID, 'scout_1', message)[1].tolist() == PATH
+
+
+def test_a_path_may_be_what_no_robot_can_take():
+    """Reading says where it leads; whether it is allowed is another question."""
+    assert read_path(GRID, 'a', path_message(GRID, [0, 11], 1))[1].tolist() == [0, 11]
+
+
+def set_position(x, y):
+    def spoil(message):
+        message.poses[3].pose.position.x = x
+        message.poses[3].pose.position.y = y
+
+    return spoil
+
+
+def set_frame(of, frame_id):
+    def spoil(message):
+        of(message).header.frame_id = frame_id
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    'spoil, error',
+    [
+        (set_frame(lambda message: message, 'odom'), "^header.frame_id is 'odom'.*'map'"),
+        (set_frame(lambda message: message, ''), "^header.frame_id is ''.*'map'"),
+        (set_position(nan, 2.1), r'poses\[3\].pose.position is \(nan, 2.1\): it must be finite'),
+        (set_position(0.0, inf), r'poses\[3\].pose.position is \(0.0, inf\): it must be finite'),
+        (set_position(1.01, 2.1), r'\(1.01, 2.1\) is outside the grid'),
+        (set_position(-1.01, 2.1), r'\(-1.01, 2.1\) is outside the grid'),
+        (set_position(0.0, 3.51), r'\(0.0, 3.51\) is outside the grid'),
+        (set_position(0.0, 1.99), r'\(0.0, 1.99\) is outside the grid'),
+        (set_position(1e300, 2.1), r'\(1e\+300, 2.1\) is outside the grid'),
+        (lambda message: message.poses.clear(), 'poses is empty'),
+    ],
+)
+def test_a_bad_path_is_refused(spoil, error):
+    message = over_the_wire(path_message(GRID, PATH, STAMP))
+    spoil(message)
+    with pytest.raises(ValueError, match=error):
+        read_path(GRID, 'scout_1', message)
+
+
+def test_a_pose_in_another_frame_is_refused():
+    message = over_the_wire(path_message(GRID, PATH, STAMP))
+    message.poses[5].header.frame_id = 'base_link'
+    with pytest.raises(ValueError, match=r"poses\[5\].header.frame_id is 'base_link'.*'map'"):
+        read_path(GRID, 'scout_1', message)
+
+
+def test_an_empty_path_message_is_refused():
+    with pytest.raises(ValueError, match='header.frame_id'):
+        read_path(GRID, 'scout_1', Path())
+
+
+def test_a_report_names_the_cell_of_every_step():
+    readings = [True, False, False, True, True]
+    message = report_message(KEY, Observation(PATH, True, readings), STAMP)
+    assert message.survived
+    assert [(r.cell, r.detected) for r in message.readings] == list(zip(PATH[1:], readings))
+    assert (message.agent, message.deployment.sec, message.deployment.nanosec) == (
+        'scout_2',
+        0,
+        77,
+    )
+    assert (message.header.stamp.sec, message.header.frame_id) == (12, 'map')
+
+
+def test_a_lost_robot_reports_no_readings():
+    message = report_message(KEY, Observation(PATH, False), STAMP)
+    assert not message.survived
+    assert list(message.readings) == []
+    assert read_report(message) == (KEY, Report(False))
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2**32 - 1), st.booleans()), max_size=30),
+    st.booleans(),
+    st.integers(0, 2**31 * 10**9 - 1),
+)
+def test_a_report_comes_back(steps, survived, stamp):
+    key = DeploymentKey('scout_7', stamp)
+    readings = [detected for _, detected in steps]
+    path = [0, *(cell for cell, _ in steps[:-1]), 0]
+    if not steps or not survived:
+        observation, said = Observation([0, 0], False), Report(False)
+    else:
+        observation = Observation(path, True, readings)
+        said = Report(True, tuple(zip(path[1:], readings)))
+    assert read_report(over_the_wire(report_message(key, observation, 5))) == (key, said)
+
+
+def test_what_is_said_is_read_even_if_it_makes_no_sense():
+    """Whether readings fit a path can only be said by who knows the path."""
+    message = report_message(KEY, Observation(PATH, True, [True] * 5), STAMP)
+    message.survived = False
+    assert read_report(message)[1] == Report(False, tuple((cell, True) for cell in PATH[1:]))
+
+
+@pytest.mark.parametrize(
+    'field, error',
+    [('agent', "agent is '': it must name"), ('frame_id', "header.frame_id is ''.*'map'")],
+)
+def test_a_report_without_a_name_is_refused(field, error):
+    message = report_message(KEY, Observation(PATH, False), STAMP)
+    setattr(message if field == 'agent' else message.header, field, '')
+    with pytest.raises(ValueError, match=error):
+        read_report(message)
+
+
+def test_an_empty_report_message_is_refused():
+    with pytest.raises(ValueError, match='header.frame_id'):
+        read_report(DeploymentReport())

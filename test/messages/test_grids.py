@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a grid message means."""
+
+from array import array
+from math import inf, nan
+
+from hypothesis import given
+from hypothesis import strategies as st
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.grids import (
+    map_metadata,
+    occupancy_grid,
+    read_map_metadata,
+    read_occupancy_grid,
+)
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+
+def over_the_wire(message):
+    """Return what a subscriber gets."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@st.composite
+def grids(draw):
+    """Draw a grid of up to 12 x 12 cells with any base and some blocked cells."""
+    width, height = draw(st.integers(1, 12)), draw(st.integers(1, 12))
+    base = draw(st.integers(0, width * height - 1))
+    blocked = draw(st.sets(st.integers(0, width * height - 1), max_size=5)) - {base}
+    return Grid(
+        width,
+        height,
+        base,
+        resolution=draw(st.sampled_from([0.05, 0.1, 0.3, 0.7, 1.0, 2.5, 1 / 3, 12.3])),
+        origin=(draw(st.floats(-1e6, 1e6)), draw(st.floats(-1e6, 1e6))),
+        blocked=blocked,
+    )
+
+
+def test_rows_go_up_from_the_origin():
+    grid = Grid(3, 2, resolution=0.5, origin=(10.0, 20.0), blocked=(4,))
+    message = occupancy_grid(grid, [0.0, 0.1, 0.2, 0.3, 0.4, 1.0], stamp=5_000_000_006)
+
+    assert list(message.data) == [0, 10, 20, 30, -1, 100]
+    assert (message.info.width, message.info.height, message.info.resolution) == (3, 2, 0.5)
+    origin = message.info.origin
+    assert (origin.position.x, origin.position.y, origin.position.z) == (10.0, 20.0, 0.0)
+    orientation = origin.orientation
+    assert (orientation.x, orientation.y, orientation.z, orientation.w) == (0.0, 0.0, 0.0, 1.0)
+    assert message.header.frame_id == 'map'
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (5, 6)
+
+
+@given(grids())
+def test_a_value_is_shown_where_its_cell_lies(grid):
+    """A viewer draws value i of the data at the origin plus (column, row) times the resolution."""
+    info = over_the_wire(map_metadata(grid))
+    row, column = np.divmod(np.arange(grid.cells), info.width)
+    x = info.origin.position.x + (column + 0.5) * info.resolution
+    y = info.origin.position.y + (row + 0.5) * info.resolution
+    assert grid.cells_at(np.stack([x, y], axis=1)).tolist() == list(range(grid.cells))
+
+
+@pytest.mark.parametrize(
+    'probability, percent',
+    [
+        (0.0, 0),
+        (0.004, 0),
+        (0.006, 1),
+        (0.494, 49),
+        (0.5, 50),
+        (0.994, 99),
+        (0.996, 100),
+        (1, 100),
+    ],
+)
+def test_percents_are_rounded(probability, percent):
+    assert occupancy_grid(Grid(1, 1), [probability], stamp=0).data[0] == percent
+
+
+def test_the_truth_is_a_map_of_0_and_100():
+    message = occupancy_grid(Grid(2, 1), np.array([False, True]), stamp=0)
+    assert list(message.data) == [0, 100]
+
+
+def test_the_data_is_of_the_type_that_is_fast_to_send():
+    data = occupancy_grid(Grid(2, 2), [0.5] * 4, stamp=0).data
+    assert isinstance(data, array)
+    assert data.typecode == 'b'
+
+
+@given(grids(), st.integers(0, 2**32 - 1))
+def test_probabilities_come_back_to_half_a_percent(grid, seed):
+    probabilities = np.random.default_rng(seed).random(grid.cells)
+    shown = read_occupancy_grid(over_the_wire(occupancy_grid(grid, probabilities, stamp=0)))
+    assert (np.isnan(shown) == ~grid.free).all()
+    assert np.abs(shown - probabilities)[grid.free].max() <= 0.005 + 1e-12
+
+
+@given(grids())
+def test_a_grid_comes_back(grid):
+    same = read_map_metadata(over_the_wire(map_metadata(grid)), grid.base, grid.blocked)
+    assert (same.width, same.height, same.base, same.blocked, same.origin) == (
+        grid.width,
+        grid.height,
+        grid.base,
+        grid.blocked,
+        grid.origin,
+    )
+    assert same.resolution == pytest.approx(grid.resolution, rel=1e-7)
+
+
+@pytest.mark.parametrize('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
+def test_a_resolution_as_people_write_it_comes_back_exactly(resolution):
+    info = over_the_wire(map_metadata(Grid(2, 2, resolution=resolution)))
+    assert info.resolution != resolution or resolution in (1.0, 2.5)
+    assert read_map_metadata(info).resolution == resolution
+
+
+def test_a_field_is_the_same_before_and_after_the_wire():
+    message = map_metadata(Grid(2, 2, resolution=0.1))
+    assert over_the_wire(message) == message
+
+
+def readable():
+    """Return a map of 2 x 2 cells that can be read."""
+    return occupancy_grid(Grid(2, 2), [0.0, 0.2, 0.4, 0.6], stamp=0)
+
+
+def spoil(message, field, value):
+    """Set a field that is named with dots."""
+    *parents, last = field.split('.')
+    for name in parents:
+        message = getattr(message, name)
+    setattr(message, last, value)
+
+
+def test_the_map_to_be_spoiled_can_be_read():
+    assert read_occupancy_grid(readable()).tolist() == [0.0, 0.2, 0.4, 0.6]
+
+
+@pytest.mark.parametrize(
+    'field, value, error',
+    [
+        ('header.frame_id', '', "header.frame_id is '': it must name the frame"),
+        ('info.resolution', nan, 'info.resolution is nan: it must be finite'),
+        ('info.resolution', inf, 'info.resolution is inf: it must be finite'),
+        ('info.resolution', 0.0, 'resolution is 0.0: it must be positive'),
+        ('info.resolution', -1.0, 'resolution is -1.0: it must be positive'),
+        ('info.origin.position.x', nan, 'info.origin.position.x is nan: it must be finite'),
+        ('info.origin.position.y', -inf, 'info.origin.position.y is -inf: it must be finite'),
+        ('info.origin.orientation.z', 0.7, 'info.origin.orientation has x, y, z = .* 0.7'),
+        ('info.origin.orientation.x', nan, 'info.origin.orientation has x, y, z = .*nan'),
+        ('info.width', 0, 'grid width is 0: it must be a whole number at least 1'),
+        ('info.width', 3, r'data has 4 values: it must have width \* height = 3 \* 2 = 6'),
+        ('info.height', 1, r'data has 4 values: it must have width \* height = 2 \* 1 = 2'),
+        ('data', array('b', [0, 0, 101, 0]), 'data of cell 2 is 101: it must be -1 or 0 to 100'),
+        ('data', array('b', [0, -2, 0, 0]), 'data of cell 1 is -2: it must be -1 or 0 to 100'),
+        ('data', array('b'), 'data has 0 values'),
+    ],
+)
+def test_a_bad_map_is_refused(field, value, error):
+    message = readable()
+    spoil(message, field, value)
+    with pytest.raises(ValueError, match=error):
+        read_occupancy_grid(message)
+
+
+def test_an_empty_message_is_refused():
+    with pytest.raises(ValueError, match='frame_id'):
+        read_occupancy_grid(OccupancyGrid())
+    with pytest.raises(ValueError, match='width is 0'):
+        read_map_metadata(MapMetaData(resolution=1.0))
