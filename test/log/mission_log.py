@@ -52,7 +52,7 @@ class Sent:
 
     @cached_property
     def data(self):
-        """The bytes on the wire; what is between the fields differs from time to time."""
+        """Return the bytes on the wire; what pads the fields differs from time to time."""
         return serialize_message(self.message)
 
 

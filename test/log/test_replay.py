@@ -5,7 +5,7 @@ from array import array
 from copy import deepcopy
 import re
 
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
@@ -170,6 +170,8 @@ def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data
     original = data.draw(st.sampled_from(which))
     names = ['data'] if original.topic in VIEWS else ['joint', 'hazard', 'target', 'kappa']
     field = data.draw(st.sampled_from(names))
+    # A prior's joint is where the replay starts: the last bit may get lost in the first update.
+    assume((original, field) != (which[0], 'joint'))
     values = getattr(original.message, field)
     index = data.draw(st.integers(0, len(values) - 1))
     bit = data.draw(st.integers(0, 8 * values.itemsize - 1))
@@ -177,10 +179,9 @@ def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data
     path = tmp_path_factory.mktemp('flipped') / 'mission.mcap'
     report = replay(record(path, instead(whole_mission.sent, original, spoiled)))
     assert not report.reproduced
-    if (field, original) != ('joint', which[0]):
-        (mismatch,) = report.mismatches
-        assert mismatch.topic == original.topic
-        assert on(whole_mission.sent, original.topic)[mismatch.index] is original
+    (mismatch,) = report.mismatches
+    assert mismatch.topic == original.topic
+    assert on(whole_mission.sent, original.topic)[mismatch.index] is original
 
 
 @pytest.mark.parametrize(
@@ -267,12 +268,26 @@ def test_a_belief_that_nobody_heard_is_not_needed(whole_mission, replayed):
     assert report.passed_over == report.not_yet_held == []
 
 
+def test_a_gap_is_closed_only_with_what_came_in_it(replayed):
+    """Of two robots' beliefs the first was not heard, and its robot's topics come last."""
+    whole = Mission()
+    first, second = Observation([2, 7, 12, 7, 2], False), Observation([2, 7, 6, 2], False)
+    whole.deploy(first, 'scout_1')
+    whole.deploy(second, 'scout_2')
+    late = on(whole.sent, '/scout_1/path', '/scout_1/report')
+    report = replayed([*without(whole.sent, beliefs(whole.sent)[1], *late), *late])
+    assert report.reproduced
+    assert report.compared['/belief'] == 2
+
+
 @pytest.mark.parametrize('finished', [True, False])
 def test_a_mission_may_end_before_the_last_belief(whole_mission, tmp_path, capsys, finished):
     last = [on(whole_mission.sent, topic)[-1] for topic in ('/belief', *VIEWS)]
     log = LogWriter(tmp_path / 'mission.mcap')
     record_to(log, without(whole_mission.sent, *last))
-    log.close() if finished else log.sync()
+    log.sync()
+    if finished:
+        log.close()
     report = replay(log.path)
     assert report.finished == finished
     assert report.not_yet_held == keys(whole_mission.sent)[-1:]

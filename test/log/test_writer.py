@@ -60,8 +60,8 @@ def test_a_sync_reaches_the_disk(tmp_path, whole_mission, monkeypatch):
     synced = []
 
     def fsync(descriptor):
-        target = os.readlink(f'/proc/self/fd/{descriptor}')
-        synced.append((Path(target), Path(target).stat().st_size))
+        target = Path(f'/proc/self/fd/{descriptor}').readlink()
+        synced.append((target, target.stat().st_size))
 
     monkeypatch.setattr(os, 'fsync', fsync)
     path = tmp_path / 'mission.mcap'
@@ -115,10 +115,16 @@ def test_a_kill_loses_nothing_that_was_synced(tmp_path, count):
 
 
 def test_the_file_is_finished_after_an_error(tmp_path):
-    with pytest.raises(RuntimeError, match='of the node'), LogWriter(tmp_path / 'm.mcap') as log:
-        log.add_topic(TOPIC, TYPE, '[]')
-        log.write(TOPIC, EMPTY_MAP, 2, 1)
-        raise RuntimeError('of the node')
+    log = LogWriter(tmp_path / 'mission.mcap')
+
+    def node():
+        with log:
+            log.add_topic(TOPIC, TYPE, '[]')
+            log.write(TOPIC, EMPTY_MAP, 2, 1)
+            raise RuntimeError('of the node')
+
+    with pytest.raises(RuntimeError, match='of the node'):
+        node()
     assert is_finished(log.path)
     assert len(list(read_log(log.path))) == 1
 
