@@ -130,14 +130,14 @@ class Belief:
     @cached_property
     def hazard(self) -> NDArray[np.float64]:
         """P(Z = 1), shape (cells,)."""
-        hazard: NDArray[np.float64] = self.joint[:, 1].sum(axis=1)
+        hazard: NDArray[np.float64] = self.joint[:, 1].sum(axis=1).clip(max=1.0)
         frozen(hazard)
         return hazard
 
     @cached_property
     def target(self) -> NDArray[np.float64]:
         """P(X = 1), shape (cells,)."""
-        target: NDArray[np.float64] = self.joint[:, :, 1].sum(axis=1)
+        target: NDArray[np.float64] = self.joint[:, :, 1].sum(axis=1).clip(max=1.0)
         frozen(target)
         return target
 
@@ -146,6 +146,7 @@ class Belief:
         """P(X = 1 | Z = 1), shape (cells,); P(X = 1) where Z = 1 is impossible."""
         kappa = self.target.copy()
         np.divide(self.joint[:, 1, 1], self.hazard, out=kappa, where=self.hazard > 0.0)
+        np.minimum(kappa, 1.0, out=kappa)
         frozen(kappa)
         return kappa
 
@@ -161,4 +162,6 @@ class Belief:
         """Return the belief with the same hazard and target maps and kappa := target."""
         z = np.stack([1.0 - self.hazard, self.hazard], axis=-1)
         x = np.stack([1.0 - self.target, self.target], axis=-1)
-        return Belief(z[:, :, None] * x[:, None, :])
+        product = z[:, :, None] * x[:, None, :]
+        # One that is so already keeps its bits, as often as this is asked of it.
+        return self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product)

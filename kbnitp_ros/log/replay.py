@@ -309,6 +309,4 @@ def started(prior: Snapshot) -> Ledger:
 
     """
     estimator = Estimator(prior.belief, prior.model, prior.method)
-    # What is on record is already without kappa, if the method is. Twice might be an ulp off.
-    estimator.belief = prior.belief
     return Ledger(prior.grid, prior.max_steps, estimator)
