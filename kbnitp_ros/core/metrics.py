@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from kbnitp_ros.core.check import yes_or_no
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,8 +27,13 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     float
         -sum log P(truth) in nats, at least 0; a cell counts at most 36.
 
+    Raises
+    ------
+    ValueError
+        If the truth has another shape.
+
     """
-    given = np.where(np.asarray(truth, dtype=bool), probability, 1.0 - probability)
+    given = np.where(truth_of(probability, truth), probability, 1.0 - probability)
     return float(-np.log(given.clip(min=SMALLEST)).sum())
 
 
@@ -42,5 +48,18 @@ def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     truth : array_like of bool, shape (cells,)
         What is there.
 
+    Raises
+    ------
+    ValueError
+        If the truth has another shape.
+
     """
-    return float(((probability - np.asarray(truth, dtype=np.float64)) ** 2).sum())
+    return float(((probability - truth_of(probability, truth)) ** 2).sum())
+
+
+def truth_of(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.bool_]:
+    """Return `truth` as booleans if it is the truth of such a map."""
+    present = yes_or_no('truth', truth)
+    if present.shape != probability.shape:
+        raise ValueError(f'truth has shape {present.shape}: the map has {probability.shape}')
+    return present

@@ -34,6 +34,12 @@ def test_neighbors_of_every_cell(width, height):
         assert grid.neighbors(cell).tolist() == expected
 
 
+@pytest.mark.parametrize('cell', [-1, 12, 1.5])
+def test_only_cells_of_the_grid_have_neighbors(cell):
+    with pytest.raises(ValueError, match=f'cell is {cell}.*0 to 11'):
+        Grid(4, 3).neighbors(cell)
+
+
 def test_cells_are_counted_row_by_row_from_the_bottom():
     grid = Grid(4, 3)
     assert grid.cells == 12

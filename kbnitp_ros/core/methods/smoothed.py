@@ -12,6 +12,7 @@ answers are averaged with the Bethe approximation of each value's evidence as we
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from itertools import product
 
 from kbnitp_ros.core.belief import Belief
@@ -27,6 +28,39 @@ CONDITIONED_CELLS = 4
 # Log odds beyond which a cell is as good as certain: keeps infinities out of the messages.
 CERTAIN = 500.0
 SMALLEST = np.finfo(np.float64).tiny
+
+
+@dataclass(frozen=True)
+class Losses:
+    """
+    The lost paths, one entry for each cell of each.
+
+    Attributes
+    ----------
+    cell, factor : ndarray of int, shape (entries,)
+        The cell, and which path it is a cell of.
+    log_spared : ndarray, shape (entries, 2)
+        log s_z^n of the path's n visits to the cell.
+    count : int
+        How many paths.
+
+    """
+
+    cell: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    factor: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    log_spared: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    count: int = 0
+
+    def and_one_of(self, visits: Visits, model: SensorModel) -> Losses:
+        """Return the losses and one more, of a robot that made these visits."""
+        return Losses(
+            np.concatenate([self.cell, visits.cells]),
+            np.concatenate([self.factor, np.full(visits.cells.size, self.count)]),
+            np.concatenate(
+                [self.log_spared, times_log(visits.counts[:, None], model.log_survival)]
+            ),
+            self.count + 1,
+        )
 
 
 class Smoother:
@@ -45,14 +79,12 @@ class Smoother:
     def __init__(self, prior: Belief, model: SensorModel) -> None:
         self._prior = prior
         self._model = model
+        with np.errstate(divide='ignore'):
+            self._log_prior = np.log(prior.joint)
         self._returned = np.zeros((prior.cells, 2, 2))
-        self._visited = np.zeros(prior.cells, dtype=bool)
-        # One entry for each cell of each lost path.
-        self._cell: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self._factor: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self._log_spared: NDArray[np.float64] = np.empty((0, 2))
+        self._losses = Losses()
         self._messages: NDArray[np.float64] = np.empty((1, 0))
-        self._factors = 0
+        self._visited = np.zeros(prior.cells, dtype=bool)
 
     def assimilate(self, observation: Observation) -> Belief:
         """
@@ -65,34 +97,37 @@ class Smoother:
 
         """
         visits = Visits.of(observation.path)
+        returned, losses = self._returned, self._losses
         if observation.readings is not None:
-            evidence = returned_log_likelihood(self._model, visits, observation.readings)
-            condition(self._prior.joint[visits.cells], self._returned[visits.cells] + evidence)
-            self._returned[visits.cells] += evidence
+            returned = returned.copy()
+            returned[visits.cells] += returned_log_likelihood(
+                self._model, visits, observation.readings
+            )
         else:
-            self._add_factor(visits)
+            losses = losses.and_one_of(visits, self._model)
+        self._check_possible(returned, losses)
+        self._returned, self._losses = returned, losses
+        self._messages = np.pad(
+            self._messages, ((0, 0), (0, losses.cell.size - self._messages.shape[1]))
+        )
         self._visited[visits.cells] = True
         return self._belief()
 
-    def _add_factor(self, visits: Visits) -> None:
-        log_spared = times_log(visits.counts[:, None], self._model.log_survival)
-        possible = self._local_odds()[visits.cells] > -np.inf
-        if not (log_spared[:, 0].sum() < 0.0 or (log_spared[possible, 1] < 0.0).any()):
+    def _check_possible(self, returned: NDArray[np.float64], losses: Losses) -> None:
+        """Refuse evidence that not even a hazard in every cell that may have one explains."""
+        by_hazard = np.logaddexp.reduce(self._log_prior + returned, axis=2)
+        explained = np.isfinite(by_hazard.max(axis=1)).all()
+        hazardous = np.isfinite(by_hazard[losses.cell, 1]).astype(np.intp)
+        spared = losses.log_spared[np.arange(losses.cell.size), hazardous]
+        if not (explained and (sum_by(losses.factor, spared[None], losses.count) < 0.0).all()):
             raise ValueError(
-                'the outcome is impossible under this belief and sensor model: '
-                'nothing on the path can destroy a robot'
+                'the outcome is impossible under this prior, sensor model and what came before: '
+                'allow for it with probabilities that are not exactly 0 or 1'
             )
-        self._cell = np.concatenate([self._cell, visits.cells])
-        self._factor = np.concatenate([self._factor, np.full(visits.cells.size, self._factors)])
-        self._log_spared = np.concatenate([self._log_spared, log_spared])
-        self._messages = np.pad(self._messages, ((0, 0), (0, visits.cells.size)))
-        self._factors += 1
 
     def _local_odds(self) -> NDArray[np.float64]:
         """Return the log odds of each hazard without the losses, shape (cells,)."""
-        with np.errstate(divide='ignore'):
-            local = np.log(self._prior.joint) + self._returned
-        by_hazard = np.logaddexp(local[:, :, 0], local[:, :, 1])
+        by_hazard = np.logaddexp.reduce(self._log_prior + self._returned, axis=2)
         odds: NDArray[np.float64] = by_hazard[:, 1] - by_hazard[:, 0]
         return odds
 
@@ -106,12 +141,12 @@ class Smoother:
 
     def _smoothed_odds(self, odds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the log odds of each hazard given all evidence, from those without the losses."""
-        if not self._factors:
+        if not self._losses.count:
             return odds
         for _ in range(SWEEPS):
             self._messages = self._sweep(odds[None], self._messages)
         fixed = self._most_entangled(odds)
-        values = np.array(list(product((0.0, 1.0), repeat=fixed.size))).reshape(-1, fixed.size)
+        values = np.array(list(product((0.0, 1.0), repeat=fixed.size)), ndmin=2)
         conditioned = np.tile(odds, (len(values), 1))
         conditioned[:, fixed] = np.where(values, CERTAIN, -CERTAIN)
         messages = np.tile(self._messages, (len(values), 1))
@@ -128,7 +163,7 @@ class Smoother:
         """Return the undecided cells that the losses say most about."""
         total = self._total_odds(odds[None], self._messages)[0]
         hazard = np.exp(-softplus(-total))
-        said = np.bincount(self._cell, np.abs(self._messages[0]), minlength=odds.size)
+        said = np.bincount(self._losses.cell, np.abs(self._messages[0]), minlength=odds.size)
         score = said * hazard * (1.0 - hazard)
         best: NDArray[np.intp] = np.argsort(-score, kind='stable')[:CONDITIONED_CELLS]
         return best[: np.count_nonzero(score[best])]
@@ -137,15 +172,15 @@ class Smoother:
         self, odds: NDArray[np.float64], messages: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return each cell's log odds with all messages to it, shape (values, cells)."""
-        return odds + sum_by(self._cell, messages, odds.shape[1])
+        return odds + sum_by(self._losses.cell, messages, odds.shape[1])
 
     def _cavity_survival(
         self, odds: NDArray[np.float64], messages: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return log odds and log S of each entry, without what its own factor says."""
-        cavity = self._total_odds(odds, messages)[:, self._cell] - messages
+        cavity = self._total_odds(odds, messages)[:, self._losses.cell] - messages
         hazard = 0.5 + 0.5 * np.tanh(0.5 * cavity)
-        lost = -np.expm1(self._log_spared)
+        lost = -np.expm1(self._losses.log_spared)
         loss = lost[:, 0] + hazard * (lost[:, 1] - lost[:, 0])
         return cavity, np.log((1.0 - loss).clip(min=SMALLEST))
 
@@ -167,8 +202,11 @@ class Smoother:
 
         """
         _, survival = self._cavity_survival(odds, messages)
-        others = sum_by(self._factor, survival, self._factors)[:, self._factor] - survival
-        lost = -np.expm1(self._log_spared + others[..., None])
+        others = (
+            sum_by(self._losses.factor, survival, self._losses.count)[:, self._losses.factor]
+            - survival
+        )
+        lost = -np.expm1(self._losses.log_spared + others[..., None])
         log_lost = np.log(lost.clip(min=SMALLEST))
         message: NDArray[np.float64] = log_lost[..., 1] - log_lost[..., 0]
         return message
@@ -179,7 +217,7 @@ class Smoother:
         """Return the Bethe log evidence of the losses, shape (values,)."""
         cavity, survival = self._cavity_survival(odds, messages)
         total = self._total_odds(odds, messages)
-        lost = -np.expm1(sum_by(self._factor, survival, self._factors))
+        lost = -np.expm1(sum_by(self._losses.factor, survival, self._losses.count))
         factors = np.log(lost.clip(min=SMALLEST)).sum(axis=1)
         cells = (softplus(total) - softplus(odds)).sum(axis=1)
         entries = (softplus(cavity + messages) - softplus(cavity)).sum(axis=1)

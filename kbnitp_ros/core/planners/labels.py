@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kbnitp_ros.core.belief import Belief
 from kbnitp_ros.core.entropy import binary_entropy
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.information import fate_entropy, reading_information
+from kbnitp_ros.core.planners.exposures import with_visit, without_cell
 from kbnitp_ros.core.sensor import SensorModel
 from kbnitp_ros.core.survival import log_predicted_survival
 import numpy as np
@@ -35,8 +37,10 @@ class Labels:
         P(c of the steps lead into a hazard).
     path : ndarray of int, shape (cells, width, steps)
         The cells the steps lead to.
-    visited : ndarray of uint64, shape (cells, width)
-        Equal for paths that visit the same cells equally often.
+    visits : ndarray of int, shape (cells, width, cells)
+        Steps into each cell.
+    mark : ndarray of uint64, shape (cells, width)
+        Equal for labels of equal visits.
 
     """
 
@@ -45,7 +49,29 @@ class Labels:
     read: NDArray[np.float64]
     exposures: NDArray[np.float64]
     path: NDArray[np.intp]
-    visited: NDArray[np.uint64]
+    visits: NDArray[np.int16]
+    mark: NDArray[np.uint64]
+
+    @classmethod
+    def none(cls, cells: int, width: int, steps: int) -> Labels:
+        """Return room for labels of `steps` steps."""
+        return cls(
+            value=np.full((cells, width), -np.inf),
+            log_survival=np.zeros((cells, width)),
+            read=np.zeros((cells, width)),
+            exposures=np.zeros((cells, width, steps + 1)),
+            path=np.zeros((cells, width, steps), dtype=np.intp),
+            visits=np.zeros((cells, width, cells), dtype=np.int16),
+            mark=np.zeros((cells, width), dtype=np.uint64),
+        )
+
+    @classmethod
+    def at(cls, base: int, cells: int, width: int) -> Labels:
+        """Return the one label of a robot that stands at the base."""
+        labels = cls.none(cells, width, steps=0)
+        labels.value[base, 0] = 0.0
+        labels.exposures[base, 0] = 1.0
+        return labels
 
 
 class Gains:
@@ -72,8 +98,9 @@ def best_path(
     Return the most informative closed path that the search finds.
 
     Labels at the same cell after the same number of steps compete by the information of their
-    partial path, which is exact at every step, repeated visits included. Paths that differ only
-    in the order of their visits are worth the same and count once.
+    partial path, which is exact at every step, repeated visits included, and every second one is
+    kept for what it promises: the information of that path and a good way home together. Paths
+    that differ only in the order of their visits are worth the same and count once.
 
     Parameters
     ----------
@@ -96,18 +123,212 @@ def best_path(
         The base first and last. The same belief gives the same path.
 
     """
-    gains = Gains(belief, model, max_visits)
-    marks = scattered(grid.cells)
-    labels = start(grid, width)
+    search = Search(grid, belief, model, max_steps, max_visits)
+    way_home = search.way_home() if width > 1 else None
     best_value = -np.inf
     best = np.empty(0, dtype=np.intp)
-    for step in range(1, max_steps + 1):
-        ends = np.flatnonzero(grid.free & (grid.steps_to_base <= max_steps - step))
-        labels = extend(grid, belief.hazard, gains, marks, fate_entropy(model, step), labels, ends)
+    for labels in search.steps(width, way_home):
         value = np.round(labels.value[grid.base, 0], DECIMALS)
         if value > best_value:
             best_value, best = value, labels.path[grid.base, 0]
     return np.concatenate([[grid.base], best])
+
+
+@dataclass(frozen=True)
+class WayHome:
+    """
+    A good way home for each number of steps left and each cell to go home from.
+
+    Attributes
+    ----------
+    cells : ndarray of int, shape (max_steps + 1, cells, max_steps)
+        The cells of its steps, in any order; -1 after the last.
+    before : ndarray of int, shape (max_steps + 1, cells, max_steps)
+        How often it visits each of them before.
+    exposures : ndarray, shape (max_steps + 1, cells, max_steps + 1)
+        P(c of its steps lead into a hazard).
+
+    """
+
+    cells: NDArray[np.intp]
+    before: NDArray[np.intp]
+    exposures: NDArray[np.float64]
+
+
+class Search:
+    """All that stays the same while labels are extended; arguments as of `best_path`."""
+
+    def __init__(
+        self, grid: Grid, belief: Belief, model: SensorModel, max_steps: int, max_visits: int
+    ) -> None:
+        self._grid = grid
+        self._hazard = belief.hazard
+        self._max_steps = max_steps
+        self._max_visits = max_visits
+        self._gains = Gains(belief, model, max_visits)
+        self._marks = scattered(grid.cells)
+        # By steps in all and exposures; nobody asks for more exposures than steps.
+        self._fate_entropy = np.zeros((max_steps + 1, 2 * max_steps + 2))
+        for steps in range(1, max_steps + 1):
+            self._fate_entropy[steps, : steps + 1] = fate_entropy(model, steps)
+
+    def steps(self, width: int, way_home: WayHome | None = None) -> Iterator[Labels]:
+        """
+        Yield the labels after each step.
+
+        Parameters
+        ----------
+        width : int
+            How many are kept for each cell.
+        way_home : WayHome, optional
+            What labels promise; without it they compete by their information alone.
+
+        """
+        labels = Labels.at(self._grid.base, self._grid.cells, width)
+        for step in range(1, self._max_steps + 1):
+            labels = self._extend(labels, step, way_home)
+            yield labels
+
+    def way_home(self) -> WayHome:
+        """
+        Return the ways home that a search of width 1 knows.
+
+        Paths are worth the same in both directions, so a way home is a label at a neighbour,
+        walked backwards, and the step into the base.
+        """
+        cells, base, most = self._grid.cells, self._grid.base, self._max_steps
+        table = self._grid.neighbor_table
+        way = np.full((most + 1, cells, most), -1)
+        before = np.zeros((most + 1, cells, most), dtype=np.intp)
+        exposures = np.zeros((most + 1, cells, most + 1))
+        exposures[0, :, 0] = 1.0
+        best = np.full(cells, -np.inf)
+        reached = Labels.at(base, cells, 1)
+        for left, labels in enumerate(self.steps(width=1), start=1):
+            for kept in (way, before, exposures):
+                kept[left] = kept[left - 1]
+            around = np.where(table >= 0, reached.value[table, 0], -np.inf)
+            better = np.flatnonzero(around.max(axis=1) > best)
+            best[better] = around.max(axis=1)[better]
+            via = table[better, around.argmax(axis=1)[better]]
+            steps = np.concatenate([reached.path[via, 0], np.full((better.size, 1), base)], axis=1)
+            way[left, better, :left] = steps
+            earlier = np.tril(np.ones((left, left), dtype=bool), -1)
+            before[left, better, :left] = ((steps[:, :, None] == steps[:, None, :]) & earlier).sum(
+                axis=-1
+            )
+            exposures[left, better] = 0.0
+            exposures[left, better, :left] = reached.exposures[via, 0]
+            reached = labels
+        return WayHome(way, before, exposures)
+
+    def _extend(self, labels: Labels, step: int, way_home: WayHome | None) -> Labels:
+        """Return the labels after one more step, the `step`-th."""
+        cells, width = labels.value.shape
+        left = self._max_steps - step
+        ends = np.flatnonzero(self._grid.free & (self._grid.steps_to_base <= left))
+        # Candidates for each end: every label of every neighbour, shape (ends, 9 * width).
+        origin = np.repeat(self._grid.neighbor_table[ends], width, axis=1)
+        label = np.tile(np.arange(width), 9)
+        possible = (origin >= 0) & (labels.value[origin, label] > -np.inf)
+        possible &= labels.visits[origin, label, ends[:, None]] < self._max_visits
+        end, candidate = np.nonzero(possible)
+        origin, label, to = origin[possible], label[candidate], ends[end]
+        visits = labels.visits[origin, label, to].astype(np.intp)
+
+        log_survival = labels.log_survival[origin, label] + self._gains.log_survival[to, visits]
+        read = labels.read[origin, label] + self._gains.read[to, visits]
+        value = total(log_survival, self._left_open(labels, step, origin, label, to, visits), read)
+        mark = labels.mark[origin, label] + self._marks[to]
+        promise = None
+        if way_home is not None:
+            promise = self._promise(labels, step, origin, label, to, log_survival, read, way_home)
+
+        chosen, slot = best_of_each(end, value, promise, mark, width)
+        origin, label, to = origin[chosen], label[chosen], to[chosen]
+        kept = (to, slot)
+        after = Labels.none(cells, width, step)
+        after.value[kept] = value[chosen]
+        after.log_survival[kept] = log_survival[chosen]
+        after.read[kept] = read[chosen]
+        after.exposures[kept] = with_visit(
+            labels.exposures[origin, label], self._hazard[to], visits[chosen]
+        )
+        after.path[kept] = np.column_stack([labels.path[origin, label], to])
+        after.visits[kept] = labels.visits[origin, label]
+        after.visits[to, slot, to] += 1
+        after.mark[kept] = mark[chosen]
+        return after
+
+    def _promise(
+        self,
+        labels: Labels,
+        step: int,
+        origin: NDArray[np.intp],
+        label: NDArray[np.intp],
+        to: NDArray[np.intp],
+        log_survival: NDArray[np.float64],
+        read: NDArray[np.float64],
+        way_home: WayHome,
+    ) -> NDArray[np.float64]:
+        """
+        Return the information of each candidate's path and way home together.
+
+        Exact but for the hazards of cells that are on both, whose visits count as those of two
+        cells; visits beyond the limit count nothing.
+        """
+        left = self._max_steps - step
+        home = way_home.cells[left, to]
+        visits = labels.visits[origin[:, None], label[:, None], home]
+        visits = visits + (home == to[:, None]) + way_home.before[left, to]
+        counts = (home >= 0) & (visits < self._max_visits)
+        visits = np.where(counts, visits, 0)
+        log_survival = log_survival + np.sum(
+            self._gains.log_survival[home, visits], axis=1, where=counts
+        )
+        read = read + np.sum(self._gains.read[home, visits], axis=1, where=counts)
+        # Mean entropy by exposures so far, the exposures on the way home summed out.
+        in_all = step + (way_home.cells[left] >= 0).sum(axis=1)
+        exposed = np.arange(step + 1)[:, None] + np.arange(self._max_steps + 1)
+        entropy = self._fate_entropy[in_all[:, None, None], exposed]
+        mean = (entropy @ way_home.exposures[left][:, :, None])[to, :, 0]
+        exposures, hazard = labels.exposures[origin, label], self._hazard[to]
+        left_open = (1.0 - hazard) * (exposures * mean[:, :-1]).sum(axis=1)
+        left_open += hazard * (exposures * mean[:, 1:]).sum(axis=1)
+        return total(log_survival, left_open, read)
+
+    def _left_open(
+        self,
+        labels: Labels,
+        step: int,
+        origin: NDArray[np.intp],
+        label: NDArray[np.intp],
+        to: NDArray[np.intp],
+        visits: NDArray[np.intp],
+    ) -> NDArray[np.float64]:
+        """Return E_z[h(P(survive | z))] of each candidate, shape (candidates,)."""
+        entropy = self._fate_entropy[step, : step + 1]
+        hazard = self._hazard[to]
+        # A first visit needs of each label only its mean without and with one more exposure.
+        spared, exposed = labels.exposures @ entropy[:-1], labels.exposures @ entropy[1:]
+        left_open = (1.0 - hazard) * spared[origin, label] + hazard * exposed[origin, label]
+        for count in np.unique(visits[visits > 0]):
+            again = visits == count
+            z = hazard[again]
+            others = without_cell(labels.exposures[origin[again], label[again]], z, count)
+            reach = others.shape[1]
+            left_open[again] = (1.0 - z) * (others @ entropy[:reach])
+            left_open[again] += z * (others @ entropy[count + 1 :][:reach])
+        return left_open
+
+
+def total(
+    log_survival: NDArray[np.float64], left_open: NDArray[np.float64], read: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return h(P0) - E_z[h(P(survive | z))] + P0 * (information of the readings), any shape."""
+    survival = np.exp(log_survival)
+    information: NDArray[np.float64] = binary_entropy(survival) - left_open + survival * read
+    return information
 
 
 def scattered(cells: int) -> NDArray[np.uint64]:
@@ -118,104 +339,12 @@ def scattered(cells: int) -> NDArray[np.uint64]:
     return x ^ (x >> np.uint64(31))
 
 
-def start(grid: Grid, width: int) -> Labels:
-    """Return the one label of a robot that stands at the base."""
-    shape = (grid.cells, width)
-    value = np.full(shape, -np.inf)
-    value[grid.base, 0] = 0.0
-    return Labels(
-        value=value,
-        log_survival=np.zeros(shape),
-        read=np.zeros(shape),
-        exposures=np.ones((*shape, 1)),
-        path=np.empty((*shape, 0), dtype=np.intp),
-        visited=np.zeros(shape, dtype=np.uint64),
-    )
-
-
-def extend(
-    grid: Grid,
-    hazard: NDArray[np.float64],
-    gains: Gains,
-    marks: NDArray[np.uint64],
-    open_fate: NDArray[np.float64],
-    labels: Labels,
-    ends: NDArray[np.intp],
-) -> Labels:
-    """
-    Return the labels one step later.
-
-    Parameters
-    ----------
-    grid : Grid
-        Gives who neighbours whom.
-    hazard : ndarray, shape (cells,)
-        P(Z = 1).
-    gains : Gains
-        What each visit adds.
-    marks : ndarray of uint64, shape (cells,)
-        As `scattered`.
-    open_fate : ndarray, shape (steps + 1,)
-        `fate_entropy` of the number of steps after this one.
-    labels : Labels
-        Before the step.
-    ends : ndarray of int
-        The cells the step may lead to.
-
-    """
-    cells, width = labels.value.shape
-    max_visits = gains.read.shape[1]
-    # Candidates for each end: every label of every neighbour, shape (ends, 9 * width).
-    origin = np.repeat(grid.neighbor_table[ends], width, axis=1)
-    label = np.tile(np.arange(width), 9)
-    visits = (labels.path[origin, label] == ends[:, None, None]).sum(axis=-1)
-    allowed = (origin >= 0) & (labels.value[origin, label] > -np.inf) & (visits < max_visits)
-    end, candidate = np.nonzero(allowed)
-    origin, label, visits = origin[allowed], label[candidate], visits[allowed]
-    to = ends[end]
-
-    log_survival = labels.log_survival[origin, label] + gains.log_survival[to, visits]
-    read = labels.read[origin, label] + gains.read[to, visits]
-    # A first visit needs of each label only its mean entropy without and with one more exposure.
-    spared, exposed = (labels.exposures @ open_fate[:-1], labels.exposures @ open_fate[1:])
-    undecided = (1.0 - hazard[to]) * spared[origin, label] + hazard[to] * exposed[origin, label]
-    for count in np.unique(visits[visits > 0]):
-        again = visits == count
-        others = without_cell(
-            labels.exposures[origin[again], label[again]], hazard[to[again]], count
-        )
-        reach = others.shape[1]
-        undecided[again] = (1.0 - hazard[to[again]]) * (others @ open_fate[:reach])
-        undecided[again] += hazard[to[again]] * (others @ open_fate[count + 1 :][:reach])
-    survival = np.exp(log_survival)
-    value = binary_entropy(survival) - undecided + survival * read
-    visited = labels.visited[origin, label] + marks[to]
-
-    chosen, slot = best_of_each(end, np.round(value, DECIMALS), visited, width)
-    kept = (to[chosen], slot)
-    step = len(open_fate) - 1
-    after = Labels(
-        value=np.full((cells, width), -np.inf),
-        log_survival=np.zeros((cells, width)),
-        read=np.zeros((cells, width)),
-        exposures=np.zeros((cells, width, step + 1)),
-        path=np.zeros((cells, width, step), dtype=np.intp),
-        visited=np.zeros((cells, width), dtype=np.uint64),
-    )
-    origin, label = origin[chosen], label[chosen]
-    after.value[kept] = value[chosen]
-    after.log_survival[kept] = log_survival[chosen]
-    after.read[kept] = read[chosen]
-    after.exposures[kept] = with_visit(
-        labels.exposures[origin, label], hazard[to[chosen]], visits[chosen]
-    )
-    after.path[kept] = np.column_stack([labels.path[origin, label], to[chosen]])
-    after.visited[kept] = visited[chosen]
-    return after
-
-
 def best_of_each(
-    end: NDArray[np.intp], value: NDArray[np.float64], visited: NDArray[np.uint64], width: int
+    end: NDArray[np.intp],
+    value: NDArray[np.float64],
+    promise: NDArray[np.float64] | None,
+    mark: NDArray[np.uint64],
+    width: int,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
     Return the best `width` candidates of each end, of those that visit the same cells only one.
@@ -225,8 +354,10 @@ def best_of_each(
     end : ndarray of int, shape (n,)
         Ascending.
     value : ndarray, shape (n,)
-        Ties go to the earlier candidate.
-    visited : ndarray of uint64, shape (n,)
+        What the candidates compete by. Ties go to the earlier candidate.
+    promise : ndarray, shape (n,), optional
+        What they also compete by: in turn with `value`, which comes first.
+    mark : ndarray of uint64, shape (n,)
         Equal for candidates that count as the same.
     width : int
         How many of each end at most.
@@ -236,88 +367,25 @@ def best_of_each(
     chosen : ndarray of int, shape (m,)
         Indices of candidates.
     slot : ndarray of int, shape (m,)
-        The rank of each among its end's, from 0.
+        The rank of each among its end's, from 0; the best by value has 0.
 
     """
-    ranked = np.lexsort((-value, end))
-    by_visits = ranked[np.lexsort((visited[ranked], end[ranked]))]
-    same = (visited[by_visits[1:]] == visited[by_visits[:-1]]) & (
-        end[by_visits[1:]] == end[by_visits[:-1]]
-    )
-    repeated = np.zeros(len(end), dtype=bool)
-    repeated[by_visits[1:][same]] = True
-    ranked = ranked[~repeated[ranked]]
-    ends = end[ranked]
-    slot = np.arange(len(ranked)) - np.searchsorted(ends, ends)
-    best = slot < width
-    return ranked[best], slot[best]
+    by_visits = np.lexsort((-np.round(value, DECIMALS), mark, end))
+    first = np.ones(len(end), dtype=bool)
+    first[1:] = (np.diff(mark[by_visits]) != 0) | (np.diff(end[by_visits]) != 0)
+    distinct = np.sort(by_visits[first])
+    end = end[distinct]
+    rank = rank_within(end, -np.round(value[distinct], DECIMALS))
+    if promise is not None:
+        by_promise = rank_within(end, -np.round(promise[distinct], DECIMALS))
+        rank = rank_within(end, np.minimum(2 * rank, 2 * by_promise + 1))
+    best = rank < width
+    return distinct[best], rank[best]
 
 
-def with_visit(
-    exposures: NDArray[np.float64], hazard: NDArray[np.float64], visits: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """
-    Return the distributions of exposures after one more visit to a cell.
-
-    Parameters
-    ----------
-    exposures : ndarray, shape (n, steps + 1)
-        Before.
-    hazard : ndarray, shape (n,)
-        P(Z = 1) of the cell visited.
-    visits : ndarray of int, shape (n,)
-        How often it was visited before.
-
-    Returns
-    -------
-    ndarray, shape (n, steps + 2)
-
-    """
-    after = np.zeros((len(exposures), exposures.shape[1] + 1))
-    for count in np.unique(visits):
-        same = visits == count
-        z = hazard[same, None]
-        others = without_cell(exposures[same], hazard[same], count)
-        reach = others.shape[1]
-        moved = np.zeros((len(others), after.shape[1]))
-        moved[:, :reach] = (1.0 - z) * others
-        moved[:, count + 1 :] += z * others
-        after[same] = moved
-    return after
-
-
-def without_cell(
-    exposures: NDArray[np.float64], hazard: NDArray[np.float64], visits: int
-) -> NDArray[np.float64]:
-    """
-    Return the distributions of exposures in all cells but one.
-
-    Takes one cell's factor (1 - z) + z t^visits out of the generating polynomial, from the end at
-    which the division is stable: the lower coefficients where the cell is likely safe.
-
-    Parameters
-    ----------
-    exposures : ndarray, shape (n, steps + 1)
-        With the cell.
-    hazard : ndarray, shape (n,)
-        z = P(Z = 1) of the cell.
-    visits : int
-        How often it was visited.
-
-    Returns
-    -------
-    ndarray, shape (n, steps + 1 - visits)
-
-    """
-    if not visits:
-        return exposures
-    deadly = hazard > 0.5
-    product = np.where(deadly[:, None], exposures[:, ::-1], exposures).T
-    rarer = np.where(deadly, 1.0 - hazard, hazard)
-    quotient = np.empty((len(product) - visits, len(hazard)))
-    for power in range(len(quotient)):
-        quotient[power] = product[power]
-        if power >= visits:
-            quotient[power] -= rarer * quotient[power - visits]
-        quotient[power] /= 1.0 - rarer
-    return np.where(deadly[:, None], quotient.T[:, ::-1], quotient.T)
+def rank_within(group: NDArray[np.intp], score: NDArray[np.generic]) -> NDArray[np.intp]:
+    """Return each one's rank by ascending `score` among those of its group, from 0, shape (n,)."""
+    order = np.lexsort((score, group))
+    rank = np.empty(len(group), dtype=np.intp)
+    rank[order] = np.arange(len(group)) - np.searchsorted(group, group)
+    return rank
