@@ -87,9 +87,9 @@ class Grid:
     @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:
         """
-        The neighbours of every cell, shape (cells, 9), in ascending order, -1 where there is none.
+        Return the neighbours of every cell in ascending order, -1 where there is none.
 
-        The rows of blocked cells are all -1.
+        The shape is (cells, 9); the rows of blocked cells are all -1.
         """
         row, col = np.divmod(np.arange(self.cells), self.width)
         step_row, step_col = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)

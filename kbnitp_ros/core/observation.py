@@ -25,10 +25,9 @@ def as_path(path: ArrayLike) -> NDArray[np.intp]:
         raise ValueError(
             f'path has shape {array.shape}: it must list at least two cells, the base twice'
         )
-    cells = np.array(array, dtype=np.intp)
     if not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f'path is of type {array.dtype}: cells are whole numbers')
-    return cells
+    return np.array(array, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)

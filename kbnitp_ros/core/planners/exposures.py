@@ -35,7 +35,7 @@ def with_visit(
         reach = others.shape[1]
         moved = np.zeros((len(others), after.shape[1]))
         moved[:, :reach] = (1.0 - z) * others
-        moved[:, count + 1 :] += z * others
+        moved[:, -reach:] += z * others
         after[same] = moved
     return after
 

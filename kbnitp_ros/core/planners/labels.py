@@ -318,7 +318,7 @@ class Search:
             others = without_cell(labels.exposures[origin[again], label[again]], z, count)
             reach = others.shape[1]
             left_open[again] = (1.0 - z) * (others @ entropy[:reach])
-            left_open[again] += z * (others @ entropy[count + 1 :][:reach])
+            left_open[again] += z * (others @ entropy[-reach:])
         return left_open
 
 
