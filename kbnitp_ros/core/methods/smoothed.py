@@ -23,7 +23,12 @@ from kbnitp_ros.core.update import condition, returned_log_likelihood
 import numpy as np
 from numpy.typing import NDArray
 
-SWEEPS = 3
+# How far messages move in a sweep. All the way, they may swing between two answers for good where
+# many losses share their cells.
+STEP = 0.7
+SWEEPS = 10
+# A change of messages, in log odds, too small to go on for.
+SETTLED = 1e-4
 CONDITIONED_CELLS = 4
 # Log odds beyond which a cell is as good as certain: keeps infinities out of the messages.
 CERTAIN = 500.0
@@ -143,15 +148,12 @@ class Smoother:
         """Return the log odds of each hazard given all evidence, from those without the losses."""
         if not self._losses.count:
             return odds
-        for _ in range(SWEEPS):
-            self._messages = self._sweep(odds[None], self._messages)
+        self._messages = self._settled(odds[None], self._messages)
         fixed = self._most_entangled(odds)
         values = np.array(list(product((0.0, 1.0), repeat=fixed.size)), ndmin=2)
         conditioned = np.tile(odds, (len(values), 1))
         conditioned[:, fixed] = np.where(values, CERTAIN, -CERTAIN)
-        messages = np.tile(self._messages, (len(values), 1))
-        for _ in range(SWEEPS):
-            messages = self._sweep(conditioned, messages)
+        messages = self._settled(conditioned, np.tile(self._messages, (len(values), 1)))
         weight = self._log_evidence(conditioned, messages)
         weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
         total = self._total_odds(conditioned, messages)
@@ -183,6 +185,17 @@ class Smoother:
         lost = -np.expm1(self._losses.log_spared)
         loss = lost[:, 0] + hazard * (lost[:, 1] - lost[:, 0])
         return cavity, np.log((1.0 - loss).clip(min=SMALLEST))
+
+    def _settled(
+        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the messages after enough damped sweeps that they hardly change, or `SWEEPS`."""
+        for _ in range(SWEEPS):
+            change = STEP * (self._sweep(odds, messages) - messages)
+            messages = messages + change
+            if np.abs(change).max() < SETTLED:
+                break
+        return messages
 
     def _sweep(
         self, odds: NDArray[np.float64], messages: NDArray[np.float64]
