@@ -39,11 +39,11 @@ clean:
 	tools/check_machine.sh $(PYTHON)
 	rm -rf .venv build install log
 	$(PYTHON) -m venv .venv
-	.venv/bin/pip install --quiet --requirement requirements.txt
+	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	touch $@
 
 .venv/.dev: requirements-dev.txt .venv/.run
-	.venv/bin/pip install --quiet --requirement requirements-dev.txt
+	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements-dev.txt
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)

@@ -61,7 +61,7 @@ def generate_launch_description():
         mission_node('recorder', condition=IfCondition(record)),
         # The recorder is one subscriber more, and must miss nothing.
         mission_node('estimator', await_subscribers=IfElseSubstitution(record, '2', '1')),
-        mission_node('agent'),
+        mission_node('agent', await_subscribers=IfElseSubstitution(record, '3', '2')),
         mission_node('planner', await_subscribers=IfElseSubstitution(record, '3', '2')),
     ]
     mission = GroupAction([PushROSNamespace(LaunchConfiguration('namespace')), *nodes])

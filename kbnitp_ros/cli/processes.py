@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes of this package as processes of their own, on a ROS domain of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import json
+import os
+from pathlib import Path
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from types import TracebackType
+from typing import Any, IO
+
+from ament_index_python.packages import get_package_share_directory
+
+# Domains beyond 101 use ports that Linux hands out to others.
+DOMAINS = range(1, 102)
+
+# launch, too, gives a node this long after a signal, in seconds.
+PATIENCE = 5.0
+
+
+def share(relative: str) -> Path:
+    """Return where a file of the package is: in the source tree, or installed."""
+    source = Path(__file__).parents[2] / relative
+    return source if source.exists() else Path(get_package_share_directory('kbnitp_ros'), relative)
+
+
+def environment(domain: int) -> dict[str, str]:
+    """Return the environment of a process that talks ROS on `domain` and on this machine only."""
+    paths = [str(Path(__file__).parents[2]), os.environ.get('PYTHONPATH', '')]
+    return {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(share('config/fastdds.xml')),
+        'PYTHONPATH': os.pathsep.join(filter(None, paths)),
+    }
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """
+    Hold a ROS domain that nothing else on this machine uses.
+
+    Raises
+    ------
+    OSError
+        If all are in use.
+
+    """
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        first_port = 7400 + 250 * domain
+        # DDS uses UDP, so the TCP port of the same number serves as a lock.
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
+            if _bind(lock, first_port) and not _in_use(first_port):
+                yield domain
+                return
+    raise OSError('every ROS domain from 1 to 101 is in use on this machine')
+
+
+def _in_use(first_port: int) -> bool:
+    """Say whether any of a domain's first 32 participants is there."""
+    for participant in range(32):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            if not _bind(probe, first_port + 10 + 2 * participant):
+                return True
+    return False
+
+
+def _bind(to_bind: socket.socket, port: int) -> bool:
+    try:
+        to_bind.bind(('', port))
+    except OSError:
+        return False
+    return True
+
+
+class Processes:
+    """
+    Some nodes of this package, all ended when the ``with`` statement is left.
+
+    Parameters
+    ----------
+    domain : int
+        The ROS domain they are on.
+
+    Attributes
+    ----------
+    started : dict
+        The processes started, by the full names of their nodes, whether they have ended or not.
+
+    """
+
+    def __init__(self, domain: int) -> None:
+        self._environment = environment(domain)
+        self.started: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(
+        self,
+        node: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        namespace: str = '/',
+        output: IO[Any] | None = None,
+    ) -> subprocess.Popen[bytes]:
+        """
+        Start a node.
+
+        Parameters
+        ----------
+        node : str
+            The executable's name.
+        parameters : mapping, optional
+            Values by parameter name.
+        namespace : str
+            Where its topics are.
+        output : file, optional
+            Where its stdout and stderr go; to those of this process when None.
+
+        """
+        command = [sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
+        command += ['--remap', f'__ns:={namespace}']
+        for name, value in (parameters or {}).items():
+            # JSON is the YAML that ROS reads a value as.
+            command += ['--param', f'{name}:={json.dumps(value)}']
+        process = subprocess.Popen(
+            command, env=self._environment, stdout=output, stderr=output and subprocess.STDOUT
+        )
+        self.started[f'{namespace.rstrip("/")}/{node}'] = process
+        return process
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of the nodes that have ended, by their full names."""
+        codes = {name: process.poll() for name, process in self.started.items()}
+        return {name: code for name, code in codes.items() if code is not None}
+
+    def stop(self, patience: float = PATIENCE) -> dict[str, int]:
+        """
+        End all nodes as Ctrl-C does, those that do not listen by force.
+
+        Parameters
+        ----------
+        patience : float
+            How long all of them together are waited for, in seconds.
+
+        Returns
+        -------
+        dict
+            Exit codes by full names; negative for a node that a signal ended.
+
+        """
+        for process in self.started.values():
+            process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + patience
+        while len(self.ended()) < len(self.started) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        for process in self.started.values():
+            process.kill()
+            process.wait()
+        return self.ended()
+
+    def __enter__(self) -> Processes:
+        """Return these processes, none of them started."""
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End all nodes."""
+        self.stop()

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator: folds paths and reports into a belief, and shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+import sys
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import Belief, Estimator, Ledger
+from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.deployments import read_path, read_report
+from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.shell import run, Shell
+from nav_msgs.msg import OccupancyGrid, Path
+
+
+class EstimatorNode(Shell):
+    """Turn what is known of all deployments into a belief, published after each of them."""
+
+    def __init__(self) -> None:
+        super().__init__('estimator')
+        grid = grid_of(self.values)
+        prior = Belief.prior(
+            grid,
+            self.values['prior.hazard'],
+            self.values['prior.target'],
+            self.values['prior.kappa'],
+        )
+        estimator = Estimator(prior, sensor_model_of(self.values), self.values['method'])
+        self._ledger = Ledger(grid, self.values['max_steps'], estimator)
+        # In this order whoever knows of belief knows of the maps as well.
+        self._maps = {
+            name: self.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
+            for name in ('hazard', 'target', 'kappa')
+        }
+        self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
+        for agent in agents_of(self.values):
+            self.create_subscription(
+                Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE
+            )
+            self.create_subscription(
+                DeploymentReport, f'{agent}/report', partial(self._on_report, agent), qos.EVIDENCE
+            )
+        self._awaiting = self.create_poll(self._publish_first)
+
+    def _publish_first(self) -> None:
+        matched = self._belief.get_subscription_count()
+        wanted = self.values['await_subscribers']
+        self.diagnostics.state = f'waiting for subscriptions to belief: {matched} of {wanted}'
+        if matched >= wanted:
+            self._awaiting.cancel()
+            self._publish()
+
+    def _on_path(self, agent: str, message: Path) -> None:
+        try:
+            key, cells = read_path(self._ledger.grid, agent, message)
+            changed = self._ledger.record_path(key, cells)
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/path', error)
+        else:
+            self._accepted(changed)
+
+    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+        try:
+            key, report = read_report(message)
+            if key.agent != agent:
+                raise ValueError(f'agent is {key.agent!r}: on this topic it must be {agent!r}')
+            changed = self._ledger.record_report(key, report)
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/report', error)
+        else:
+            self._accepted(changed)
+
+    def _accepted(self, changed: bool) -> None:
+        self.diagnostics.accept()
+        self.diagnostics.waiting = self._ledger.waiting
+        if changed and self._awaiting.is_canceled():
+            self._publish()
+
+    def _publish(self) -> None:
+        stamp = self.now()
+        grid, belief = self._ledger.grid, self._ledger.belief
+        self._belief.publish(belief_maps(self._ledger, stamp))
+        for name, publisher in self._maps.items():
+            publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))
+        self.diagnostics.state = f'{len(self._ledger.held)} deployments in the belief'
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the estimator; return the exit code."""
+    return run('estimator', EstimatorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,497 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The parameters of all nodes, in one table.
+
+From it the nodes declare them, a configuration is checked, and the reference page is printed by
+``python3 -m kbnitp_ros.nodes.parameters``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+import json
+import re
+from typing import Any
+
+from kbnitp_ros.core import Grid, METHODS, PLANNERS, SensorModel
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+import rclpy.parameter
+
+NODES = ('planner', 'agent', 'estimator', 'recorder')
+
+# What rclpy gives every node.
+ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+
+KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One row of the table.
+
+    Attributes
+    ----------
+    name : str
+        As in ROS, the dot a level.
+    default : bool, int, float, str or tuple of them
+        Its type is the parameter's type.
+    description : str
+        One sentence, with the unit.
+    nodes : tuple of str
+        The nodes that have it.
+    element : type, optional
+        The type of a list's elements.
+    limits : tuple of two numbers, optional
+        Lowest and highest value allowed.
+    choices : tuple of str
+        The values allowed; empty when any is.
+    pattern : str
+        What a text must match, as a regular expression; empty when it need not.
+    read_only : bool
+        Whether it is fixed once the node runs.
+
+    """
+
+    name: str
+    default: Any
+    description: str
+    nodes: tuple[str, ...]
+    element: type | None = None
+    limits: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    pattern: str = ''
+    read_only: bool = True
+
+    @property
+    def kind(self) -> str:
+        """Return what a value must be, in words."""
+        if self.element is None:
+            return KINDS[type(self.default)]
+        return f'a list, each {KINDS[self.element]}'
+
+    @property
+    def allowed(self) -> str:
+        """Return what a value of the right type must also be, in words; empty when nothing."""
+        if self.limits is not None:
+            return f'from {self.limits[0]} to {self.limits[1]}'
+        if self.choices:
+            return f'one of {", ".join(self.choices)}'
+        return f'of the form {self.pattern}' if self.pattern else ''
+
+    def check(self, value: Any) -> Any:
+        """
+        Return `value` as this parameter's type; whole numbers are taken for numbers.
+
+        Raises
+        ------
+        ValueError
+            If it is of another type, out of range or none of the choices.
+
+        """
+        if self.element is None:
+            return self._check_one(value, type(self.default))
+        # rclpy hands an empty YAML list over as None.
+        values = () if value is None else value
+        if isinstance(values, (str, bytes, Mapping)) or not hasattr(values, '__iter__'):
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
+        return tuple(self._check_one(one, self.element) for one in values)
+
+    def _check_one(self, value: Any, wanted: type) -> Any:
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if type(value) is not wanted:
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
+        if (
+            (self.limits and not self.limits[0] <= value <= self.limits[1])
+            or (self.choices and value not in self.choices)
+            or (self.pattern and not re.fullmatch(self.pattern, value))
+        ):
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.allowed}')
+        return value
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what `ros2 param describe` tells of it."""
+        descriptor = ParameterDescriptor(
+            description=self.description,
+            read_only=self.read_only,
+            additional_constraints='' if self.limits else self.allowed,
+            # rclpy takes an empty list for a list of bytes, whatever it was declared as.
+            dynamic_typing=self.element is not None,
+        )
+        if self.limits is not None:
+            low, high = self.limits
+            if isinstance(self.default, int):
+                descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+            else:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=low, to_value=high)
+                ]
+        return descriptor
+
+
+PROBABILITY = (0.0, 1.0)
+NAME = '[A-Za-z][A-Za-z0-9_]*'
+FIELD = ('planner', 'agent', 'estimator')
+
+TABLE = (
+    Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, 1000)),
+    Parameter('grid.height', 9, 'Cells along y.', FIELD, limits=(1, 1000)),
+    Parameter(
+        'grid.base',
+        0,
+        'Cell (row * width + column, row 0 at the bottom) that every path starts and ends in.',
+        FIELD,
+        limits=(0, 999_999),
+    ),
+    Parameter('grid.resolution', 1.0, 'Side of a cell in metres.', FIELD, limits=(0.001, 1000.0)),
+    Parameter(
+        'grid.origin',
+        (0.0, 0.0),
+        'Lower-left corner of cell 0 in metres, x and y in the frame map.',
+        FIELD,
+        element=float,
+    ),
+    Parameter('grid.blocked', (), 'Cells that no robot can enter.', FIELD, element=int),
+    Parameter('max_steps', 18, 'Most steps of a path.', FIELD, limits=(1, 10_000)),
+    Parameter(
+        'sensor.lethality',
+        0.5,
+        'Probability that a hazard strikes a robot that steps into its cell. The sensor '
+        'parameters of the agent are the truth, those of planner and estimator what they believe.',
+        FIELD,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'sensor.malfunction',
+        0.05,
+        'Probability that a robot is lost in a step without any hazard.',
+        FIELD,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'sensor.false_negative',
+        0.05,
+        'Probability that a robot survives a hazard that strikes it.',
+        FIELD,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'sensor.true_positive',
+        0.95,
+        'Probability that a target is reported where there is one.',
+        FIELD,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'sensor.false_positive',
+        0.05,
+        'Probability that a target is reported where there is none.',
+        FIELD,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'prior.hazard',
+        0.5,
+        'Probability of a hazard in each cell before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'prior.target',
+        0.45,
+        'Probability of a target in each cell before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'prior.kappa',
+        0.8,
+        'Probability of a target where there is a hazard, before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'method',
+        'kappa_bnitp',
+        'How a deployment is turned into belief.',
+        ('estimator',),
+        choices=tuple(METHODS),
+    ),
+    Parameter(
+        'agents',
+        ('scout_1',),
+        'Names of the agents; each has its topics under its name.',
+        ('planner', 'estimator'),
+        element=str,
+        pattern=NAME,
+    ),
+    Parameter('agent', 'scout_1', 'Name of this agent, as in agents.', ('agent',), pattern=NAME),
+    Parameter(
+        'robots',
+        100,
+        'Robots to deploy, one after another.',
+        ('planner',),
+        limits=(0, 1_000_000),
+        read_only=False,
+    ),
+    Parameter(
+        'planner',
+        'beam',
+        'How a path is searched for.',
+        ('planner',),
+        choices=tuple(PLANNERS),
+        read_only=False,
+    ),
+    Parameter(
+        'beam_width',
+        16,
+        'Labels the beam planner keeps for each cell and step.',
+        ('planner',),
+        limits=(1, 10_000),
+        read_only=False,
+    ),
+    Parameter(
+        'max_visits',
+        3,
+        'Most visits of a path to one cell.',
+        ('planner',),
+        limits=(1, 10_000),
+        read_only=False,
+    ),
+    Parameter(
+        'await_subscribers',
+        2,
+        'Subscriptions to a path topic that the planner waits for before the first path: agent '
+        'and estimator, and one more with a recorder.',
+        ('planner',),
+        limits=(0, 1000),
+    ),
+    Parameter(
+        'await_subscribers',
+        1,
+        'Subscriptions to belief that the estimator waits for before the first belief: the '
+        'planner, and one more with a recorder.',
+        ('estimator',),
+        limits=(0, 1000),
+    ),
+    Parameter(
+        'await_subscribers',
+        2,
+        'Subscriptions to its report topic that the agent waits for before the first deployment: '
+        'planner and estimator, and one more with a recorder.',
+        ('agent',),
+        limits=(0, 1000),
+    ),
+    Parameter(
+        'seed',
+        0,
+        'Seed of the hidden world and of what happens to the robots in it.',
+        ('agent',),
+        limits=(0, 2**63 - 1),
+    ),
+    Parameter(
+        'world.file',
+        '',
+        'YAML file with the hidden world; empty to draw one from the seed.',
+        ('agent',),
+    ),
+    Parameter(
+        'world.hazard_density',
+        0.15,
+        'Probability of a hazard in each cell of a drawn world but the base.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'world.kappa',
+        0.8,
+        'Probability of a target in a cell of a drawn world that has a hazard.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'world.target_background',
+        0.1,
+        'Probability of a target in a cell of a drawn world that has no hazard.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'publish_truth',
+        False,
+        'Whether the hidden world is shown on truth/hazard and truth/target.',
+        ('agent',),
+    ),
+    Parameter('file', 'mission.mcap', 'The log to write; it must not exist yet.', ('recorder',)),
+)
+
+
+def parameters_of(name: str) -> dict[str, Parameter]:
+    """Return the parameters of the node called `name`, by their names."""
+    return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
+
+
+def declare(node: Node, name: str) -> dict[str, Any]:
+    """
+    Declare the parameters of the node called `name` and return their values.
+
+    The values are kept up to date while the node runs.
+
+    Raises
+    ------
+    ValueError
+        If a value given at start-up has the wrong type, is not allowed, or is for no parameter of
+        any node. Those of other nodes are passed over, since nodes often share one file.
+
+    """
+    mine = parameters_of(name)
+    values = {parameter.name: parameter.default for parameter in mine.values()}
+    # rclpy has no other way to see what was given for names that are not declared.
+    for given, override in node._parameter_overrides.items():
+        if given in mine:
+            values[given] = mine[given].check(override.value)
+        else:
+            _check_known(given, {parameter.name for parameter in TABLE})
+    for parameter in mine.values():
+        value = values[parameter.name]
+        node.declare_parameter(
+            parameter.name,
+            value if parameter.element is None else list(value),
+            parameter.descriptor,
+            ignore_override=True,
+        )
+
+    def check(changes: list[rclpy.parameter.Parameter]) -> SetParametersResult:
+        try:
+            for change in changes:
+                if change.name in mine:
+                    mine[change.name].check(change.value)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def keep(changes: list[rclpy.parameter.Parameter]) -> None:
+        values.update({change.name: change.value for change in changes if change.name in mine})
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(keep)
+    return values
+
+
+def check_config(config: Mapping[str, Any]) -> None:
+    """
+    Check a parameter file as YAML loads it: ``{node: {'ros__parameters': {...}}}``.
+
+    Raises
+    ------
+    ValueError
+        If it is for an unknown node, or a parameter is unknown, of the wrong type or not allowed.
+
+    """
+    for section, content in config.items():
+        name = section.rsplit('/', 1)[-1]
+        if name not in (*NODES, '*', '**'):
+            raise ValueError(f'section {section!r} is for no node: known are {", ".join(NODES)}')
+        if not isinstance(content, Mapping) or set(content) != {'ros__parameters'}:
+            raise ValueError(f'section {section!r} must hold ros__parameters and nothing else')
+        nodes = (name,) if name in NODES else NODES
+        tables = [parameters_of(node) for node in nodes]
+        for given, value in _flattened(content['ros__parameters'] or {}):
+            _check_known(given, {known for table in tables for known in table})
+            for table in tables:
+                if given in table:
+                    table[given].check(value)
+
+
+def _check_known(name: str, known: set[str]) -> None:
+    if name not in known and name.split('.')[0] not in ROS_PARAMETERS:
+        raise ValueError(f'parameter {name} is unknown: known are {", ".join(sorted(known))}')
+
+
+def _flattened(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flattened(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', value
+
+
+def grid_of(values: Mapping[str, Any]) -> Grid:
+    """Return the grid that these parameters describe."""
+    return Grid(
+        width=values['grid.width'],
+        height=values['grid.height'],
+        base=values['grid.base'],
+        resolution=values['grid.resolution'],
+        origin=values['grid.origin'],
+        blocked=values['grid.blocked'],
+    )
+
+
+def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
+    """Return the sensor model that these parameters describe."""
+    return SensorModel(
+        lethality=values['sensor.lethality'],
+        malfunction=values['sensor.malfunction'],
+        false_negative=values['sensor.false_negative'],
+        true_positive=values['sensor.true_positive'],
+        false_positive=values['sensor.false_positive'],
+    )
+
+
+def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """
+    Return the names of the agents.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or two have one name.
+
+    """
+    agents: tuple[str, ...] = values['agents']
+    if not agents or len(set(agents)) < len(agents):
+        raise ValueError(
+            f'parameter agents is {list(agents)}: it must be one or more names, no two alike'
+        )
+    return agents
+
+
+def reference_page() -> str:
+    """Return the page that documents every parameter, in Markdown."""
+    lines = [
+        '# Parameters',
+        '',
+        'Printed by `python3 -m kbnitp_ros.nodes.parameters` from the table that the nodes use.',
+        'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
+        'says that it can be changed.',
+    ]
+    for name in NODES:
+        lines += [
+            '',
+            f'## {name}',
+            '',
+            '| parameter | default | must be | meaning |',
+            '|---|---|---|---|',
+        ]
+        for parameter in parameters_of(name).values():
+            must_be = ', '.join(filter(None, (parameter.kind, parameter.allowed)))
+            changeable = '' if parameter.read_only else ' Can be changed while the node runs.'
+            lines.append(
+                f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {must_be} '
+                f'| {parameter.description}{changeable} |'
+            )
+    return '\n'.join(lines) + '\n'
+
+
+if __name__ == '__main__':
+    print(reference_page(), end='')

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quality of service of every topic, and how the recorder meets that of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+# Fast DDS keeps at most 5000 samples of a topic unless a profile says otherwise: it accepts a
+# deeper history and then loses messages without a word.
+DEPTH = 5000
+
+# Paths and reports: who joins late gets the whole mission.
+EVIDENCE = QoSProfile(
+    depth=DEPTH,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Beliefs and maps, as REP-2003 has them: who joins late gets the newest.
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+DIAGNOSTICS = QoSProfile(depth=10)
+
+
+def lossless(offered: Sequence[QoSProfile]) -> QoSProfile:
+    """
+    Return the profile of a subscription that gets all that these publishers can give.
+
+    It asks for what every one of them offers, and keeps as much unread as it may.
+    """
+    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
+    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the four nodes have in common: how they start, run and end."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+import signal
+import sys
+import time
+
+from kbnitp_ros.nodes.diagnostics import Diagnostics
+from kbnitp_ros.nodes.parameters import declare
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
+from rclpy.utilities import remove_ros_args
+
+# In seconds: how long a signal may have to wait, and how often a node looks at the graph.
+SPIN = 0.2
+POLL = 0.05
+
+# The longest a publisher waits for a reader that may have died.
+FAREWELL = Duration(seconds=0.2)
+
+# What a user can cause: rclpy reports bad arguments as RuntimeError.
+START_ERRORS = (
+    ValueError,
+    OSError,
+    RuntimeError,
+    ParameterException,
+    NameValidationException,
+)
+
+
+class Shell(Node):
+    """
+    A node of the mission: its parameters and its diagnostics.
+
+    Attributes
+    ----------
+    values : dict
+        The parameters by name, kept up to date.
+    diagnostics : Diagnostics
+        What it has accepted and refused.
+
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.values = declare(self, name)
+        self.diagnostics = Diagnostics(self)
+
+    def now(self) -> int:
+        """Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started."""
+        return self.get_clock().now().nanoseconds
+
+    def create_poll(self, callback: Callable[[], None]) -> Timer:
+        """Call back every `POLL` seconds, also when simulated time stands still."""
+        return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Stay until what was published last has arrived: DDS drops it with the publisher."""
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(FAREWELL)
+
+
+def run(
+    name: str, make: Callable[[], Shell], args: Sequence[str] | None, linger: float = 0.0
+) -> int:
+    """
+    Run a node until SIGINT or SIGTERM and return the exit code of its process.
+
+    Parameters
+    ----------
+    name : str
+        The executable, which its messages on stderr begin with.
+    make : callable
+        Makes the node, once ROS is up; its docstring is the executable's help.
+    args : sequence of str, optional
+        The command line without the program; that of the process when None.
+    linger : float
+        How long the node still listens after the signal, in seconds.
+
+    Returns
+    -------
+    int
+        0 after a signal; 2 if the node could not start, 1 if it could not go on: then one line on
+        stderr says why.
+
+    """
+    arguments = list(sys.argv[1:] if args is None else args)
+    parser = argparse.ArgumentParser(
+        prog=name,
+        description=make.__doc__,
+        epilog='Parameters: --ros-args -p NAME:=VALUE, or --ros-args --params-file FILE.',
+    )
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: signals.append(received))
+    try:
+        parser.parse_args(remove_ros_args(arguments))
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = make()
+    except START_ERRORS as error:
+        rclpy.try_shutdown()
+        return _complain(name, error, 2)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        try:
+            while not signals:
+                executor.spin_once(timeout_sec=SPIN)
+            end = time.monotonic() + linger
+            while time.monotonic() < end:
+                executor.spin_once(timeout_sec=linger)
+        finally:
+            node.close()
+    except OSError as error:
+        return _complain(name, error, 1)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _complain(name: str, error: Exception, exit_code: int) -> int:
+    print(f'{name}: {" ".join(str(error).split())}', file=sys.stderr)
+    return exit_code

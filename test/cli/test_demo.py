@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo: a whole mission in four processes, and what it leaves behind."""
+
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
+from kbnitp_ros.log.history import read_history
+import numpy as np
+import pytest
+
+DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
+PATIENCE = 60.0
+
+
+def run_demo(*options):
+    return subprocess.run(
+        [*DEMO, *map(str, options)], capture_output=True, text=True, timeout=PATIENCE
+    )
+
+
+@pytest.fixture
+def running(tmp_path):
+    """Return a demo that has deployed some robots and has many more to go."""
+    process = subprocess.Popen(
+        [*DEMO, '--robots', '100000', '--size', '4', '--max-steps', '4', '--out', str(tmp_path)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    log = tmp_path / 'mission.mcap'
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        if log.exists() and log.stat().st_size > 100_000:
+            break
+        time.sleep(0.1)
+    yield process, log
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+def nodes_of(process):
+    """Return the processes that a demo started, by node."""
+    children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
+    commands = {child: Path(f'/proc/{child}/cmdline').read_text() for child in children}
+    return {
+        name: int(child)
+        for child, command in commands.items()
+        for name in re.findall(r'kbnitp_ros\0(\w+)', command)
+    }
+
+
+def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
+    out = tmp_path / 'made' / 'by demo'
+    done = run_demo(
+        '--robots', 12, '--lethality', 0.3, '--size', '5x4', '--max-steps', 8,
+        '--method', 'kappa_bnitp_published', '--planner', 'relaxed', '--seed', 3, '--out', out,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '/belief: 13 of 13 reproduced' in done.stdout
+    for name in ('maps.png', 'progress.png'):
+        assert (out / name).read_bytes().startswith(b'\x89PNG')
+
+    grid, model = Grid(5, 4), SensorModel(0.3)
+    rng = np.random.default_rng(3)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
+    method = 'kappa_bnitp_published'
+    expected = run_mission(
+        grid, prior, model, world, 12, rng, method, max_steps=8, planner='relaxed'
+    )
+    history = read_history(out / 'mission.mcap')
+    assert [o.path.tolist() for o in history.observations] == [
+        d.observation.path.tolist() for d in expected
+    ]
+    for recorded, deployment in zip(history.beliefs[1:], expected, strict=True):
+        assert np.array_equal(recorded.joint, deployment.belief.joint)
+    assert np.array_equal(history.world.hazard, world.hazard)
+    assert np.array_equal(history.world.target, world.target)
+
+    again = run_demo('--robots', 1, '--out', out)
+    assert again.returncode == 2
+    assert str(out) in again.stderr
+
+
+@pytest.mark.parametrize('options, complaint', [
+    (['--robots', '-1'], 'robots.*-1.*from 0'),
+    (['--lethality', '1.5'], r'lethality.*1\.5.*from 0'),
+    (['--lethality', 'nan'], 'lethality.*nan.*from 0'),
+    (['--size', '9x'], "--size.*'9x'"),
+    (['--size', '0'], 'grid.width.*0.*from 1'),
+    (['--method', 'magic'], 'method.*magic.*relaxed_itp.*kappa_bnitp_smoothed'),
+    (['--planner', 'magic'], 'planner.*magic.*relaxed.*beam'),
+    (['--max-steps', '0'], 'max_steps.*0.*from 1'),
+    (['--out', '/proc/here'], '/proc/here'),
+])  # fmt: skip
+def test_demo_refuses_what_cannot_be_before_it_starts_anything(tmp_path, options, complaint):
+    done = run_demo('--out', tmp_path / 'out', *options)
+    assert done.returncode == 2
+    assert re.fullmatch(f'demo: .*{complaint}.*\n', done.stderr), done.stderr
+    assert not (tmp_path / 'out').exists()
+
+
+def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
+    process, log = running
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert 'interrupted' in stderr
+    assert 'Traceback' not in stderr
+    replayed = subprocess.run(
+        [sys.executable, '-m', 'kbnitp_ros', 'replay', str(log)], capture_output=True, text=True
+    )
+    assert replayed.returncode == 0, replayed.stdout
+    assert 'unfinished' not in replayed.stdout
+
+
+@pytest.mark.parametrize('node', ['planner', 'agent', 'estimator', 'recorder'])
+def test_demo_fails_when_a_node_dies(running, node):
+    process, _ = running
+    nodes = nodes_of(process)
+    os.kill(nodes[node], signal.SIGKILL)
+    _, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert re.search(f'nodes ended early.*{node}.*-9', stderr)
+    assert not any(Path(f'/proc/{pid}').exists() for pid in nodes.values())

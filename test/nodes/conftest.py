@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real nodes in processes of their own, and a node in the test that talks to them over DDS."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes import qos
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+PATIENCE = 20.0  # seconds; nothing here takes a tenth of it unless it is broken
+
+
+class Field:
+    """A ROS domain with nodes as processes, and a node of the test's own."""
+
+    def __init__(self, processes, node, folder):
+        self.processes = processes
+        self.node = node
+        self.folder = folder
+        self.executor = SingleThreadedExecutor(context=node.context)
+        self.executor.add_node(node)
+        self._outputs = {}
+        self._diagnosed = {}
+        self._diagnosed_at = {}
+        self._namespaces = set()
+
+    def start(self, name, parameters=None, namespace='/'):
+        """Start a node and return its process."""
+        full_name = f'{namespace.rstrip("/")}/{name}'
+        self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'
+        if namespace not in self._namespaces:
+            self._namespaces.add(namespace)
+            self.node.create_subscription(
+                DiagnosticArray,
+                f'{namespace.rstrip("/")}/diagnostics',
+                self._keep_diagnostics,
+                qos.DIAGNOSTICS,
+            )
+        with self._outputs[full_name].open('ab') as output:
+            return self.processes.start(name, parameters, namespace=namespace, output=output)
+
+    def start_mission(self, parameters, namespace='/', log=None):
+        """Start the nodes of a mission, all with these parameters; without a log no recorder."""
+        prefix = namespace.rstrip('/')
+        recorders = 0 if log is None else 1
+        if recorders:
+            self.start('recorder', {**parameters, 'file': str(log)}, namespace)
+        beliefs = 1 + recorders + self._own_subscriptions(f'{prefix}/belief')
+        reports = 2 + recorders + self._own_subscriptions(f'{prefix}/scout_1/report')
+        paths = 2 + recorders + self._own_subscriptions(f'{prefix}/scout_1/path')
+        self.start('estimator', {**parameters, 'await_subscribers': beliefs}, namespace)
+        self.start('agent', {**parameters, 'await_subscribers': reports}, namespace)
+        self.start('planner', {**parameters, 'await_subscribers': paths}, namespace)
+
+    def _own_subscriptions(self, topic):
+        return sum(each.topic_name == topic for each in self.node.subscriptions)
+
+    def said(self, full_name):
+        """Return what a node wrote to its terminal."""
+        return self._outputs[full_name].read_text()
+
+    def _keep_diagnostics(self, array):
+        for status in array.status:
+            self._diagnosed[status.name] = status
+            self._diagnosed_at[status.name] = from_stamp(array.header.stamp)
+
+    def diagnosed(self, full_name):
+        """Return the newest diagnostics of a node; an empty one before the first."""
+        return self._diagnosed.get(full_name, DiagnosticStatus())
+
+    def diagnosed_at(self, full_name):
+        """Return the ROS time of the newest diagnostics of a node, in nanoseconds."""
+        return self._diagnosed_at.get(full_name)
+
+    def state(self, full_name):
+        """Return what a node says it does; an empty text before the first diagnostics."""
+        values = {value.key: value.value for value in self.diagnosed(full_name).values}
+        return values.get('state', '')
+
+    def count(self, full_name, key):
+        """Return a number from the newest diagnostics of a node; -1 before the first."""
+        values = {value.key: value.value for value in self.diagnosed(full_name).values}
+        return int(values.get(key, -1))
+
+    def listen(self, kind, topic, *, volatile=False):
+        """Subscribe, and return the list that the messages go to."""
+        messages = []
+        durability = DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL
+        profile = QoSProfile(depth=1000, durability=durability)
+        self.node.create_subscription(kind, topic, messages.append, profile)
+        return messages
+
+    def talk(self, kind, topic, profile=qos.EVIDENCE):
+        """Return a publisher, once somebody listens to it."""
+        publisher = self.node.create_publisher(kind, topic, profile)
+        self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
+        return publisher
+
+    def until(self, condition, what, patience=PATIENCE):
+        """Handle messages until something holds; no node may end meanwhile."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            states = {name: self.state(name) for name in self._diagnosed}
+            assert time.monotonic() < deadline, f'no {what} within {patience} s: {states}'
+            for name in self.processes.ended():
+                pytest.fail(f'{name} ended while there was no {what}: {self.said(name)}')
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def until_refused(self, full_name, times):
+        """Handle messages until a node has refused so many, and return its words on the last."""
+        self.until(lambda: self.count(full_name, 'refused') >= times, f'refusal {times}')
+        status = self.diagnosed(full_name)
+        assert self.count(full_name, 'refused') == times
+        assert status.level == DiagnosticStatus.WARN
+        return status.message
+
+
+@pytest.fixture
+def field(tmp_path, monkeypatch):
+    """Provide a domain that nobody else uses; all that was started on it must end well."""
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        for name, value in environment(domain).items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
+        context = rclpy.Context()
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        stack.callback(context.try_shutdown)
+        node = rclpy.create_node('test', context=context, namespace='/test')
+        stack.callback(node.destroy_node)
+        field = Field(stack.enter_context(Processes(domain)), node, tmp_path)
+        yield field
+        ended_before = field.processes.ended()
+        for name, code in field.processes.stop().items():
+            assert name in ended_before or code == 0, f'{name} ended with {code}'
+            assert 'Traceback' not in field.said(name), field.said(name)

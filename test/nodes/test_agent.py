@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated agent traverses sound paths, each once, and keeps its world to itself."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.core import Grid, Report, SensorModel, World
+from kbnitp_ros.messages.deployments import path_message, read_report
+from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+from samples import BAD_PATHS, FIELD, GRID, HOME, key, path
+from visualization_msgs.msg import Marker
+
+PARAMETERS = {**FIELD, 'await_subscribers': 1, 'seed': 11}
+
+
+def expected_reports(world, model, seed, paths):
+    """Return what becomes of robots sent along these paths, by core alone."""
+    rng = np.random.default_rng(seed)
+    if world is None:
+        world = World.random(GRID, rng, 0.15, 0.8, 0.1)
+    for cells in paths:
+        observation = world.traverse(cells, model, rng.spawn(1)[0])
+        readings = () if observation.readings is None else observation.readings.tolist()
+        yield Report(observation.survived, tuple(zip(cells[1:], readings)))
+
+
+def test_each_path_is_traversed_once_and_bad_ones_never(field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    field.start('agent', PARAMETERS)
+    paths = field.talk(Path, '/scout_1/path')
+    refused = 0
+    for message, told in [case for case in BAD_PATHS if 'differs' not in case[1]]:
+        paths.publish(message)
+        refused += 1
+        assert told in field.until_refused('/agent', refused)
+    tours = [HOME, [0, 4, 8, 4, 0], [0, 0, 1, 0], HOME, [0, 1, 0]]
+    for number, cells in enumerate(tours):
+        paths.publish(path(number, cells))
+        paths.publish(path(number, cells))
+    paths.publish(path(0, [0, 0]))
+    assert 'along another path: the first holds' in field.until_refused('/agent', refused + 1)
+    field.until(lambda: len(reports) == len(tours), 'last report')
+    assert field.count('/agent', 'accepted') == len(tours)
+    expected = expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours)
+    for number, (report, outcome) in enumerate(zip(reports, expected)):
+        assert read_report(report) == (key(number), outcome)
+
+
+def test_a_world_from_a_file_is_shown_only_on_request(field):
+    file = field.folder / 'world.yaml'
+    file.write_text('hazard: [..x., ...., ....]\ntarget: [x..., ...x, .x..]')
+    maps = {name: field.listen(OccupancyGrid, f'/truth/{name}') for name in ('hazard', 'target')}
+    hidden = {name: field.listen(OccupancyGrid, f'/b/truth/{name}') for name in maps}
+    readings = field.listen(Marker, '/scout_1/readings')
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    sure = {
+        'sensor.malfunction': 0.0,
+        'sensor.false_positive': 0,
+        'sensor.true_positive': 1,
+        'sensor.lethality': 1,
+        'sensor.false_negative': 0,
+    }
+    parameters = {**PARAMETERS, **sure, 'world.file': str(file)}
+    field.start('agent', {**parameters, 'publish_truth': True})
+    field.start('agent', {**parameters, 'await_subscribers': 0}, '/b')
+    field.until(lambda: all(maps.values()), 'truth')
+    assert list(maps['hazard'][0].data) == [0] * 5 + [-1] + [0] * 4 + [100, 0]
+    assert list(maps['target'][0].data) == [0, 100, 0, 0, 0, -1, 0, 100, 100, 0, 0, 0]
+
+    paths = field.talk(Path, '/scout_1/path')
+    paths.publish(path(1, [0, 1, 2, 1, 0]))
+    paths.publish(path(2, [0, 4, 9, 10, 6, 1, 0]))
+    field.until(lambda: len(reports) == 2 and readings, 'reports and readings')
+    seen = ((1, True), (2, False), (1, True), (0, False))
+    assert read_report(reports[0]) == (key(1), Report(True, seen))
+    assert read_report(reports[1]) == (key(2), Report(False))
+    (marker,) = readings
+    assert marker.header == reports[0].header
+    assert [(point.x, point.y) for point in marker.points] == [
+        (1.5, 0.5),
+        (2.5, 0.5),
+        (1.5, 0.5),
+        (0.5, 0.5),
+    ]
+    assert marker.colors[0] == marker.colors[2] != marker.colors[1] == marker.colors[3]
+
+    field.until(lambda: field.diagnosed('/b/agent').values, 'diagnostics of the other agent')
+    assert not field.node.count_publishers('/b/truth/hazard')
+    assert not any(hidden.values())
+
+
+def test_the_grid_may_lie_anywhere(field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    lies = {'grid.resolution': 0.05, 'grid.origin': [-7.3, 11.1]}
+    field.start('agent', {**PARAMETERS, **lies})
+    grid = Grid(4, 3, resolution=0.05, origin=(-7.3, 11.1), blocked=[5])
+    tours = [[0, 1, 2, 3, 7, 6, 1], [0, 4, 8, 9, 4, 0]]
+    paths = field.talk(Path, '/scout_1/path')
+    paths.publish(path_message(grid, tours[0][:3] + tours[0][2::-1], 1))
+    paths.publish(path_message(grid, tours[1], 2))
+    field.until(lambda: len(reports) == 2, 'both reports')
+    assert field.count('/agent', 'refused') <= 0

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator takes in what is sound, once, and refuses the rest."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
+from kbnitp_ros.core import Belief, Observation, SensorModel, update
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+import pytest
+from samples import BAD_PATHS, changed, FIELD, GRID, HOME, in_frame, lost, path, returned
+
+PARAMETERS = {**FIELD, 'await_subscribers': 1, 'agents': ['scout_1', 'scout_2']}
+PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
+MODEL = SensorModel(0.5)
+
+
+@pytest.fixture
+def estimator(field):
+    """Start an estimator and give the test its topics."""
+    field.beliefs = field.listen(BeliefMaps, '/belief')
+    field.start('estimator', PARAMETERS)
+    field.paths = field.talk(Path, '/scout_1/path')
+    field.reports = field.talk(DeploymentReport, '/scout_1/report')
+    field.until(lambda: field.beliefs, 'prior')
+    return field
+
+
+def until_held(field, deployments):
+    """Wait for the belief that holds so many deployments, and return its joint."""
+    field.until(lambda: field.beliefs[-1].deployments == deployments, f'belief {deployments}')
+    return read_belief_maps(field.beliefs[-1]).belief.joint
+
+
+def test_beliefs_and_maps_have_one_stamp(estimator):
+    names = ('hazard', 'target', 'kappa')
+    maps = {name: estimator.listen(OccupancyGrid, f'/belief/{name}') for name in names}
+    estimator.paths.publish(path(1))
+    estimator.reports.publish(returned(1))
+    joint = until_held(estimator, 1)
+    estimator.until(lambda: all(m[-1:] and m[-1].data[1] != 50 for m in maps.values()), 'maps')
+    expected = update(PRIOR, MODEL, Observation(HOME, True, [True, False, True, False]))
+    assert joint.tobytes() == expected.joint.tobytes()
+    for name, shown in maps.items():
+        assert shown[-1].header == estimator.beliefs[-1].header
+        assert shown[-1].data[5] == -1
+        percent = np.rint(100 * getattr(expected, name))
+        assert [p for p in shown[-1].data if p >= 0] == percent[GRID.free].tolist()
+
+
+def test_a_report_waits_for_its_path_and_is_shown_waiting(estimator):
+    estimator.reports.publish(lost(1))
+    estimator.until(lambda: estimator.count('/estimator', 'waiting') == 1, 'waiting report')
+    assert estimator.count('/estimator', 'refused') == 0
+    assert len(estimator.beliefs) == 1
+    estimator.paths.publish(path(1))
+    joint = until_held(estimator, 1)
+    assert joint.tobytes() == update(PRIOR, MODEL, Observation(HOME, False)).joint.tobytes()
+    estimator.until(lambda: estimator.count('/estimator', 'waiting') == 0, 'end of waiting')
+
+
+def test_what_comes_twice_counts_once(estimator):
+    for _ in range(3):
+        estimator.paths.publish(path(1))
+        estimator.reports.publish(lost(1))
+    estimator.until(lambda: estimator.count('/estimator', 'accepted') == 6, 'six messages')
+    assert estimator.count('/estimator', 'refused') == 0
+    assert [belief.deployments for belief in estimator.beliefs] == [0, 1]
+
+
+BAD_REPORTS = [
+    (in_frame(returned(3), ''), "header.frame_id is '': it must be 'map'"),
+    (changed(returned(3), agent=''), "agent is ''"),
+    (changed(returned(3), agent='scout_2'), "agent is 'scout_2': on this topic it must be"),
+    (changed(returned(3), agent='nobody'), "agent is 'nobody': on this topic it must be"),
+    (changed(returned(3), readings=returned(3).readings[:-1]), 'one for each of the 4 steps'),
+    (changed(returned(3), readings=[]), 'one for each of the 4 steps'),
+    (changed(returned(3), readings=[TargetReading(cell=9)] * 4), 'one for each of the 4 steps'),
+    (changed(returned(3), survived=False), 'lost brings none'),
+    (lost(1), 'is known and differs'),
+    (changed(returned(1), readings=returned(1).readings[::-1]), 'is known and differs'),
+]
+
+
+def test_bad_input_is_refused_counted_and_changes_nothing(estimator):
+    estimator.paths.publish(path(1))
+    estimator.reports.publish(returned(1))
+    estimator.paths.publish(path(3))
+    before = until_held(estimator, 1)
+    refused = 0
+    for publisher, cases in ((estimator.paths, BAD_PATHS), (estimator.reports, BAD_REPORTS)):
+        for message, told in cases:
+            publisher.publish(message)
+            refused += 1
+            assert told in estimator.until_refused('/estimator', refused)
+    assert len(estimator.beliefs) == 2
+    estimator.reports.publish(lost(3))
+    after = until_held(estimator, 2)
+    expected = update(Belief(before), MODEL, Observation(HOME, False))
+    assert after.tobytes() == expected.joint.tobytes()
+    assert refused == estimator.count('/estimator', 'refused')
+
+
+def test_an_outcome_that_cannot_be_is_refused(field):
+    field.beliefs = field.listen(BeliefMaps, '/belief')
+    field.start('estimator', {**PARAMETERS, 'sensor.malfunction': 0.0, 'prior.hazard': 0.0})
+    paths = field.talk(Path, '/scout_1/path')
+    reports = field.talk(DeploymentReport, '/scout_1/report')
+    paths.publish(path(1))
+    reports.publish(lost(1))
+    assert 'impossible' in field.until_refused('/estimator', 1)
+    reports.publish(returned(1))
+    assert np.isfinite(until_held(field, 1)).all()

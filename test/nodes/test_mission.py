@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission of four processes is the mission that core runs, bit for bit."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import Belief, run_mission, World
+from kbnitp_ros.log.reader import read_log
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_path, read_report
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes.parameters import grid_of, sensor_model_of, TABLE
+from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+import rosgraph_msgs.msg
+
+MAPS = ('hazard', 'target', 'kappa')
+
+SMALL = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8}
+ODD = {
+    'grid.width': 6,
+    'grid.height': 5,
+    'grid.base': 14,
+    'grid.resolution': 0.1,
+    'grid.origin': [-1.3, 2.7],
+    'grid.blocked': [7, 8, 22],
+    'max_steps': 11,
+    'sensor.lethality': 0.8,
+    'prior.hazard': 0.3,
+    'method': 'kappa_bnitp_published',
+    'beam_width': 4,
+    'max_visits': 2,
+}
+
+
+def listen(field, namespace):
+    """Return what a mission's paths, reports and beliefs will be."""
+    return (
+        field.listen(Path, f'{namespace}/scout_1/path'),
+        field.listen(DeploymentReport, f'{namespace}/scout_1/report'),
+        field.listen(BeliefMaps, f'{namespace}/belief'),
+    )
+
+
+def wait_for_end(field, parameters, heard):
+    """Wait until a mission has made all its deployments."""
+    paths, reports, beliefs = heard
+    robots = parameters['robots']
+    field.until(
+        lambda: min(len(paths), len(reports), len(beliefs) - 1) >= robots, 'end', patience=60
+    )
+
+
+def core_mission(parameters):
+    """Return the deployments of the mission with these parameters, made by core alone."""
+    values = {parameter.name: parameter.default for parameter in TABLE} | parameters
+    grid = grid_of(values)
+    model = sensor_model_of(values)
+    rng = np.random.default_rng(values['seed'])
+    world = World.random(
+        grid,
+        rng,
+        values['world.hazard_density'],
+        values['world.kappa'],
+        values['world.target_background'],
+    )
+    prior = Belief.prior(
+        grid, values['prior.hazard'], values['prior.target'], values['prior.kappa']
+    )
+    return run_mission(
+        grid,
+        prior,
+        model,
+        world,
+        values['robots'],
+        rng,
+        values['method'],
+        max_steps=values['max_steps'],
+        planner=values['planner'],
+        width=values['beam_width'],
+        max_visits=values['max_visits'],
+    )
+
+
+def assert_is_core_mission(parameters, paths, reports, beliefs):
+    """See that a mission's messages are what core makes of the same parameters."""
+    expected = core_mission(parameters)
+    assert len(paths) == len(reports) == len(expected)
+    assert [message.deployments for message in beliefs] == list(range(len(expected) + 1))
+    grid = read_belief_maps(beliefs[0]).grid
+    for path, report, belief, deployment in zip(paths, reports, beliefs[1:], expected):
+        key, cells = read_path(grid, 'scout_1', path)
+        assert cells.tolist() == deployment.plan.path.tolist()
+        reported, outcome = read_report(report)
+        assert reported == key
+        assert outcome.survived == deployment.observation.survived
+        assert read_belief_maps(belief).newest == key
+        for name in (*MAPS, 'joint'):
+            ours, core = getattr(belief, name), getattr(deployment.belief, name)
+            assert np.asarray(ours).tobytes() == core.tobytes(), (belief.deployments, name)
+
+
+@pytest.mark.parametrize(
+    'parameters',
+    [{'seed': 3, 'robots': 40}, {**ODD, 'seed': 4, 'robots': 25}],
+    ids=['default', 'odd'],
+)
+def test_every_belief_is_that_of_core_also_on_record(field, parameters):
+    log = field.folder / 'mission.mcap'
+    paths, reports, beliefs = heard = listen(field, '/m')
+    field.start_mission(parameters, '/m', log)
+    wait_for_end(field, parameters, heard)
+    assert_is_core_mission(parameters, *heard)
+    assert set(field.processes.stop().values()) == {0}
+    recorded = {}
+    for logged in read_log(log):
+        recorded.setdefault(logged.topic, []).append(logged.message)
+    assert len(recorded['/m/scout_1/path']) == len(paths)
+    assert len(recorded['/m/scout_1/report']) == len(reports)
+    assert len(recorded['/m/belief']) == len(beliefs)
+    for name in MAPS:
+        assert len(recorded[f'/m/belief/{name}']) == len(beliefs)
+    assert '/m/scout_1/readings' in recorded
+    assert '/m/diagnostics' in recorded
+    assert not any('truth' in topic or '/test' in topic for topic in recorded)
+    report = replay(log)
+    assert report.finished
+    assert report.reproduced
+    assert report.compared['/m/belief'] == len(beliefs)
+
+
+def test_missions_in_two_namespaces_do_not_meet(field):
+    missions = {'/a': {**SMALL, 'seed': 1, 'robots': 10}, '/b': {**SMALL, 'seed': 2, 'robots': 8}}
+    heard = {namespace: listen(field, namespace) for namespace in missions}
+    for namespace, parameters in missions.items():
+        field.start_mission(parameters, namespace, field.folder / f'{namespace[1:]}.mcap')
+    for namespace, parameters in missions.items():
+        wait_for_end(field, parameters, heard[namespace])
+        assert_is_core_mission(parameters, *heard[namespace])
+    field.processes.stop()
+    for namespace in missions:
+        log = field.folder / f'{namespace[1:]}.mcap'
+        assert all(logged.topic.startswith(f'{namespace}/') for logged in read_log(log))
+        assert replay(log).reproduced
+
+
+def test_the_same_seed_gives_the_same_deployments(field):
+    parameters = {**SMALL, 'seed': 5, 'robots': 12}
+    heard = {}
+    for namespace in ('/first', '/second'):
+        heard[namespace] = listen(field, namespace)
+        field.start_mission(parameters, namespace)
+    for messages in heard.values():
+        wait_for_end(field, parameters, messages)
+
+    def made(namespace):
+        paths, reports, beliefs = heard[namespace]
+        return (
+            [[(p.pose.position.x, p.pose.position.y) for p in path.poses] for path in paths],
+            [(report.survived, report.readings) for report in reports],
+            [belief.joint for belief in beliefs],
+        )
+
+    assert made('/first') == made('/second')
+
+
+def set_parameter(field, node, name, value):
+    """Change a parameter of a running node as `ros2 param set` does."""
+    client = field.node.create_client(SetParameters, f'{node}/set_parameters')
+    field.until(client.service_is_ready, f'{node}/set_parameters')
+    wanted = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
+    future = client.call_async(request)
+    field.until(future.done, 'answer to set_parameters')
+    return future.result().results[0]
+
+
+def test_viewers_see_all_maps(field):
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    field.start_mission({**SMALL, 'robots': 3}, '/m')
+    field.until(lambda: beliefs and beliefs[-1].deployments == 3, 'third belief')
+
+    late = {name: field.listen(OccupancyGrid, f'/m/belief/{name}') for name in MAPS}
+    field.until(lambda: all(late.values()), 'map for the late viewer', patience=1.0)
+    assert all(len(maps) == 1 for maps in late.values())
+
+    volatile = {
+        name: field.listen(OccupancyGrid, f'/m/belief/{name}', volatile=True) for name in MAPS
+    }
+    topics = [f'/m/belief/{name}' for name in MAPS]
+    field.until(
+        lambda: all(field.node.count_subscribers(topic) == 2 for topic in topics), 'both viewers'
+    )
+    assert set_parameter(field, '/m/planner', 'robots', 4).successful
+    field.until(lambda: all(volatile.values()), 'map for the volatile viewer', patience=2.0)
+    assert beliefs[-1].deployments == 4
+    for name in MAPS:
+        (shown,) = volatile[name]
+        assert shown.header == beliefs[-1].header
+        percent = np.rint(100 * np.asarray(getattr(beliefs[-1], name)))
+        assert list(shown.data) == percent.tolist()
+    assert not set_parameter(field, '/m/planner', 'grid.width', 4).successful
+    assert not set_parameter(field, '/m/planner', 'robots', -4).successful
+
+
+def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
+    paths, _, beliefs = heard = listen(field, '')
+    parameters = {**SMALL, 'robots': 6}
+    field.start_mission({**parameters, 'use_sim_time': True})
+
+    field.until(lambda: field.state('/planner') == 'waiting for the clock', 'wait for the clock')
+    assert not paths
+    now = [100]
+    clock = field.node.create_publisher(rosgraph_msgs.msg.Clock, '/clock', 1)
+
+    def tick():
+        message = rosgraph_msgs.msg.Clock()
+        message.clock.sec = now[0]
+        clock.publish(message)
+
+    field.node.create_timer(0.02, tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    wait_for_end(field, parameters, heard)
+    now[0] = 40
+    for name in ('/planner', '/estimator'):
+        field.until(lambda name=name: field.diagnosed_at(name) == 40 * 10**9, 'jump back in time')
+    parameters['robots'] = 12
+    assert set_parameter(field, '/planner', 'robots', 12).successful
+    wait_for_end(field, parameters, heard)
+    stamps = [from_stamp(path.header.stamp) for path in paths]
+    assert stamps == [100 * 10**9 + k for k in range(12)]
+    assert from_stamp(beliefs[-1].header.stamp) == 40 * 10**9
+    assert_is_core_mission(parameters, *heard)

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One table of parameters: what is declared, refused, documented and configured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kbnitp_ros.core import METHODS, PLANNERS
+from kbnitp_ros.nodes.parameters import (
+    agents_of,
+    check_config,
+    declare,
+    grid_of,
+    NODES,
+    parameters_of,
+    reference_page,
+    sensor_model_of,
+    TABLE,
+)
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+import yaml
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def make_node():
+    """Make nodes that are given parameters as on a command line."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    nodes = []
+
+    def make(**overrides):
+        given = [Parameter(name, value=value) for name, value in overrides.items()]
+        nodes.append(Node('given', context=context, parameter_overrides=given))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def test_every_row_is_complete_and_its_default_is_allowed():
+    for parameter in TABLE:
+        assert parameter.check(parameter.default) == parameter.default
+        assert parameter.description.endswith('.')
+        assert set(parameter.nodes) <= set(NODES)
+    for name in NODES:
+        rows = [parameter for parameter in TABLE if name in parameter.nodes]
+        assert len(rows) == len(parameters_of(name))
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_nodes_declare_the_table(make_node, name):
+    node = make_node()
+    values = declare(node, name)
+    for parameter in parameters_of(name).values():
+        assert values[parameter.name] == parameter.default
+        descriptor = node.describe_parameter(parameter.name)
+        assert descriptor.description == parameter.description
+        assert descriptor.read_only == parameter.read_only
+        ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
+        limits = [(each.from_value, each.to_value) for each in ranges]
+        assert limits == ([parameter.limits] if parameter.limits else [])
+
+
+@pytest.mark.parametrize(
+    'overrides, told',
+    [
+        ({'sensor.lethality': 1.5}, 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
+        ({'sensor.lethality': float('nan')}, 'sensor.lethality is nan: it must be from 0.0'),
+        ({'sensor.lethality': 'high'}, "sensor.lethality is 'high': it must be a number"),
+        ({'sensor.lethality': True}, 'sensor.lethality is True: it must be a number'),
+        ({'grid.width': 9.0}, 'grid.width is 9.0: it must be a whole number'),
+        ({'grid.width': 0}, 'grid.width is 0: it must be from 1 to 1000'),
+        ({'grid.origin': 3.0}, 'grid.origin is 3.0: it must be a list, each a number'),
+        ({'grid.origin': 'ab'}, "grid.origin is 'ab': it must be a list, each a number"),
+        ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
+        ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
+        ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
+        ({'lethality': 0.5}, 'lethality is unknown: known are agent, agents,'),
+    ],
+    ids=lambda case: str(case)[:40],
+)
+def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
+    with pytest.raises(ValueError) as refusal:
+        declare(make_node(**overrides), 'estimator')
+    assert told in str(refusal.value)
+
+
+@pytest.mark.parametrize('agents', [(), ('a', 'b', 'a')])
+def test_agents_have_names_of_their_own(agents):
+    with pytest.raises(ValueError, match='no two alike'):
+        agents_of({'agents': agents})
+
+
+def test_whole_numbers_are_numbers(make_node):
+    values = declare(make_node(**{'sensor.lethality': 1, 'grid.origin': [1, -2]}), 'planner')
+    assert values['sensor.lethality'] == 1.0
+    assert grid_of(values).origin == (1.0, -2.0)
+    assert sensor_model_of(values).lethality == 1.0
+
+
+def test_an_empty_list_from_a_file_is_a_list(make_node):
+    node = make_node()
+    node._parameter_overrides['grid.blocked'] = Parameter('grid.blocked')
+    assert declare(node, 'planner')['grid.blocked'] == ()
+    assert node.get_parameter('grid.blocked').value == []
+
+
+def test_parameters_of_other_nodes_and_of_ros_are_passed_over(make_node):
+    node = make_node(**{'seed': 3, 'use_sim_time': True, 'qos_overrides./a.publisher.depth': 2})
+    assert 'seed' not in declare(node, 'planner')
+
+
+def test_values_follow_changes(make_node):
+    node = make_node()
+    values = declare(node, 'planner')
+    (result,) = node.set_parameters([Parameter('robots', value=7)])
+    assert result.successful
+    assert values['robots'] == 7
+
+
+@pytest.mark.parametrize(
+    'name, value, told',
+    [
+        ('grid.width', 5, 'read-only'),
+        ('robots', -1, 'out of range'),
+        ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
+        ('beam_width', 2.5, 'type'),
+    ],
+)
+def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, told):
+    node = make_node()
+    values = declare(node, 'planner')
+    before = dict(values)
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert not result.successful
+    assert told in result.reason
+    assert values == before
+
+
+@pytest.mark.parametrize(
+    'config, told',
+    [
+        ({'planer': {'ros__parameters': {}}}, "'planer' is for no node: known are planner, agent"),
+        ({'planner': {'robots': 3}}, "'planner' must hold ros__parameters"),
+        ({'planner': {'ros__parameters': {'seed': 3}}}, 'seed is unknown: known are agents, '),
+        (
+            {'/**': {'ros__parameters': {'sensor': {'lethal': 1.0}}}},
+            'sensor.lethal is unknown',
+        ),
+        ({'/**': {'ros__parameters': {'seed': 'x'}}}, "seed is 'x': it must be a whole number"),
+        ({'/a/agent': {'ros__parameters': {'seed': -1}}}, 'seed is -1: it must be from 0'),
+    ],
+    ids=lambda case: str(case)[:40],
+)
+def test_a_bad_configuration_is_refused(config, told):
+    with pytest.raises(ValueError) as refusal:
+        check_config(config)
+    assert told in str(refusal.value)
+
+
+def test_the_shipped_configuration_has_every_parameter_as_it_is():
+    config = yaml.safe_load(ROOT.joinpath('config/mission.yaml').read_text())
+    check_config(config)
+    for name in NODES:
+        given = {}
+        for section, content in config.items():
+            if section.rsplit('/', 1)[-1] in ('*', '**', name):
+                given |= flattened(content['ros__parameters'])
+        assert set(parameters_of(name)) <= set(given), name
+
+
+def flattened(tree, prefix=''):
+    """Return the leaves of nested mappings by their dotted names."""
+    leaves = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            leaves |= flattened(value, f'{prefix}{key}.')
+        else:
+            leaves[f'{prefix}{key}'] = value
+    return leaves
+
+
+def test_the_reference_page_is_up_to_date():
+    page = ROOT.joinpath('docs/parameters.md').read_text()
+    assert page == reference_page(), 'python3 -m kbnitp_ros.nodes.parameters > docs/parameters.md'

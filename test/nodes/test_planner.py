@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planner sends one robot at a time, on the belief given all before it."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    Observation,
+    plan,
+    SensorModel,
+)
+from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.deployments import read_path, read_report, report_message
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path
+from samples import changed, in_frame
+
+GRID = Grid(3, 3)
+MODEL = SensorModel(0.5)
+PARAMETERS = {'grid.width': 3, 'grid.height': 3, 'max_steps': 4, 'await_subscribers': 1}
+
+
+class Mission:
+    """A planner, and the test in place of the agent and the estimator."""
+
+    def __init__(self, field, parameters):
+        self.field = field
+        self.paths = field.listen(Path, '/scout_1/path')
+        self.beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
+        self.reports = field.node.create_publisher(
+            DeploymentReport, '/scout_1/report', qos.EVIDENCE
+        )
+        field.start('planner', {**PARAMETERS, **parameters})
+        field.until(lambda: self.beliefs.get_subscription_count(), 'reader of belief')
+        self.ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
+
+    def show_belief(self):
+        """Publish the belief as it is."""
+        self.beliefs.publish(belief_maps(self.ledger, 0))
+
+    def lose(self, number):
+        """Report a deployment's robot lost, and take that into the belief."""
+        key, cells = read_path(GRID, 'scout_1', self.paths[number])
+        report = report_message(key, Observation(cells, False), 0)
+        self.ledger.record_path(key, cells)
+        self.ledger.record_report(*read_report(report))
+        return report
+
+    def until_sent(self, number):
+        """Wait for a path, and return its cells."""
+        self.field.until(lambda: len(self.paths) == number + 1, f'path {number}')
+        return read_path(GRID, 'scout_1', self.paths[number])[1].tolist()
+
+    def until_state(self, words):
+        """Wait until the planner says what it does with these words."""
+        self.field.until(lambda: words in self.field.state('/planner'), words)
+
+    def planned(self):
+        """Return the path to plan on the belief as it is."""
+        return plan(GRID, self.ledger.belief, MODEL, 4).path.tolist()
+
+
+def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
+    mission = Mission(field, {'robots': 3})
+    mission.until_state('waiting for the belief')
+    mission.show_belief()
+    assert mission.until_sent(0) == mission.planned()
+
+    report = mission.lose(0)
+    mission.show_belief()
+    mission.until_state('to be reported and believed')
+    assert len(mission.paths) == 1
+    mission.reports.publish(report)
+    assert mission.until_sent(1) == mission.planned()
+
+    report = mission.lose(1)
+    mission.reports.publish(report)
+    mission.reports.publish(report)
+    mission.until_state('to be reported and believed')
+    assert len(mission.paths) == 2
+    mission.show_belief()
+    assert mission.until_sent(2) == mission.planned()
+
+    mission.reports.publish(mission.lose(2))
+    mission.show_belief()
+    mission.until_state('done: 3 of 3 robots deployed')
+    assert len(mission.paths) == 3
+
+
+def test_an_estimator_that_starts_over_is_waited_for(field):
+    mission = Mission(field, {'robots': 3})
+    prior = belief_maps(mission.ledger, 0)
+    mission.show_belief()
+    mission.until_sent(0)
+    mission.reports.publish(mission.lose(0))
+    mission.show_belief()
+    mission.until_sent(1)
+    mission.reports.publish(mission.lose(1))
+    mission.beliefs.publish(prior)
+    mission.until_state('to be reported and believed')
+    assert len(mission.paths) == 2
+    mission.show_belief()
+    assert mission.until_sent(2) == mission.planned()
+
+
+def test_the_first_path_waits_for_its_readers(field):
+    mission = Mission(field, {'await_subscribers': 2})
+    mission.show_belief()
+    mission.until_state('waiting for subscriptions to paths: 1 of 2')
+    assert not mission.paths
+    field.listen(Path, '/scout_1/path')
+    mission.until_sent(0)
+
+
+def test_bad_beliefs_are_refused_and_counted(field):
+    mission = Mission(field, {})
+    prior = belief_maps(mission.ledger, 0)
+    wider = belief_maps(
+        Ledger(Grid(4, 3), 4, Estimator(Belief.prior(Grid(4, 3), 0.5, 0.45, 0.8), MODEL)), 0
+    )
+    cases = [
+        (in_frame(prior, 'odom'), "header.frame_id is 'odom': it must be 'map'"),
+        (wider, 'it is on Grid(width=4'),
+        (changed(prior, base=4), 'base=4'),
+        (changed(prior, base=9), 'base is 9'),
+        (changed(prior, blocked=[0]), 'base is 0'),
+        (changed(prior, max_steps=3), 'max_steps is 3'),
+        (changed(prior, joint=prior.joint[:-4]), 'joint has 32 values'),
+        (changed(prior, joint=[0.3] * 36), 'joint of cell 0'),
+        (changed(prior, joint=[float('nan')] * 36), 'joint of cell 0'),
+        (changed(prior, lethality=1.5), 'lethality is 1.5'),
+        (changed(prior, deployments=2), "agent is ''"),
+    ]
+    for count, (message, told) in enumerate(cases, start=1):
+        mission.beliefs.publish(message)
+        assert told in field.until_refused('/planner', count)
+    assert not mission.paths
+    unnamed = report_message(DeploymentKey('', 0), Observation([0, 0], False), 0)
+    mission.reports.publish(unnamed)
+    assert "agent is ''" in field.until_refused('/planner', len(cases) + 1)
+    mission.show_belief()
+    assert mission.until_sent(0) == mission.planned()
+
+
+def test_a_mission_may_be_empty(field):
+    mission = Mission(field, {'robots': 0})
+    mission.show_belief()
+    mission.until_state('done: 0 of 0 robots deployed')
+    assert not mission.paths

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the nodes start, are seen and end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+from kbnitp_ros.log.reader import is_finished
+from kbnitp_ros.nodes.parameters import NODES
+import pytest
+
+
+def run(*arguments):
+    """Run a command of the package that ends by itself."""
+    return subprocess.run(
+        [sys.executable, '-m', 'kbnitp_ros', *arguments],
+        capture_output=True,
+        text=True,
+        timeout=20,
+    )
+
+
+@pytest.mark.parametrize(
+    'name, given, told',
+    [
+        ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
+        ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
+        ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
+        ('agent', 'sensor.lethality:=1.5', 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
+        ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
+        ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
+        ('agent', 'world.file:=no.yaml', "No such file or directory: 'no.yaml'"),
+        ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
+        ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
+        ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
+        ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
+        ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
+        ('recorder', 'file:=/', "'/'"),
+        ('recorder', 'file', "Couldn't parse parameter override rule"),
+        ('recorder', 'flie:=a.mcap', 'parameter flie is unknown: known are '),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
+    ended = run(name, '--ros-args', '--disable-rosout-logs', '-p', given)
+    assert ended.returncode == 2
+    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
+    assert len(complaint) == 1, ended.stderr
+    assert complaint[0].startswith(f'{name}: ')
+    assert told in complaint[0]
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_help_tells_what_a_node_does(name):
+    ended = run(name, '--help')
+    assert ended.returncode == 0
+    assert ended.stdout.startswith(f'usage: {name}')
+    assert '--ros-args -p NAME:=VALUE' in ended.stdout
+
+
+def test_arguments_that_are_not_for_ros_are_refused():
+    ended = run('planner', '--robots', '3')
+    assert ended.returncode == 2
+    assert 'unrecognized arguments: --robots 3' in ended.stderr
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+def test_a_signal_ends_every_node_well(field, number):
+    log = field.folder / 'mission.mcap'
+    nodes = {name: field.start(name, {'file': str(log)}) for name in NODES}
+    for name in NODES:
+        field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
+    for process in nodes.values():
+        process.send_signal(number)
+    for name, process in nodes.items():
+        assert process.wait(timeout=5) == 0, name
+        assert field.said(f'/{name}') == ''
+    assert is_finished(log)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
+    log = field.folder / 'mission.mcap'
+    field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6}, '/', log)
+    field.until(lambda: field.count('/estimator', 'accepted') > 5, 'third deployment')
+    nodes = field.processes.started
+    for process in nodes.values():
+        process.send_signal(number)
+    for name, process in nodes.items():
+        assert process.wait(timeout=5) == 0, name
+        assert field.said(name) == ''
+    assert is_finished(log)
+
+
+def test_the_second_signal_changes_nothing(field):
+    recorder = field.start('recorder', {'file': str(field.folder / 'mission.mcap')})
+    field.until(lambda: field.diagnosed('/recorder').values, 'diagnostics')
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+        os.kill(recorder.pid, number)
+    assert recorder.wait(timeout=5) == 0
+    assert is_finished(field.folder / 'mission.mcap')

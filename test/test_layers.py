@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The layers import downwards only, and the core is arithmetic alone."""
+
+import ast
+from pathlib import Path
+import sys
+
+ROOT = Path(__file__).parents[1]
+
+# What each layer may stand on.
+BELOW = {
+    'core': set(),
+    'messages': {'core'},
+    'log': {'core', 'messages'},
+    'study': {'core', 'messages'},
+    'nodes': {'core', 'messages', 'log', 'study'},
+    'cli': {'core', 'messages', 'log', 'study', 'nodes'},
+}
+
+# Modules and functions of files, processes and sockets that the core has no use for.
+FILES = 'glob io multiprocessing os pathlib pickle shutil socket subprocess tempfile'
+CALLS = 'fromfile genfromtxt load loadtxt memmap open print save savetxt savez tofile'
+
+SOURCES = {
+    path: ast.parse(path.read_text()) for path in sorted(ROOT.joinpath('kbnitp_ros').rglob('*.py'))
+}
+
+
+def layer_of(path):
+    """Return the folder of a module in kbnitp_ros; None for the modules beside the folders."""
+    inside = path.relative_to(ROOT / 'kbnitp_ros').parts
+    return inside[0] if len(inside) > 1 else None
+
+
+def imports():
+    """Yield (path, layer, absolute dotted name) for everything that is imported."""
+    for path, tree in SOURCES.items():
+        package = path.parent.relative_to(ROOT).parts
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                start = package[: len(package) + 1 - node.level] if node.level else ()
+                module = [*start, *([node.module] if node.module else [])]
+                names = ['.'.join([*module, alias.name]) for alias in node.names]
+            else:
+                continue
+            for name in names:
+                yield str(path.relative_to(ROOT)), layer_of(path), name
+
+
+def test_every_folder_is_a_layer():
+    assert {layer_of(path) for path in SOURCES} - {None} <= BELOW.keys()
+
+
+def test_imports_point_down():
+    upwards = [
+        (path, name)
+        for path, layer, name in imports()
+        if layer and name.startswith('kbnitp_ros.')
+        if name.split('.')[1] not in BELOW[layer] | {layer}
+    ]
+    assert not upwards
+
+
+def test_only_nodes_and_commands_run_ros():
+    spinning = [
+        (path, name)
+        for path, layer, name in imports()
+        if layer not in ('nodes', 'cli') and name.split('.')[0] == 'rclpy'
+    ]
+    assert not spinning
+
+
+def test_the_core_needs_numpy_only():
+    allowed = sys.stdlib_module_names - set(FILES.split()) | {'kbnitp_ros', 'numpy'}
+    foreign = [
+        (path, name)
+        for path, layer, name in imports()
+        if layer == 'core' and name.split('.')[0] not in allowed
+    ]
+    assert not foreign
+
+
+def test_the_core_reads_and_writes_nothing():
+    calls = [
+        (str(path.relative_to(ROOT)), node.lineno)
+        for path, tree in SOURCES.items()
+        for node in ast.walk(tree)
+        if layer_of(path) == 'core' and isinstance(node, ast.Call)
+        if getattr(node.func, 'id', getattr(node.func, 'attr', None)) in CALLS.split()
+    ]
+    assert not calls

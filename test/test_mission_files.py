@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file, the configuration and the RViz view fit the nodes."""
+
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.replay import replay, REPORT
+from kbnitp_ros.nodes.parameters import check_config, NODES, parameters_of
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+CONFIG = ROOT / 'config' / 'mission.yaml'
+
+LAUNCH = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+file, *arguments = sys.argv[1:]
+service = LaunchService()
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
+    PythonLaunchDescriptionSource(file),
+    launch_arguments=[argument.split(':=') for argument in arguments],
+)]))
+sys.exit(service.run())
+"""
+
+
+def flattened(tree, prefix=''):
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from flattened(value, f'{prefix}{key}.')
+        else:
+            yield prefix + key, value
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_the_configuration_has_every_parameter_with_its_default(node):
+    config = yaml.safe_load(CONFIG.read_text())
+    check_config(config)
+    sections = [config['/**'], config[f'/**/{node}']]
+    given = dict(pair for each in sections for pair in flattened(each['ros__parameters']))
+    table = parameters_of(node)
+    assert {name: table[name].check(given.get(name)) for name in table} == {
+        name: parameter.default for name, parameter in table.items()
+    }
+
+
+def test_rviz_shows_the_three_beliefs_the_path_and_the_readings_to_a_late_joiner():
+    view = yaml.safe_load((ROOT / 'rviz' / 'mission.rviz').read_text())['Visualization Manager']
+    assert view['Global Options']['Fixed Frame'] == 'map'
+    topics = {display['Topic']['Value']: display for display in view['Displays']}
+    assert {topic: display['Class'].split('/')[1] for topic, display in topics.items()} == {
+        'belief/hazard': 'Map',
+        'belief/target': 'Map',
+        'belief/kappa': 'Map',
+        'scout_1/path': 'Path',
+        'scout_1/readings': 'Marker',
+    }
+    for display in topics.values():
+        assert display['Enabled']
+        assert display['Topic']['Durability Policy'] == 'Transient Local'
+        assert display['Topic']['Reliability Policy'] == 'Reliable'
+
+
+def reports_in(log):
+    """Return how many reports are on disk; 0 before the recorder has begun."""
+    try:
+        return sum(1 for _ in read_log(log, [REPORT]))
+    except LogError:
+        return 0
+
+
+def test_the_launch_file_runs_a_mission_in_a_namespace(tmp_path):
+    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
+    config, log = tmp_path / 'short.yaml', tmp_path / 'mission.mcap'
+    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 3'))
+    launch = [sys.executable, '-c', LAUNCH, ROOT / 'launch' / 'mission.launch.py']
+    arguments = [f'params_file:={config}', 'namespace:=north']
+    with free_domain() as domain:
+        mission = subprocess.Popen([*launch, *arguments], cwd=tmp_path, env=environment(domain))
+        try:
+            deadline = time.monotonic() + 30
+            while reports_in(log) < 3 and mission.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.2)
+        finally:
+            mission.send_signal(signal.SIGINT)
+            status = mission.wait(timeout=15)
+    assert status == 0
+    assert reports_in(log) == 3
+    report = replay(log)
+    assert report.reproduced
+    assert '/north/belief' in report.compared

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the package says of itself agrees with what it is."""
+
+import ast
+from importlib import import_module, metadata
+import os
+from pathlib import Path
+import re
+import sys
+from xml.etree import ElementTree
+
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from kbnitp_ros.__main__ import COMMANDS
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# What is imported -> its rosdep key and its wheel. Other imports are ROS packages: the key is the
+# name, the wheels are those of rclpy and the common interfaces.
+PYTHON_PACKAGES = {
+    'hypothesis': ('python3-hypothesis', 'hypothesis'),
+    'matplotlib': ('python3-matplotlib', 'matplotlib'),
+    'mcap': ('mcap-ros2-support', 'mcap'),
+    'mcap_ros2': ('mcap-ros2-support', 'mcap-ros2-support'),
+    'numpy': ('python3-numpy', 'numpy'),
+    'pytest': ('python3-pytest', 'pytest'),
+    'rosbags': ('python3-rosbags-pip', 'rosbags'),
+    'tqdm': ('python3-tqdm', 'tqdm'),
+    'yaml': ('python3-yaml', 'PyYAML'),
+}
+
+
+def imported_by(*folders):
+    """Return the names of the packages from elsewhere that the sources in folders import."""
+    names = set()
+    local = {'kbnitp_ros'}
+    for folder in folders:
+        for path in ROOT.joinpath(folder).rglob('*.py'):
+            local.add(path.stem)
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    names |= {alias.name.split('.')[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and not node.level:
+                    names.add(node.module.split('.')[0])
+    return names - sys.stdlib_module_names - local
+
+
+def declared(manifest, *kinds):
+    root = ElementTree.parse(ROOT / manifest).getroot()
+    return {element.text for kind in kinds for element in root.iter(kind)}
+
+
+def pinned(*files):
+    lines = [line for name in files for line in ROOT.joinpath(name).read_text().splitlines()]
+    requirements = [line.partition('#')[0].strip() for line in lines]
+    return {re.split(r'[\[=]', line)[0]: line for line in requirements if line}
+
+
+@pytest.mark.parametrize(
+    'folders, kinds, files',
+    [
+        (['kbnitp_ros', 'launch'], ['depend', 'exec_depend'], ['requirements.txt']),
+        (
+            ['test'],
+            ['depend', 'exec_depend', 'test_depend'],
+            ['requirements.txt', 'requirements-dev.txt'],
+        ),
+    ],
+    ids=['run', 'test'],
+)
+def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds, files):
+    imported = imported_by(*folders)
+    keys = {PYTHON_PACKAGES.get(name, (name,))[0] for name in imported}
+    wheels = {PYTHON_PACKAGES[name][1] for name in imported & PYTHON_PACKAGES.keys()}
+    assert keys <= declared('package.xml', *kinds)
+    assert wheels <= pinned(*files).keys()
+
+
+def test_every_requirement_is_pinned_exactly():
+    loose = [
+        line
+        for line in pinned('requirements.txt', 'requirements-dev.txt').values()
+        if not re.fullmatch(r'[\w.-]+(\[\w+\])?==[\w.]+', line)
+    ]
+    assert not loose
+
+
+def test_both_packages_and_the_installed_one_have_one_version():
+    manifests = declared('package.xml', 'version') | declared('msg_defs/package.xml', 'version')
+    assert manifests == {metadata.version('kbnitp_ros')}
+
+
+def test_every_command_is_installed_as_an_executable():
+    scripts = metadata.distribution('kbnitp_ros').entry_points.select(group='console_scripts')
+    assert {script.name: script.value for script in scripts} == {
+        name: f'{module}:main' for name, module in COMMANDS.items()
+    }
+    folder = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
+    assert all(os.access(folder / name, os.X_OK) for name in COMMANDS)
+
+
+@pytest.mark.parametrize('module', COMMANDS.values())
+def test_every_command_can_be_started(module):
+    assert callable(import_module(module).main)
+
+
+def test_launch_files_configuration_and_views_are_installed():
+    share = Path(get_package_share_directory('kbnitp_ros'))
+    files = [
+        path.relative_to(ROOT)
+        for folder in ('config', 'launch', 'rviz')
+        for path in ROOT.joinpath(folder).glob('*.*')
+    ]
+    assert files
+    assert [str(path) for path in files if not share.joinpath(path).is_file()] == []
+
+
+@pytest.mark.parametrize('message', sorted(ROOT.glob('msg_defs/msg/*.msg')), ids=lambda p: p.stem)
+def test_every_field_of_a_message_is_explained(message):
+    fields = [line for line in message.read_text().splitlines() if line and line[0] != '#']
+    assert [line for line in fields if '#' not in line] == []
