@@ -20,7 +20,6 @@ PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def generate_launch_description():
-    record = LaunchConfiguration('record')
     arguments = [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
@@ -58,19 +57,22 @@ def generate_launch_description():
             arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', 'mission.rviz'])],
             condition=IfCondition(LaunchConfiguration('rviz')),
         ),
-        mission_node('recorder', condition=IfCondition(record)),
-        # The recorder is one subscriber more, and must miss nothing.
-        mission_node('estimator', await_subscribers=IfElseSubstitution(record, '2', '1')),
-        mission_node('agent', await_subscribers=IfElseSubstitution(record, '3', '2')),
-        mission_node('planner', await_subscribers=IfElseSubstitution(record, '3', '2')),
+        mission_node('recorder', condition=IfCondition(LaunchConfiguration('record'))),
+        mission_node('estimator', awaits=['planner']),
+        mission_node('agent', awaits=['planner', 'estimator']),
+        mission_node('planner', awaits=['agent', 'estimator']),
     ]
     mission = GroupAction([PushROSNamespace(LaunchConfiguration('namespace')), *nodes])
     return LaunchDescription([*arguments, discovery, mission])
 
 
-def mission_node(name, condition=None, **counts):
-    """Return a node that the mission cannot go on without; counts are parameters of it."""
-    own = {key: ParameterValue(value, value_type=int) for key, value in counts.items()}
+def mission_node(name, awaits=(), condition=None):
+    """Return a node that the mission cannot go on without; it also awaits the recorder, if any."""
+    own = {}
+    if awaits:
+        recorded, alone = str([*awaits, 'recorder']), str(awaits)
+        nodes = IfElseSubstitution(LaunchConfiguration('record'), recorded, alone)
+        own = {'await_nodes': ParameterValue(nodes, value_type=list[str])}
     return Node(
         package='kbnitp_ros',
         executable=name,

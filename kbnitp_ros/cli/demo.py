@@ -122,9 +122,13 @@ def deploy(values: dict[str, Any], log: Path) -> None:
     """
     own = {
         'recorder': {'file': str(log)},
-        'estimator': {'await_subscribers': 3, 'agents': [AGENT]},
-        'agent': {'publish_truth': True, 'agent': AGENT},
-        'planner': {'await_subscribers': 3, 'agents': [AGENT]},
+        'estimator': {'await_nodes': ['planner', 'recorder', 'observer'], 'agents': [AGENT]},
+        'agent': {
+            'await_nodes': ['planner', 'estimator', 'recorder', 'observer'],
+            'publish_truth': True,
+            'agent': AGENT,
+        },
+        'planner': {'await_nodes': ['agent', 'estimator', 'recorder'], 'agents': [AGENT]},
     }
     with free_domain() as domain, Processes(domain) as processes:
         for node in NODES:

@@ -58,10 +58,8 @@ class AgentNode(Shell):
 
     def _listen(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""
-        matched = self._reports.get_subscription_count()
-        wanted = self.values['await_subscribers']
-        self.diagnostics.state = f'waiting for subscriptions to reports: {matched} of {wanted}'
-        if matched >= wanted:
+        self.diagnostics.state = self.waiting_for([self._reports])
+        if not self.diagnostics.state:
             self._awaiting.cancel()
             self.diagnostics.state = f'taking paths of {self._name}'
             self.create_subscription(Path, f'{self._name}/path', self._on_path, qos.EVIDENCE)

@@ -48,10 +48,8 @@ class EstimatorNode(Shell):
         self._awaiting = self.create_poll(self._publish_first)
 
     def _publish_first(self) -> None:
-        matched = self._belief.get_subscription_count()
-        wanted = self.values['await_subscribers']
-        self.diagnostics.state = f'waiting for subscriptions to belief: {matched} of {wanted}'
-        if matched >= wanted:
+        self.diagnostics.state = self.waiting_for([self._belief])
+        if not self.diagnostics.state:
             self._awaiting.cancel()
             self._publish()
 

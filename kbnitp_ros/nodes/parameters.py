@@ -268,28 +268,28 @@ TABLE = (
         read_only=False,
     ),
     Parameter(
-        'await_subscribers',
-        2,
-        'Subscriptions to a path topic that the planner waits for before the first path: agent '
-        'and estimator, and one more with a recorder.',
+        'await_nodes',
+        ('agent', 'estimator'),
+        'Nodes that must listen to the paths before the first is sent.',
         ('planner',),
-        limits=(0, 1000),
+        element=str,
+        pattern=NAME,
     ),
     Parameter(
-        'await_subscribers',
-        1,
-        'Subscriptions to belief that the estimator waits for before the first belief: the '
-        'planner, and one more with a recorder.',
+        'await_nodes',
+        ('planner',),
+        'Nodes that must listen to the belief before the first is published.',
         ('estimator',),
-        limits=(0, 1000),
+        element=str,
+        pattern=NAME,
     ),
     Parameter(
-        'await_subscribers',
-        2,
-        'Subscriptions to its report topic that the agent waits for before the first deployment: '
-        'planner and estimator, and one more with a recorder.',
+        'await_nodes',
+        ('planner', 'estimator'),
+        'Nodes that must listen to the reports before the first robot leaves.',
         ('agent',),
-        limits=(0, 1000),
+        element=str,
+        pattern=NAME,
     ),
     Parameter(
         'seed',

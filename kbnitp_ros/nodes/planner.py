@@ -105,10 +105,8 @@ class PlannerNode(Shell):
         robots = self.values['robots']
         if held >= robots:
             return f'done: {held} of {robots} robots deployed'
-        wanted = self.values['await_subscribers']
-        matched = min(paths.get_subscription_count() for paths in self._paths.values())
-        if self._out is None and matched < wanted:
-            return f'waiting for subscriptions to paths: {matched} of {wanted}'
+        if self._out is None and (waiting := self.waiting_for(self._paths.values())):
+            return waiting
         return '' if self.now() > 0 else 'waiting for the clock'
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import signal
 import sys
 import time
@@ -18,6 +18,7 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
@@ -60,6 +61,15 @@ class Shell(Node):
     def now(self) -> int:
         """Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started."""
         return self.get_clock().now().nanoseconds
+
+    def waiting_for(self, publishers: Iterable[Publisher]) -> str:
+        """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
+        missing = []
+        for topic in (publisher.topic_name for publisher in publishers):
+            listening = {each.node_name for each in self.get_subscriptions_info_by_topic(topic)}
+            absent = [node for node in self.values['await_nodes'] if node not in listening]
+            missing += [f'{node} to listen to {topic}' for node in absent]
+        return f'waiting for {", ".join(missing)}' if missing else ''
 
     def create_poll(self, callback: Callable[[], None]) -> Timer:
         """Call back every `POLL` seconds, also when simulated time stands still."""

@@ -50,19 +50,16 @@ class Field:
 
     def start_mission(self, parameters, namespace='/', log=None):
         """Start the nodes of a mission, all with these parameters; without a log no recorder."""
-        prefix = namespace.rstrip('/')
-        recorders = 0 if log is None else 1
-        if recorders:
+        recorder = []
+        if log is not None:
             self.start('recorder', {**parameters, 'file': str(log)}, namespace)
-        beliefs = 1 + recorders + self._own_subscriptions(f'{prefix}/belief')
-        reports = 2 + recorders + self._own_subscriptions(f'{prefix}/scout_1/report')
-        paths = 2 + recorders + self._own_subscriptions(f'{prefix}/scout_1/path')
-        self.start('estimator', {**parameters, 'await_subscribers': beliefs}, namespace)
-        self.start('agent', {**parameters, 'await_subscribers': reports}, namespace)
-        self.start('planner', {**parameters, 'await_subscribers': paths}, namespace)
-
-    def _own_subscriptions(self, topic):
-        return sum(each.topic_name == topic for each in self.node.subscriptions)
+            recorder = ['recorder']
+        for name, awaited in (
+            ('estimator', ['planner']),
+            ('agent', ['planner', 'estimator']),
+            ('planner', ['agent', 'estimator']),
+        ):
+            self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
 
     def said(self, full_name):
         """Return what a node wrote to its terminal."""

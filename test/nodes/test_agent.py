@@ -11,7 +11,7 @@ import numpy as np
 from samples import BAD_PATHS, FIELD, GRID, HOME, key, path
 from visualization_msgs.msg import Marker
 
-PARAMETERS = {**FIELD, 'await_subscribers': 1, 'seed': 11}
+PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
 
 
 def expected_reports(world, model, seed, paths):
@@ -63,7 +63,7 @@ def test_a_world_from_a_file_is_shown_only_on_request(field):
     }
     parameters = {**PARAMETERS, **sure, 'world.file': str(file)}
     field.start('agent', {**parameters, 'publish_truth': True})
-    field.start('agent', {**parameters, 'await_subscribers': 0}, '/b')
+    field.start('agent', {**parameters, 'await_nodes': []}, '/b')
     field.until(lambda: all(maps.values()), 'truth')
     assert list(maps['hazard'][0].data) == [0] * 5 + [-1] + [0] * 4 + [100, 0]
     assert list(maps['target'][0].data) == [0, 100, 0, 0, 0, -1, 0, 100, 100, 0, 0, 0]

@@ -18,11 +18,12 @@ from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, report_message
 from kbnitp_ros.nodes import qos
 from nav_msgs.msg import Path
+import rclpy
 from samples import changed, in_frame
 
 GRID = Grid(3, 3)
 MODEL = SensorModel(0.5)
-PARAMETERS = {'grid.width': 3, 'grid.height': 3, 'max_steps': 4, 'await_subscribers': 1}
+PARAMETERS = {'grid.width': 3, 'grid.height': 3, 'max_steps': 4, 'await_nodes': ['test']}
 
 
 class Mission:
@@ -109,12 +110,14 @@ def test_an_estimator_that_starts_over_is_waited_for(field):
 
 
 def test_the_first_path_waits_for_its_readers(field):
-    mission = Mission(field, {'await_subscribers': 2})
+    mission = Mission(field, {'await_nodes': ['test', 'estimator']})
     mission.show_belief()
-    mission.until_state('waiting for subscriptions to paths: 1 of 2')
+    mission.until_state('waiting for estimator to listen to /scout_1/path')
     assert not mission.paths
-    field.listen(Path, '/scout_1/path')
+    estimator = rclpy.create_node('estimator', context=field.node.context)
+    estimator.create_subscription(Path, '/scout_1/path', lambda _: None, qos.EVIDENCE)
     mission.until_sent(0)
+    estimator.destroy_node()
 
 
 def test_bad_beliefs_are_refused_and_counted(field):
