@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence
+import os
 import signal
 import sys
 import time
+from typing import NoReturn
 
 from kbnitp_ros.nodes.diagnostics import Diagnostics
 from kbnitp_ros.nodes.parameters import declare
@@ -85,7 +87,7 @@ def run(
     name: str, make: Callable[[], Shell], args: Sequence[str] | None, linger: float = 0.0
 ) -> int:
     """
-    Run a node until SIGINT or SIGTERM and return the exit code of its process.
+    Run a node until SIGINT or SIGTERM and end the process; return only if it could not start.
 
     Parameters
     ----------
@@ -101,8 +103,8 @@ def run(
     Returns
     -------
     int
-        0 after a signal; 2 if the node could not start, 1 if it could not go on: then one line on
-        stderr says why.
+        The exit code 2 of a node that could not start. The process ends with 0 after a signal, and
+        with 1 if the node could not go on. One line on stderr says why.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
@@ -133,12 +135,24 @@ def run(
         finally:
             node.close()
     except OSError as error:
-        return _complain(name, error, 1)
-    finally:
-        executor.shutdown()
+        return _leave(executor, node, _complain(name, error, 1))
+    return _leave(executor, node, 0)
+
+
+def _leave(executor: SingleThreadedExecutor, node: Shell, exit_code: int) -> NoReturn:
+    """
+    End the process: everything that matters is closed by now.
+
+    The DDS participant is left to the operating system. When several processes leave at once, Fast
+    DDS 2.14 may wait for good for a callback that waits for the same lock: `set_listener` against
+    `onWriterDiscovery`.
+    """
+    executor.shutdown()
+    with node.handle:
         node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(exit_code)
 
 
 def _complain(name: str, error: Exception, exit_code: int) -> int:
