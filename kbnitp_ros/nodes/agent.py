@@ -91,7 +91,7 @@ class AgentNode(Shell):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the agent; return the exit code."""
-    return run('agent', AgentNode, args)
+    return run('agent', AgentNode, args, linger=0.15)
 
 
 if __name__ == '__main__':

@@ -90,7 +90,7 @@ class EstimatorNode(Shell):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the estimator; return the exit code."""
-    return run('estimator', EstimatorNode, args)
+    return run('estimator', EstimatorNode, args, linger=0.3)
 
 
 if __name__ == '__main__':

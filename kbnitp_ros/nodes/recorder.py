@@ -20,9 +20,6 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 
-# What was sent before the signal is still on its way for a moment.
-LINGER = 0.5
-
 
 class RecorderNode(Shell):
     """Record all topics of this namespace, each as soon as it is published."""
@@ -107,7 +104,7 @@ def message_class(type_name: str) -> type:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder; return the exit code."""
-    return run('recorder', RecorderNode, args, linger=LINGER)
+    return run('recorder', RecorderNode, args, linger=0.6)
 
 
 if __name__ == '__main__':

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence
-import os
+import faulthandler
 import signal
 import sys
 import time
-from typing import NoReturn
 
 from kbnitp_ros.nodes.diagnostics import Diagnostics
 from kbnitp_ros.nodes.parameters import declare
@@ -28,6 +27,9 @@ from rclpy.utilities import remove_ros_args
 # In seconds: how long a signal may have to wait, and how often a node looks at the graph.
 SPIN = 0.2
 POLL = 0.05
+
+# How long a node may take to leave the graph, in seconds.
+TEARDOWN = 2.0
 
 # The longest a publisher waits for a reader that may have died.
 FAREWELL = Duration(seconds=0.2)
@@ -87,7 +89,7 @@ def run(
     name: str, make: Callable[[], Shell], args: Sequence[str] | None, linger: float = 0.0
 ) -> int:
     """
-    Run a node until SIGINT or SIGTERM and end the process; return only if it could not start.
+    Run a node until SIGINT or SIGTERM and return the exit code of its process.
 
     Parameters
     ----------
@@ -98,13 +100,14 @@ def run(
     args : sequence of str, optional
         The command line without the program; that of the process when None.
     linger : float
-        How long the node still listens after the signal, in seconds.
+        How long the node still listens after the signal, in seconds: what was sent before is still
+        on its way, and nodes that end one after another do not get in each other's way.
 
     Returns
     -------
     int
-        The exit code 2 of a node that could not start. The process ends with 0 after a signal, and
-        with 1 if the node could not go on. One line on stderr says why.
+        0 after a signal; 2 if the node could not start, 1 if it could not go on: then one line on
+        stderr says why.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
@@ -135,24 +138,17 @@ def run(
         finally:
             node.close()
     except OSError as error:
-        return _leave(executor, node, _complain(name, error, 1))
-    return _leave(executor, node, 0)
-
-
-def _leave(executor: SingleThreadedExecutor, node: Shell, exit_code: int) -> NoReturn:
-    """
-    End the process: everything that matters is closed by now.
-
-    The DDS participant is left to the operating system. When several processes leave at once, Fast
-    DDS 2.14 may wait for good for a callback that waits for the same lock: `set_listener` against
-    `onWriterDiscovery`.
-    """
-    executor.shutdown()
-    with node.handle:
+        return _complain(name, error, 1)
+    finally:
+        # Everything that matters is closed by now. When several processes leave at once, Fast DDS
+        # 2.14 may wait here for good, about once in a thousand times: `set_listener` for a
+        # callback, and that for its lock.
+        faulthandler.dump_traceback_later(TEARDOWN, exit=True)
+        executor.shutdown()
         node.destroy_node()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(exit_code)
+        rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
+    return 0
 
 
 def _complain(name: str, error: Exception, exit_code: int) -> int:
