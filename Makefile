@@ -7,19 +7,25 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo test check clean
+.PHONY: build demo results test check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
-  $(wildcard msg_defs/*.* msg_defs/msg/*.msg resource/* launch/*.py config/*.* rviz/*.rviz)
+  $(wildcard msg_defs/*.* msg_defs/msg/*.msg resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
 
 build: install/.done
 
 demo: build
 	. ./env.sh && python3 -m kbnitp_ros demo
+
+# The studies that docs/results.md shows; what is done of them in runs/study is not done again.
+results: build
+	. ./env.sh && for scenario in paper calibrated mismatched; do \
+	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \
+	done && python3 -m kbnitp_ros.study.page runs/study docs
 
 test: build .venv/.dev
 	. ./env.sh && python3 -m pytest

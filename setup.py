@@ -17,6 +17,7 @@ setup(
         (f'share/{package_name}/config', glob('config/*')),
         (f'share/{package_name}/launch', glob('launch/*.launch.py')),
         (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
+        (f'share/{package_name}/scenarios', glob('scenarios/*.yaml')),
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
@@ -33,6 +34,7 @@ setup(
             'planner = kbnitp_ros.nodes.planner:main',
             'recorder = kbnitp_ros.nodes.recorder:main',
             'replay = kbnitp_ros.cli.replay:main',
+            'study = kbnitp_ros.cli.study:main',
         ],
     },
 )

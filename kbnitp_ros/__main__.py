@@ -7,6 +7,7 @@ import sys
 # Each module has main(argv=None), whose result is the exit status; None is 0.
 COMMANDS = {
     'demo': 'kbnitp_ros.cli.demo',
+    'study': 'kbnitp_ros.cli.study',
     'replay': 'kbnitp_ros.cli.replay',
     'planner': 'kbnitp_ros.nodes.planner',
     'agent': 'kbnitp_ros.nodes.agent',

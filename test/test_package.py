@@ -16,18 +16,24 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 # What is imported -> its rosdep key and its wheel. Other imports are ROS packages: the key is the
-# name, the wheels are those of rclpy and the common interfaces.
+# name, the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
 PYTHON_PACKAGES = {
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
+    'joblib': ('python3-joblib', 'joblib'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
     'mcap_ros2': ('mcap-ros2-support', 'mcap-ros2-support'),
     'numpy': ('python3-numpy', 'numpy'),
+    'pyarrow': (None, 'pyarrow'),
     'pytest': ('python3-pytest', 'pytest'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
+    'threadpoolctl': (None, 'threadpoolctl'),
     'tqdm': ('python3-tqdm', 'tqdm'),
     'yaml': ('python3-yaml', 'PyYAML'),
 }
+
+# Imported only by those who ask for them.
+OPTIONAL = {'distributed', 'ray'}
 
 
 def imported_by(*folders):
@@ -42,7 +48,7 @@ def imported_by(*folders):
                     names |= {alias.name.split('.')[0] for alias in node.names}
                 elif isinstance(node, ast.ImportFrom) and not node.level:
                     names.add(node.module.split('.')[0])
-    return names - sys.stdlib_module_names - local
+    return names - sys.stdlib_module_names - local - OPTIONAL
 
 
 def declared(manifest, *kinds):
@@ -70,7 +76,7 @@ def pinned(*files):
 )
 def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds, files):
     imported = imported_by(*folders)
-    keys = {PYTHON_PACKAGES.get(name, (name,))[0] for name in imported}
+    keys = {PYTHON_PACKAGES.get(name, (name,))[0] for name in imported} - {None}
     wheels = {PYTHON_PACKAGES[name][1] for name in imported & PYTHON_PACKAGES.keys()}
     assert keys <= declared('package.xml', *kinds)
     assert wheels <= pinned(*files).keys()
@@ -104,11 +110,11 @@ def test_every_command_can_be_started(module):
     assert callable(import_module(module).main)
 
 
-def test_launch_files_configuration_and_views_are_installed():
+def test_launch_files_configuration_views_and_scenarios_are_installed():
     share = Path(get_package_share_directory('kbnitp_ros'))
     files = [
         path.relative_to(ROOT)
-        for folder in ('config', 'launch', 'rviz')
+        for folder in ('config', 'launch', 'rviz', 'scenarios')
         for path in ROOT.joinpath(folder).glob('*.*')
     ]
     assert files

@@ -2,7 +2,7 @@
 """All losses held together, against the posterior given all evidence at once."""
 
 import brute_force
-from kbnitp_ros.core import Belief, Estimator, Observation, SensorModel, update
+from kbnitp_ros.core import Belief, Estimator, Grid, Observation, SensorModel, update, World
 import numpy as np
 import pytest
 
@@ -102,3 +102,53 @@ def test_a_deployment_impossible_only_after_an_earlier_one_is_refused():
         with pytest.raises(ValueError, match='impossible'):
             estimator.assimilate(Observation([0, 1, 0], True, [True, False]))
         assert estimator.belief.joint.tobytes() == before
+
+
+HAZARDS = np.array([[0, *bits] for bits in np.ndindex(*15 * [2])], dtype=float)
+
+
+def posterior_of_hazards(joint, model, seen):
+    """Enumerate the hazards of 4x4 cells, none at the base; targets are told by them alone."""
+    survive, on = np.array(brute_force.step_survival(model)), brute_force.detection(model)
+    local, weight = joint.copy(), np.ones(len(HAZARDS))
+    for path, readings in seen:
+        if readings is None:
+            exposed = HAZARDS @ np.bincount(path[1:], minlength=16)
+            weight *= 1 - survive[0] ** (len(path) - 1 - exposed) * survive[1] ** exposed
+        else:
+            for cell, reading in zip(path[1:], readings):
+                read = np.array([p if reading else 1 - p for p in on])
+                local[cell] *= survive[:, None] * read
+    of_hazard = local.sum(axis=2)
+    weight *= np.where(HAZARDS, of_hazard[:, 1], of_hazard[:, 0]).prod(axis=1)
+    hazard = weight @ HAZARDS / weight.sum()
+    given = local / np.where(of_hazard > 0, of_hazard, 1)[:, :, None]
+    return np.stack([1 - hazard, hazard], axis=-1)[:, :, None] * given
+
+
+def divergence(exact, belief):
+    """KL divergence of a belief from the exact one, nats, summed over the cells."""
+    possible = exact > 0
+    return (exact[possible] * np.log(exact[possible] / belief[possible])).sum()
+
+
+@pytest.mark.parametrize('lethality', [0.1, 0.3, 0.5, 0.9])
+def test_a_mission_is_taken_in_nearly_exactly(lethality):
+    """25 robots on 4x4 cells from a prior of maximum entropy."""
+    model = SensorModel(lethality)
+    joint = Belief.prior(Grid(4, 4), 0.5, 0.45, 0.8).joint
+    near, far = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        world = World.random(Grid(4, 4), rng, 0.5, 0.8, 0.1)
+        paths = [brute_force.random_path(rng, 4, 4, 0, rng.integers(1, 11)) for _ in range(25)]
+        observations = [world.traverse(path, model, rng) for path in paths]
+        seen = [(o.path.tolist(), o.readings) for o in observations]
+        exact = posterior_of_hazards(joint, model, seen)
+        one_pass = Estimator(Belief(joint), model)
+        for observation in observations:
+            one_pass.assimilate(observation)
+        near.append(divergence(exact, smoothed(joint, model, seen)))
+        far.append(divergence(exact, one_pass.belief.joint))
+    assert np.mean(near) < 1e-4
+    assert np.mean(near) < 0.01 * np.mean(far)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a study: missions without ROS, by every method, at every lethality, in the same worlds."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+import signal
+import sys
+
+from kbnitp_ros.cli.processes import share
+from kbnitp_ros.study.folder import Folder
+from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import read_scenario
+from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.workers import BACKENDS, workers
+from tqdm import tqdm
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """
+    Run the command.
+
+    Returns
+    -------
+    int
+        0 if all trials are done, 1 if they could not be finished, 2 if none could be started, 130
+        if interrupted.
+
+    """
+    options = parse(argv)
+    # SIGTERM, too, must end the workers.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        return study(options)
+    except KeyboardInterrupt:
+        print(f'study: interrupted; the same command goes on from {options.out}', file=sys.stderr)
+        return 130
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options."""
+    parser = argparse.ArgumentParser(prog='study', description=__doc__)
+    parser.add_argument(
+        'scenario',
+        metavar='SCENARIO',
+        help=f'a YAML file, or one of those shipped: {", ".join(shipped())}',
+    )
+    parser.add_argument(
+        '--out',
+        metavar='DIR',
+        type=Path,
+        required=True,
+        help='folder for the results; the trials that it has already are not run again',
+    )
+    parser.add_argument(
+        '--backend',
+        choices=tuple(BACKENDS),
+        default='loky',
+        help='what runs the workers: processes of this machine (loky, the default), Dask or Ray',
+    )
+    parser.add_argument(
+        '--workers', metavar='N', type=count, help='how many to start; default: one a core'
+    )
+    parser.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='of a Dask or Ray cluster that runs already, instead of one started here',
+    )
+    return parser.parse_args(argv)
+
+
+def count(text: str) -> int:
+    """Return the number that `text` is, at least 1."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least 1')
+    return int(text)
+
+
+def shipped() -> list[str]:
+    """Return the names of the scenarios that come with the package."""
+    return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
+
+
+def scenario_file(name: str) -> Path:
+    """
+    Return where a scenario is: a file's path, or the name of one that comes with the package.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+
+    """
+    if name in shipped():
+        return share('scenarios') / f'{name}.yaml'
+    if not Path(name).is_file():
+        raise ValueError(f'scenario {name} is no file, and none of {", ".join(shipped())}')
+    return Path(name)
+
+
+def study(options: argparse.Namespace) -> int:
+    """Run the trials that the folder lacks, then write the report; return the exit code."""
+    with ExitStack() as stack:
+        try:
+            scenario = read_scenario(scenario_file(options.scenario))
+            folder = Folder(options.out, scenario)
+            pool = stack.enter_context(
+                workers(options.backend, options.workers, options.scheduler)
+            )
+        except (ValueError, OSError) as error:
+            print(f'study: {error}', file=sys.stderr)
+            return 2
+        outcomes = folder.outcomes()
+        trials = trials_of(scenario)
+        missing = [trial for trial in trials if trial not in outcomes]
+        bar = tqdm(initial=len(outcomes), total=len(trials), unit='trial', disable=None)
+        try:
+            with bar:
+                for trial, outcome in pool.run(scenario, missing):
+                    folder.save(trial, outcome)
+                    outcomes[trial] = outcome
+                    bar.update()
+            written = write_report(Results(scenario, outcomes), options.out)
+        except (RuntimeError, OSError) as error:
+            print(f'study: {error}', file=sys.stderr)
+            return 1
+    print(*(f'wrote {path}' for path in written), sep='\n')
+    return 0

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a study: how the methods' beliefs get sure, how true they are, how calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kbnitp_ros.core import METHODS
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.summary import LOG_LOSS, mean_of
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+import numpy as np
+from numpy.typing import NDArray
+
+COLOURS = {method: f'C{place}' for place, method in enumerate(METHODS)}
+
+# Predictions are compared with what is there in this many classes of equally many cells.
+CLASSES = 10
+
+
+def entropy_chart(path: Path, results: Results) -> None:
+    """Draw the mean entropy after each deployment, a panel a lethality: the paper's figure."""
+    _chart(path, results, ('entropy',), 'entropy H(Z) + H(X) (nats)', 'linear')
+
+
+def log_loss_chart(path: Path, results: Results) -> None:
+    """Draw the mean log loss after each deployment against the truth, a panel a lethality."""
+    _chart(path, results, LOG_LOSS, 'log loss of hazard and target (nats)', 'log')
+
+
+def _chart(
+    path: Path, results: Results, measures: tuple[str, ...], label: str, scale: str
+) -> None:
+    scenario = results.scenario
+    columns = min(3, len(scenario.lethalities))
+    rows = -(-len(scenario.lethalities) // columns)
+    figure = Figure(figsize=(4 * columns, 3 * rows + 0.6), layout='constrained')
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    panels = len(scenario.lethalities)
+    for axes in grid.flat[panels:]:
+        axes.set_visible(False)
+    for axes, lethality in zip(grid.flat, scenario.lethalities):
+        for method in scenario.methods:
+            mean, low, high = mean_of(results.series(lethality, method, *measures))
+            axes.plot(mean, color=COLOURS[method], label=method)
+            axes.fill_between(range(len(mean)), low, high, color=COLOURS[method], alpha=0.2, lw=0)
+        axes.set_title(f'lethality {100 * lethality:.4g} %')
+        axes.set_xlim(0, scenario.robots)
+        axes.set_yscale(scale)
+        if scale == 'log':
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+            axes.yaxis.set_minor_locator(NullLocator())
+        axes.grid(alpha=0.3)
+    figure.supxlabel(f'deployment (mean of {scenario.trials} trials, 95 % band)')
+    figure.supylabel(label)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=len(labels))
+    figure.savefig(path, dpi=80)
+
+
+def reliability_chart(path: Path, results: Results) -> None:
+    """
+    Draw how often a thing is there against how likely it was held, after the last robot.
+
+    One panel a method and map, one line a lethality, over the cells of all trials. On the diagonal
+    a belief means what it says.
+    """
+    methods, lethalities = results.scenario.methods, results.scenario.lethalities
+    figure = Figure(figsize=(2.4 * len(methods) + 1, 5.6), layout='constrained')
+    grid = figure.subplots(2, len(methods), sharex=True, sharey=True, squeeze=False)
+    colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(lethalities)))
+    for method, column in zip(methods, grid.T):
+        column[0].set_title(method, fontsize='medium')
+        for axes in column:
+            axes.plot([0, 1], [0, 1], color='0.7', linewidth=1)
+        for lethality, colour in zip(lethalities, colours):
+            believed, truth = results.final_maps(lethality, method)
+            for axes, *cells in zip(column, believed.swapaxes(0, 1), truth.swapaxes(0, 1)):
+                axes.plot(
+                    *reliability(*cells),
+                    color=colour,
+                    marker='.',
+                    linewidth=1,
+                    label=f'{100 * lethality:.4g} %',
+                )
+    for axes, name in zip(grid[:, 0], ('hazards', 'targets')):
+        axes.set_ylabel(f'{name} there')
+    figure.supxlabel('probability believed after the last robot')
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=len(labels))
+    figure.savefig(path, dpi=80)
+
+
+def reliability(
+    believed: NDArray[np.float64], truth: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """
+    Compare probabilities with how often what they are of is there.
+
+    Parameters
+    ----------
+    believed : ndarray, shape (...)
+        Probabilities.
+    truth : ndarray of bool, shape (...)
+        What is there.
+
+    Returns
+    -------
+    held, there : ndarray, shape (classes,)
+        The mean probability and the share that is there, in `CLASSES` classes of equally many
+        cells from the least to the most likely; fewer if there are fewer cells.
+
+    """
+    order = np.argsort(believed, axis=None, kind='stable')
+    classes = np.array_split(order, min(CLASSES, order.size))
+    held = np.array([believed.flat[cells].mean() for cells in classes])
+    there = np.array([truth.flat[cells].mean() for cells in classes])
+    return held, there

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder a study works in: its scenario, and a file for each trial that is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+import fcntl
+import os
+from pathlib import Path
+from typing import BinaryIO
+from zipfile import BadZipFile
+
+from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.trial import Outcome, Trial, trials_of
+import numpy as np
+import yaml
+
+# What numpy raises when a file is cut off, altered or of another kind.
+DAMAGED = (EOFError, BadZipFile, ValueError, TypeError)
+
+
+class Folder:
+    """
+    The outcomes of one scenario's trials, as far as they are known.
+
+    A file gets its name once it is on disk, so that a trial is there as a whole or not at all,
+    however the study ends.
+
+    Parameters
+    ----------
+    path : Path
+        Made if it is not there, and held until this process ends.
+    scenario : Scenario
+        Kept in it.
+
+    Raises
+    ------
+    ValueError
+        If it holds another scenario's results, or another study is at work in it.
+    OSError
+        If it cannot be made or written to.
+
+    """
+
+    def __init__(self, path: Path, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._trials = path / 'trials'
+        kept = path / 'scenario.yaml'
+        if kept.exists():
+            _check_same(path, asdict(read_scenario(kept)), asdict(scenario))
+        elif self._trials.exists():
+            raise ValueError(f'{path} holds results of an unknown scenario: name another folder')
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = os.open(path, os.O_RDONLY)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ValueError(f'{path} has another study at work in it') from error
+        text = yaml.safe_dump(asdict(scenario), sort_keys=False)
+        _write(kept, lambda file: file.write(text.encode()))
+        self._trials.mkdir(exist_ok=True)
+
+    def save(self, trial: Trial, outcome: Outcome) -> None:
+        """Keep the outcome of a trial; on disk when this returns."""
+        _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
+
+    def outcomes(self) -> dict[Trial, Outcome]:
+        """Return the outcomes of the trials whose files are there and whole."""
+        outcomes = {}
+        for trial in trials_of(self._scenario):
+            with suppress(FileNotFoundError, *DAMAGED), np.load(self._file(trial)) as arrays:
+                outcomes[trial] = Outcome(**arrays)
+        return outcomes
+
+    def _file(self, trial: Trial) -> Path:
+        return self._trials / f'{trial.lethality}-{trial.method}-{trial.number}.npz'
+
+
+def _check_same(path: Path, kept: dict[str, object], asked: dict[str, object]) -> None:
+    for key, value in kept.items():
+        if value != asked[key]:
+            raise ValueError(
+                f'{path} holds results of another scenario, with {key} {value} '
+                f'and not {asked[key]}: name another folder'
+            )
+
+
+def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    part = path.with_name(f'{path.name}.part')
+    with part.open('wb') as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that a study measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
+import numpy as np
+from numpy.typing import NDArray
+import pyarrow as pa
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """
+    The outcomes of all trials of a scenario.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What was run.
+    outcomes : mapping
+        Of every trial, in any order.
+
+    """
+
+    scenario: Scenario
+    outcomes: Mapping[Trial, Outcome]
+
+    def table(self) -> pa.Table:
+        """
+        Return one row for every deployment of every trial.
+
+        Returns
+        -------
+        pyarrow.Table
+            Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior)
+            and `MEASURES`, by lethality, method, trial and deployment in the scenario's order.
+
+        """
+        trials = trials_of(self.scenario)
+        rows = self.scenario.robots + 1
+        measures = np.concatenate([self.outcomes[trial].measures for trial in trials])
+        columns = {
+            'trial': np.repeat([trial.number for trial in trials], rows),
+            'method': np.repeat([trial.method for trial in trials], rows),
+            'lethality': np.repeat([trial.lethality for trial in trials], rows),
+            'deployment': np.tile(np.arange(rows), len(trials)),
+            **dict(zip(MEASURES, measures.T)),
+        }
+        columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
+        return pa.table(columns)
+
+    def series(self, lethality: float, method: str, *measures: str) -> NDArray[np.float64]:
+        """Return the sum of some measures, shape (trials, robots + 1)."""
+        places = [MEASURES.index(measure) for measure in measures]
+        outcomes = self._of(lethality, method)
+        return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
+
+    def final_maps(
+        self, lethality: float, method: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
+        outcomes = self._of(lethality, method)
+        believed = np.stack([outcome.believed for outcome in outcomes])
+        return believed, np.stack([outcome.truth for outcome in outcomes])
+
+    def _of(self, lethality: float, method: str) -> list[Outcome]:
+        numbers = range(self.scenario.trials)
+        return [self.outcomes[Trial(lethality, method, number)] for number in numbers]

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study varies and what it holds fixed, as a small YAML file says it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, is_dataclass, MISSING
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
+
+from kbnitp_ros.core import Belief, Grid, METHODS, PLANNERS, SensorModel
+import yaml
+
+# A value's type, and what is allowed: the lowest and the highest number, or the names known.
+Count = Annotated[int, (1, 1_000_000)]
+Probability = Annotated[float, (0.0, 1.0)]
+
+KINDS = {int: 'a whole number', float: 'a number'}
+
+
+@dataclass(frozen=True)
+class Extent:
+    """
+    The grid.
+
+    Attributes
+    ----------
+    width, height : int
+        Cells along x and y, 1 to 1000.
+    base : int
+        The cell (row * width + column, row 0 at the bottom) of every start and return.
+
+    """
+
+    width: Annotated[int, (1, 1000)]
+    height: Annotated[int, (1, 1000)]
+    base: Annotated[int, (0, 999_999)]
+
+
+@dataclass(frozen=True)
+class Planning:
+    """How paths are searched for, as for `kbnitp_ros.core.plan`."""
+
+    planner: Annotated[str, tuple(PLANNERS)]
+    max_steps: Count
+    width: Count
+    max_visits: Count
+
+
+@dataclass(frozen=True)
+class Densities:
+    """How worlds are drawn, as for `World.random`."""
+
+    hazard_density: Probability
+    kappa: Probability
+    target_background: Probability
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The robots and their sensors but for the lethality, as for `SensorModel`."""
+
+    malfunction: Probability
+    false_negative: Probability
+    true_positive: Probability
+    false_positive: Probability
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of every cell but the base before the first robot."""
+
+    hazard: Probability
+    target: Probability
+    kappa: Probability
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """
+    A study: missions by every method, at every lethality, in the same worlds.
+
+    Attributes
+    ----------
+    seed : int
+        At least 0. Trial t draws its world and its robots' fates from ``[seed, t]``, whatever the
+        method and the lethality.
+    trials : int
+        Worlds, at least 1.
+    robots : int
+        Deployments of a mission, at least 1.
+    methods : tuple of str
+        Of `METHODS`.
+    lethalities : tuple of float
+        Of the worlds, in [0, 1].
+    grid, planning, world, sensor, prior
+        Sections of their own.
+    believed_lethality : float, optional
+        What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
+
+    """
+
+    seed: Annotated[int, (0, 2**63 - 1)]
+    trials: Count
+    robots: Count
+    methods: tuple[Annotated[str, METHODS], ...]
+    lethalities: tuple[Probability, ...]
+    grid: Extent
+    planning: Planning
+    world: Densities
+    sensor: Sensor
+    prior: Prior
+    believed_lethality: Probability | None = None
+
+    def field(self) -> Grid:
+        """Return the grid, with cells of 1 m."""
+        return Grid(self.grid.width, self.grid.height, self.grid.base)
+
+    def belief(self) -> Belief:
+        """Return what is believed before the first robot."""
+        return Belief.prior(self.field(), self.prior.hazard, self.prior.target, self.prior.kappa)
+
+    def model(self, lethality: float) -> SensorModel:
+        """Return the sensor model with this lethality."""
+        return SensorModel(lethality, **vars(self.sensor))
+
+
+def read_scenario(path: Path) -> Scenario:
+    """
+    Return the scenario in a file.
+
+    Raises
+    ------
+    ValueError
+        If the file is not YAML, lacks a key, has an unknown one, or a value that is not allowed;
+        names the key, the value and what is allowed.
+    OSError
+        If there is no such file.
+
+    """
+    try:
+        scenario: Scenario = _read(Scenario, yaml.safe_load(path.read_bytes()), '')
+        for key, build in (('grid', scenario.field), ('prior', scenario.belief)):
+            try:
+                build()
+            except ValueError as error:
+                raise ValueError(f'{key}: {error}') from error
+    except yaml.YAMLError as error:
+        raise ValueError(f'scenario {path} is not YAML: {" ".join(str(error).split())}') from error
+    except ValueError as error:
+        raise ValueError(f'scenario {path}: {error}') from error
+    return scenario
+
+
+def _read(kind: Any, value: Any, key: str) -> Any:
+    """Return what YAML loaded for `key` as a `kind`: a section, a list or a value allowed."""
+    if is_dataclass(kind):
+        return _read_section(kind, value, key)
+    if get_origin(kind) is Union:
+        return None if value is None else _read(get_args(kind)[0], value, key)
+    if get_origin(kind) is tuple:
+        if not isinstance(value, list) or not value:
+            raise ValueError(f'{key} is {value!r}: it must be a list of at least one')
+        values = tuple(_read(get_args(kind)[0], one, key) for one in value)
+        if len(set(values)) < len(values):
+            raise ValueError(f'{key} is {value}: nothing may be in it twice')
+        return values
+    wanted, allowed = get_args(kind)
+    if wanted is str:
+        if value not in allowed:
+            raise ValueError(f'{key} is {value!r}: known are {", ".join(allowed)}')
+        return value
+    lowest, highest = allowed
+    of_kind = type(value) is wanted or (wanted is float and type(value) is int)
+    if not (of_kind and lowest <= value <= highest):
+        raise ValueError(
+            f'{key} is {value!r}: it must be {KINDS[wanted]} from {lowest} to {highest}'
+        )
+    return wanted(value)
+
+
+def _read_section(kind: Any, content: Any, key: str) -> Any:
+    """Return a section's dataclass; the whole scenario is the section without a key."""
+    known = [field.name for field in fields(kind)]
+    name, inside = (key, f'{key}.') if key else ('it', '')
+    if not isinstance(content, dict):
+        raise ValueError(f'{name} is {content!r}: it must have the keys {", ".join(known)}')
+    unknown = [str(given) for given in content if given not in known]
+    if unknown:
+        raise ValueError(f'{inside}{unknown[0]} is unknown: {name} has {", ".join(known)}')
+    missing = [f.name for f in fields(kind) if f.default is MISSING and f.name not in content]
+    if missing:
+        raise ValueError(f'{inside}{missing[0]} is missing: {name} has {", ".join(known)}')
+    kinds = get_type_hints(kind, include_extras=True)
+    return kind(**{k: _read(kinds[k], value, f'{inside}{k}') for k, value in content.items()})

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One mission of a study, and what is measured of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from kbnitp_ros.core import brier_score, Estimator, log_loss, run_mission, World
+from kbnitp_ros.core.entropy import binary_entropy
+from kbnitp_ros.study.scenario import Scenario
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+# Measured before the first robot and after each; nats and squares are sums over the cells.
+MEASURES = (
+    'entropy_hazard',
+    'entropy_target',
+    'entropy',
+    'joint_entropy',
+    'hazard_log_loss',
+    'target_log_loss',
+    'hazard_brier',
+    'target_brier',
+    'robots_lost',
+    'planned_information',
+    'realised_information',
+)
+
+
+class Trial(NamedTuple):
+    """
+    Which mission of a study.
+
+    Attributes
+    ----------
+    lethality : float
+        Of the world.
+    method : str
+        Of the estimator.
+    number : int
+        Of the world, from 0.
+
+    """
+
+    lethality: float
+    method: str
+    number: int
+
+
+class Outcome(NamedTuple):
+    """
+    What is kept of a mission.
+
+    Attributes
+    ----------
+    measures : ndarray, shape (robots + 1, measures)
+        `MEASURES` before the first robot and after each. The information of the row before the
+        first is NaN.
+    believed : ndarray, shape (2, cells)
+        The hazard and the target map after the last robot.
+    truth : ndarray of bool, shape (2, cells)
+        The hazards and the targets.
+
+    """
+
+    measures: NDArray[np.float64]
+    believed: NDArray[np.float64]
+    truth: NDArray[np.bool_]
+
+
+def trials_of(scenario: Scenario) -> list[Trial]:
+    """Return all missions of a scenario in the order of its table."""
+    return [
+        Trial(lethality, method, number)
+        for lethality in scenario.lethalities
+        for method in scenario.methods
+        for number in range(scenario.trials)
+    ]
+
+
+def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
+    """
+    Run one mission; the same arguments give the same bits.
+
+    Trials of one number draw the same world and the same numbers for each robot's steps, so that
+    methods and lethalities are compared on equal luck.
+
+    Raises
+    ------
+    ValueError
+        If a robot meets what its sensor model calls impossible.
+
+    """
+    # Sums split among threads may round differently; and all cores are busy with other trials.
+    threadpool_limits(1, 'blas')
+    rng = np.random.default_rng([scenario.seed, trial.number])
+    grid = scenario.field()
+    world = World.random(grid, rng, **vars(scenario.world))
+    true_model = scenario.model(trial.lethality)
+    if scenario.believed_lethality is None:
+        model = true_model
+    else:
+        model = scenario.model(scenario.believed_lethality)
+    mission = run_mission(
+        grid,
+        scenario.belief(),
+        model,
+        world,
+        scenario.robots,
+        rng,
+        trial.method,
+        **vars(scenario.planning),
+        world_model=true_model,
+    )
+    start = Estimator(scenario.belief(), model, trial.method).belief
+    beliefs = [start, *(deployment.belief for deployment in mission)]
+    lost = [not deployment.observation.survived for deployment in mission]
+    joint_entropy = [belief.joint_entropy() for belief in beliefs]
+    measured = {
+        'entropy_hazard': [binary_entropy(belief.hazard).sum() for belief in beliefs],
+        'entropy_target': [binary_entropy(belief.target).sum() for belief in beliefs],
+        'entropy': [belief.entropy() for belief in beliefs],
+        'joint_entropy': joint_entropy,
+        'hazard_log_loss': [log_loss(belief.hazard, world.hazard) for belief in beliefs],
+        'target_log_loss': [log_loss(belief.target, world.target) for belief in beliefs],
+        'hazard_brier': [brier_score(belief.hazard, world.hazard) for belief in beliefs],
+        'target_brier': [brier_score(belief.target, world.target) for belief in beliefs],
+        'robots_lost': np.cumsum([0, *lost]),
+        'planned_information': [np.nan, *(deployment.plan.information for deployment in mission)],
+        'realised_information': -np.diff(joint_entropy, prepend=np.nan),
+    }
+    return Outcome(
+        np.array([measured[name] for name in MEASURES], dtype=np.float64).T,
+        np.stack([beliefs[-1].hazard, beliefs[-1].target]),
+        np.stack([world.hazard, world.target]),
+    )

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study command: whole studies, interrupted ones, and those that cannot be."""
+
+import contextlib
+import fcntl
+import json
+import os
+from pathlib import Path
+import pty
+import random
+import re
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+from pyarrow import parquet
+import pytest
+import yaml
+
+STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
+PATIENCE = 60.0
+LEFT = ['table.parquet', 'entropy.png', 'log_loss.png', 'reliability.png', 'summary.json']
+LEFT += ['summary.md', 'scenario.yaml']
+
+SCENARIO = {
+    'seed': 3,
+    'trials': 10,
+    'robots': 12,
+    'methods': ['kappa_bnitp_published', 'kappa_bnitp_smoothed'],
+    'lethalities': [0.1, 0.9],
+    'grid': {'width': 5, 'height': 5, 'base': 0},
+    'planning': {'planner': 'relaxed', 'max_steps': 10, 'width': 1, 'max_visits': 3},
+    'world': {'hazard_density': 0.2, 'kappa': 0.8, 'target_background': 0.1},
+    'sensor': {
+        'malfunction': 0.05,
+        'false_negative': 0.05,
+        'true_positive': 0.95,
+        'false_positive': 0.05,
+    },
+    'prior': {'hazard': 0.2, 'target': 0.24, 'kappa': 0.8},
+}
+TRIALS = 10 * 2 * 2
+
+
+def command(scenario, out, *options):
+    return [*STUDY, str(scenario), '--out', str(out), *map(str, options)]
+
+
+def run_study(*arguments):
+    return subprocess.run(
+        command(*arguments),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def write(path, **changes):
+    path.write_text(yaml.safe_dump({**SCENARIO, **changes}))
+    return path
+
+
+@pytest.fixture(scope='module')
+def scenario(tmp_path_factory):
+    return write(tmp_path_factory.mktemp('scenario') / 'scenario.yaml')
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory, scenario):
+    """Return the folder of an uninterrupted study in one process."""
+    out = tmp_path_factory.mktemp('whole')
+    done = run_study(scenario, out, '--workers', 1)
+    assert done.returncode == 0, done.stderr
+    assert all(f'wrote {out / name}' in done.stdout for name in LEFT[:-1])
+    return out
+
+
+def start(scenario, out, enough):
+    """Start a study and return its process once so many trials are done."""
+    process = subprocess.Popen(
+        command(scenario, out, '--workers', 2),
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + PATIENCE
+    while len(list(out.glob('trials/*.npz'))) < enough and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return process
+
+
+def test_a_study_leaves_its_table_figures_and_summary(whole):
+    table = parquet.read_table(whole / 'table.parquet')
+    assert table.num_rows == TRIALS * 13
+    assert table.column_names[:4] == ['trial', 'method', 'lethality', 'deployment']
+    assert set(table['trial'].to_pylist()) == set(range(10))
+    assert set(table['deployment'].to_pylist()) == set(range(13))
+    for name in ('entropy.png', 'log_loss.png', 'reliability.png'):
+        assert (whole / name).read_bytes().startswith(b'\x89PNG')
+    summary = json.loads((whole / 'summary.json').read_text())
+    assert len(summary['rows']) == 4
+    assert '| 0.9 | `kappa_bnitp_published` |' in (whole / 'summary.md').read_text()
+
+
+def test_a_killed_study_goes_on_to_the_same_table(scenario, whole, tmp_path):
+    """Twice, at moments that nobody chose."""
+    for _ in range(2):
+        done_before = len(list(tmp_path.glob('trials/*.npz')))
+        process = start(scenario, tmp_path, random.randint(done_before + 1, done_before + 15))
+        time.sleep(random.uniform(0, 0.05))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        assert not (tmp_path / 'table.parquet').exists()
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob('trials/*.npz')}
+    assert 2 <= len(kept) < TRIALS
+    done = run_study(scenario, tmp_path, '--workers', 2)
+    assert done.returncode == 0, done.stderr
+    for name in LEFT:
+        assert (tmp_path / name).read_bytes() == (whole / name).read_bytes(), name
+    assert all(path.stat().st_mtime_ns == written for path, written in kept.items())
+    assert not list(tmp_path.glob('**/*.part'))
+
+
+@pytest.mark.parametrize('number, status', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
+    scenario, tmp_path, number, status
+):
+    process = start(scenario, tmp_path, 3)
+    os.killpg(process.pid, number)
+    _, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == status
+    assert 'Traceback' not in stderr
+    assert 3 <= len(list(tmp_path.glob('trials/*.npz'))) < TRIALS
+    if number == signal.SIGINT:
+        assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
+
+
+def test_a_finished_study_runs_nothing_again(scenario, whole):
+    written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
+    assert len(written) == TRIALS
+    assert run_study(scenario, whole).returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')} == written
+
+
+def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, tmp_path):
+    out = tmp_path / 'out'
+    shutil.copytree(whole, out)
+    for file in sorted(out.glob('trials/*-kappa_bnitp_smoothed-*')):
+        file.unlink()
+    terminal, screen = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('4H', 24, 99, 0, 0))
+    with subprocess.Popen(command(scenario, out, '--workers', 1), stderr=screen) as process:
+        os.close(screen)
+        shown = b''
+        with contextlib.suppress(OSError):  # a terminal's end
+            while chunk := os.read(terminal, 4096):
+                shown += chunk
+    os.close(terminal)
+    assert process.returncode == 0
+    bars = re.findall(r'(\d+)/40 \[\d\d:\d\d<(\d\d:\d\d|\?)', shown.decode())
+    assert bars[0][0] == '20'
+    assert bars[-1] == ('40', '00:00')
+    assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
+
+
+def test_shipped_scenarios_are_known_by_name(tmp_path):
+    process = start('paper', tmp_path / 'out', 1)
+    os.killpg(process.pid, signal.SIGINT)
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    kept = yaml.safe_load((tmp_path / 'out' / 'scenario.yaml').read_text())
+    shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
+    assert kept == {**yaml.safe_load(shipped.read_text()), 'believed_lethality': None}
+
+
+@pytest.mark.parametrize(
+    'changes, options, complaint',
+    [
+        ({'colour': 'red'}, [], 'colour is unknown'),
+        ({'lethalities': [1.5]}, [], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
+        ({'trials': 0}, [], 'trials is 0.*from 1'),
+        ({}, ['--backend', 'dask', '--scheduler', 'magic://here'], 'no Dask workers.*magic'),
+        ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
+        ({}, ['--out', '/proc/here'], '/proc/here'),
+    ],
+)
+def test_what_cannot_be_is_one_error_before_any_work(tmp_path, changes, options, complaint):
+    if '--backend' in options:
+        pytest.importorskip('distributed')
+    file = write(tmp_path / 'mine.yaml', **changes)
+    done = run_study(file, tmp_path / 'out', *options)
+    assert done.returncode == 2
+    assert re.fullmatch(f'study: .*{complaint}.*\n', done.stderr), done.stderr
+    assert not list(tmp_path.glob('out/trials/*'))
+
+
+def test_a_missing_section_is_one_error(tmp_path):
+    file = tmp_path / 'mine.yaml'
+    file.write_text(yaml.safe_dump({k: v for k, v in SCENARIO.items() if k != 'sensor'}))
+    done = run_study(file, tmp_path / 'out')
+    assert done.returncode == 2
+    assert re.fullmatch('study: .*mine.yaml: sensor is missing.*\n', done.stderr), done.stderr
+
+
+def test_a_folder_with_another_scenarios_results_is_one_error(tmp_path, whole):
+    before = {path: path.stat().st_mtime_ns for path in whole.rglob('*')}
+    done = run_study(write(tmp_path / 'mine.yaml', robots=13), whole)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        f'study: {whole} holds results of another scenario, with robots 12 and not 13: .*\n',
+        done.stderr,
+    )
+    assert {path: path.stat().st_mtime_ns for path in whole.rglob('*')} == before
+
+
+def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
+    done = run_study('magic', tmp_path / 'out')
+    assert done.returncode == 2
+    assert re.fullmatch(
+        'study: scenario magic is no file.*calibrated, mismatched, paper\n', done.stderr
+    )
+
+
+@pytest.mark.parametrize(
+    'options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']]
+)
+def test_unusable_options_are_named(scenario, tmp_path, options):
+    done = run_study(scenario, tmp_path / 'out', *options)
+    assert done.returncode == 2
+    assert f'{options[0]}: ' in done.stderr
+    assert options[1] in done.stderr
+    assert not (tmp_path / 'out').exists()

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is done stays done, and nothing else counts."""
+
+from dataclasses import replace
+
+from kbnitp_ros.study.folder import Folder
+from kbnitp_ros.study.trial import Trial
+import numpy as np
+import pytest
+
+TRIAL = Trial(0.9, 'kappa_bnitp', 1)
+
+
+@pytest.fixture
+def folder(tmp_path, scenario, results):
+    """Return a folder with one trial done."""
+    folder = Folder(tmp_path / 'made' / 'here', scenario)
+    folder.save(TRIAL, results.outcomes[TRIAL])
+    return folder
+
+
+def the_file(tmp_path):
+    (file,) = tmp_path.rglob('*.npz')
+    return file
+
+
+def test_an_outcome_is_kept_to_the_last_bit(folder, results):
+    outcomes = folder.outcomes()
+    assert list(outcomes) == [TRIAL]
+    for kept, given in zip(outcomes[TRIAL], results.outcomes[TRIAL], strict=True):
+        assert kept.dtype == given.dtype
+        assert np.array_equal(kept, given, equal_nan=kept.dtype == float)
+
+
+def test_a_trial_that_is_half_written_does_not_count(folder, tmp_path):
+    file = the_file(tmp_path)
+    content = file.read_bytes()
+    for length in (0, 1, 30, len(content) // 2, len(content) - 1):
+        file.write_bytes(content[:length])
+        assert folder.outcomes() == {}
+    file.write_bytes(content[:200] + b'?' + content[201:])
+    assert folder.outcomes() == {}
+    file.rename(f'{file}.part')
+    assert folder.outcomes() == {}
+
+
+@pytest.mark.parametrize(
+    'change, complaint',
+    [
+        ({'trials': 4}, 'trials 3 and not 4'),
+        ({'lethalities': (0.2, 0.8)}, r'lethalities \(0.2, 0.9\) and not \(0.2, 0.8\)'),
+        ({'believed_lethality': 1.0}, 'believed_lethality None and not 1.0'),
+    ],
+)
+def test_the_folder_of_another_scenario_is_refused(folder, tmp_path, scenario, change, complaint):
+    with pytest.raises(ValueError, match=f'here holds results of another scenario.*{complaint}'):
+        Folder(tmp_path / 'made' / 'here', replace(scenario, **change))
+
+
+def test_trials_of_an_unknown_scenario_are_refused(tmp_path, scenario):
+    tmp_path.joinpath('trials').mkdir()
+    with pytest.raises(ValueError, match='unknown scenario.*another folder'):
+        Folder(tmp_path, scenario)
+
+
+def test_two_studies_do_not_work_in_one_folder(folder, tmp_path, scenario):
+    with pytest.raises(ValueError, match='another study at work'):
+        Folder(tmp_path / 'made' / 'here', scenario)
+
+
+def test_a_file_is_no_folder(tmp_path, scenario):
+    tmp_path.joinpath('file').write_text('')
+    with pytest.raises(OSError, match='file'):
+        Folder(tmp_path / 'file', scenario)

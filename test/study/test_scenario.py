@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scenario is what its file says, or one clear error."""
+
+from pathlib import Path
+
+from kbnitp_ros.core import METHODS
+from kbnitp_ros.study.scenario import read_scenario
+import pytest
+import small_study
+import yaml
+
+SHIPPED = Path(__file__).parents[2] / 'scenarios'
+
+
+def test_a_scenario_is_what_its_file_says(tmp_path):
+    content = {**small_study.CONTENT, 'believed_lethality': 1}
+    scenario = read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
+    assert scenario.trials == 3
+    assert scenario.lethalities == (0.2, 0.9)
+    assert scenario.grid.base == scenario.field().base == 5
+    assert scenario.planning.planner == 'relaxed'
+    assert scenario.world.kappa == 0.8
+    assert scenario.believed_lethality == 1.0
+    assert scenario.model(0.2).malfunction == 0.05
+    assert scenario.belief().hazard.tolist() == pytest.approx([0.3] * 5 + [0.0] + [0.3] * 6)
+
+
+@pytest.mark.parametrize(
+    'key, value, complaint',
+    [
+        ('colour', 'red', 'colour is unknown.*seed, trials'),
+        ('world.colour', 'red', 'world.colour is unknown: world has hazard_density, kappa'),
+        ('sensor', None, 'sensor is missing'),
+        ('trials', None, 'trials is missing'),
+        ('planning.max_steps', None, 'planning.max_steps is missing'),
+        ('prior', 0.5, 'prior is 0.5.*hazard, target, kappa'),
+        ('trials', 0, 'trials is 0.*from 1 to'),
+        ('trials', 2.5, 'trials is 2.5.*whole number'),
+        ('trials', True, 'trials is True.*whole number'),
+        ('robots', -1, 'robots is -1.*from 1 to'),
+        ('seed', -1, 'seed is -1.*from 0 to'),
+        ('lethalities', [0.5, 1.5], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
+        ('lethalities', [float('nan')], r'lethalities is nan.*from 0\.0 to 1\.0'),
+        ('lethalities', ['high'], "lethalities is 'high'.*a number"),
+        ('lethalities', [], r'lethalities is \[\].*at least one'),
+        ('lethalities', 0.5, 'lethalities is 0.5.*a list'),
+        ('lethalities', [0.5, 0.50], 'lethalities.*twice'),
+        ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_smoothed'),
+        ('methods', [['kappa_bnitp']], 'methods is .*known'),
+        ('planning.planner', 'magic', 'planning.planner is .magic.*relaxed'),
+        ('planning.max_steps', 0, 'planning.max_steps is 0.*from 1'),
+        ('world.kappa', -0.1, r'world.kappa is -0\.1.*from 0\.0 to 1\.0'),
+        ('believed_lethality', 2, 'believed_lethality is 2.*from 0'),
+        ('grid.base', 12, 'grid: base is 12.*from 0 to 11'),
+        ('prior.target', 0.1, r'prior: .*hazard 0\.3 and kappa 0\.8.*target.*0\.1'),
+    ],
+)
+def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, value, complaint):
+    file = small_study.write(tmp_path / 'mine.yaml', small_study.changed(key, value))
+    with pytest.raises(ValueError, match=f'mine.yaml: {complaint}'):
+        read_scenario(file)
+
+
+@pytest.mark.parametrize(
+    'text, complaint',
+    [
+        (b'seed: [', 'not YAML'),
+        (b'\xff\xfe\xff', 'not YAML'),
+        (b'', 'it is None: it must have the keys seed'),
+        (b'- seed', 'it must have the keys seed'),
+    ],
+)
+def test_what_is_no_scenario_is_refused(tmp_path, text, complaint):
+    file = tmp_path / 'mine.yaml'
+    file.write_bytes(text)
+    with pytest.raises(ValueError, match=f'mine.yaml.* {complaint}') as refusal:
+        read_scenario(file)
+    assert '\n' not in str(refusal.value)
+
+
+def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
+    shipped = {path.stem: read_scenario(path) for path in SHIPPED.glob('*.yaml')}
+    assert sorted(shipped) == ['calibrated', 'mismatched', 'paper']
+    for scenario in shipped.values():
+        assert (scenario.grid.width, scenario.grid.height) == (9, 9)
+        assert (scenario.robots, scenario.trials) == (100, 25)
+        assert scenario.lethalities == (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
+        assert scenario.methods == METHODS
+        assert vars(scenario.sensor) == {
+            'malfunction': 0.05,
+            'false_negative': 0.05,
+            'true_positive': 0.95,
+            'false_positive': 0.05,
+        }
+    assert shipped['paper'].prior.hazard == 0.5
+    for name in ('calibrated', 'mismatched'):
+        world, prior = shipped[name].world, shipped[name].prior
+        assert prior.hazard == world.hazard_density
+        assert prior.kappa == world.kappa
+        background = world.target_background
+        assert prior.target == pytest.approx(
+            prior.hazard * world.kappa + (1 - prior.hazard) * background
+        )
+    assert [shipped[name].believed_lethality for name in sorted(shipped)] == [None, 1.0, None]
+
+
+@pytest.mark.parametrize('path', sorted(SHIPPED.glob('*.yaml')), ids=lambda path: path.stem)
+def test_what_the_paper_leaves_open_is_said_where_it_is_decided(path):
+    text = path.read_text()
+    said = {line.split(':')[0].strip() for line in text.splitlines() if '# open' in line}
+    decided = {'base', 'max_steps', 'width', 'max_visits', *yaml.safe_load(text)['world']}
+    assert decided <= said

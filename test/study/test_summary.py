@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Means, their intervals and the paired differences."""
+
+from dataclasses import replace
+import json
+
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.summary import LOG_LOSS, markdown, mean_of, summarise
+import numpy as np
+import pytest
+
+
+def test_the_interval_holds_the_true_mean_about_as_often_as_it_says():
+    samples = np.random.default_rng(5).exponential(size=(25, 400))
+    mean, low, high = mean_of(samples)
+    np.testing.assert_allclose(mean, samples.mean(axis=0))
+    covered = ((low < 1.0) & (high > 1.0)).mean()
+    assert 0.86 < covered < 0.97  # 25 skewed samples: a little less than 0.95
+
+
+def test_the_interval_is_that_of_resampled_means():
+    samples = np.array([1.0, 2.0, 3.0, 10.0])
+    rng = np.random.default_rng(1)
+    resampled = rng.choice(samples, (100_000, 4)).mean(axis=1)
+    expected = np.quantile(resampled, (0.025, 0.975))
+    np.testing.assert_allclose(mean_of(samples)[1:], expected, atol=0.2)
+
+
+def test_the_interval_is_always_the_same():
+    samples = np.random.default_rng(0).normal(size=(5, 7))
+    assert [part.tolist() for part in mean_of(samples)] == [
+        part.tolist() for part in mean_of(samples)
+    ]
+
+
+def test_differences_are_paired(results):
+    summary = summarise(results)
+    assert (summary['trials'], summary['robots']) == (3, 4)
+    assert summary['reference'] == 'kappa_bnitp_smoothed'
+    rows = {(row['lethality'], row['method']): row for row in summary['rows']}
+    assert len(rows) == 6
+    final = {
+        method: results.series(0.9, method, *LOG_LOSS)[:, -1]
+        for method in results.scenario.methods
+    }
+    row = rows[0.9, 'relaxed_bnitp']
+    assert row['log_loss']['mean'] == pytest.approx(final['relaxed_bnitp'].mean(), abs=1e-6)
+    mean, low, high = mean_of(final['kappa_bnitp_smoothed'] - final['relaxed_bnitp'])
+    assert row['difference'] == pytest.approx({'mean': mean, 'low': low, 'high': high}, abs=1e-6)
+    believed, truth = results.final_maps(0.9, 'relaxed_bnitp')
+    false = [b[1][t[0] & ~t[1]].sum() for b, t in zip(believed, truth)]
+    assert row['false_targets']['mean'] == pytest.approx(np.mean(false), abs=1e-6)
+    assert 'difference' not in rows[0.9, 'kappa_bnitp_smoothed']
+    assert row['robots_lost']['mean'] == results.series(0.9, 'relaxed_bnitp', 'robots_lost')[
+        :, -1
+    ].mean().round(6)
+
+
+def test_a_single_trial_has_no_interval(results):
+    alone = {trial: outcome for trial, outcome in results.outcomes.items() if not trial.number}
+    summary = summarise(Results(replace(results.scenario, trials=1), alone))
+    assert summary['rows'][0]['entropy']['low'] is None
+    json.dumps(summary, allow_nan=False)
+    assert '[' not in markdown(summary).split('|---|')[1]
+
+
+def test_the_table_for_people_says_what_the_summary_says(results):
+    summary = summarise(results)
+    lines = markdown(summary).splitlines()
+    cells = [line.strip('| ').split(' | ') for line in lines if line.startswith('| 0')]
+    assert len(cells) == len(summary['rows'])
+    for row, (lethality, method, log_loss, *_) in zip(summary['rows'], cells):
+        assert float(lethality) == row['lethality']
+        assert method == f'`{row["method"]}`'
+        entry = row['log_loss']
+        assert log_loss == f'{entry["mean"]:.1f} [{entry["low"]:.1f}, {entry["high"]:.1f}]'

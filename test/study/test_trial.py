@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A trial is one mission of the core, measured after every robot."""
+
+from dataclasses import replace
+
+from kbnitp_ros.core import Belief, brier_score, log_loss, run_mission, SensorModel, World
+from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+import numpy as np
+import pytest
+
+
+def fly(scenario, trial, believed=None):
+    """Return the world and the mission, from the core alone."""
+    rng = np.random.default_rng([scenario.seed, trial.number])
+    grid = scenario.field()
+    world = World.random(grid, rng, 0.3, 0.8, 0.1)
+    model = SensorModel(trial.lethality)
+    prior = Belief.prior(grid, 0.3, 0.31, 0.8)
+    mission = run_mission(
+        grid,
+        prior,
+        model if believed is None else SensorModel(believed),
+        world,
+        scenario.robots,
+        rng,
+        trial.method,
+        max_steps=6,
+        planner='relaxed',
+        max_visits=2,
+        world_model=model,
+    )
+    return world, prior, mission
+
+
+def column(outcome, name):
+    return outcome.measures[:, MEASURES.index(name)]
+
+
+@pytest.mark.parametrize('method', ['relaxed_bnitp', 'kappa_bnitp_smoothed'])
+def test_the_measures_are_those_of_the_mission(scenario, method):
+    trial = Trial(0.9, method, 2)
+    outcome = run_trial(scenario, trial)
+    world, prior, mission = fly(scenario, trial)
+    first = prior.independent() if method == 'relaxed_bnitp' else prior
+    beliefs = [first, *(deployment.belief for deployment in mission)]
+    assert column(outcome, 'entropy').tolist() == [b.entropy() for b in beliefs]
+    assert column(outcome, 'joint_entropy').tolist() == [b.joint_entropy() for b in beliefs]
+    np.testing.assert_allclose(
+        column(outcome, 'entropy_hazard') + column(outcome, 'entropy_target'),
+        column(outcome, 'entropy'),
+    )
+    for name in ('hazard', 'target'):
+        maps, truth = [getattr(b, name) for b in beliefs], getattr(world, name)
+        losses = [log_loss(p, truth) for p in maps]
+        assert column(outcome, f'{name}_log_loss').tolist() == losses
+        assert column(outcome, f'{name}_brier').tolist() == [brier_score(p, truth) for p in maps]
+    fates = [deployment.observation.survived for deployment in mission]
+    assert column(outcome, 'robots_lost').tolist() == [
+        fates[:robots].count(False) for robots in range(len(fates) + 1)
+    ]
+    planned = column(outcome, 'planned_information')
+    assert np.isnan(planned[0])
+    assert planned[1:].tolist() == [deployment.plan.information for deployment in mission]
+    realised = column(outcome, 'realised_information')
+    assert np.isnan(realised[0])
+    assert realised[1] == first.joint_entropy() - mission[0].belief.joint_entropy()
+    assert outcome.believed.tolist() == [
+        mission[-1].belief.hazard.tolist(),
+        mission[-1].belief.target.tolist(),
+    ]
+    assert outcome.truth.tolist() == [world.hazard.tolist(), world.target.tolist()]
+
+
+def test_trials_of_one_number_share_their_world(results):
+    worlds = {}
+    for trial, outcome in results.outcomes.items():
+        worlds.setdefault(trial.number, set()).add(outcome.truth.tobytes())
+    assert [len(same) for same in worlds.values()] == [1, 1, 1]
+    assert len(set.union(*worlds.values())) == 3
+
+
+def test_methods_share_the_fate_of_the_first_robot(results):
+    """They plan on the same belief until evidence sets them apart."""
+    for number in range(3):
+        for measure in ('planned_information', 'robots_lost'):
+            one_pass, smoothed = (
+                results.series(0.2, method, measure)[number, 1]
+                for method in ('kappa_bnitp', 'kappa_bnitp_smoothed')
+            )
+            assert one_pass == smoothed
+
+
+def test_what_is_believed_of_the_lethality_may_be_wrong(scenario):
+    trial = Trial(0.2, 'kappa_bnitp', 0)
+    outcome = run_trial(replace(scenario, believed_lethality=1.0), trial)
+    _, _, mission = fly(scenario, trial, believed=1.0)
+    assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
+    assert outcome.believed[0].tolist() != run_trial(scenario, trial).believed[0].tolist()
+
+
+def test_the_trials_are_all_combinations(scenario):
+    trials = trials_of(scenario)
+    assert len(set(trials)) == len(trials) == 2 * 3 * 3
+    assert trials[:4] == [
+        Trial(0.2, 'relaxed_bnitp', 0),
+        Trial(0.2, 'relaxed_bnitp', 1),
+        Trial(0.2, 'relaxed_bnitp', 2),
+        Trial(0.2, 'kappa_bnitp', 0),
+    ]

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wherever the trials run, their outcomes are the same."""
+
+from dataclasses import replace
+import json
+import os
+import subprocess
+import sys
+import time
+
+from kbnitp_ros.study import workers as module
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.workers import workers
+import pyarrow
+from pyarrow import parquet
+import pytest
+
+PATIENCE = 60.0
+
+
+@pytest.fixture
+def dask_cluster(tmp_path):
+    """Start a scheduler and two workers, processes of their own; return its address."""
+    distributed = pytest.importorskip('distributed')
+    file = tmp_path / 'scheduler.json'
+    dask = [sys.executable, '-m', 'dask']
+    options = ['--scheduler-file', str(file), '--no-dashboard']
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    with subprocess.Popen(
+        [*dask, 'scheduler', '--host', '127.0.0.1', '--port', '0', *options], env=environment
+    ) as scheduler:
+        with subprocess.Popen(
+            [*dask, 'worker', '--nworkers', '2', '--nthreads', '1', *options], env=environment
+        ) as pool:
+            deadline = time.monotonic() + PATIENCE
+            while not file.exists() and time.monotonic() < deadline:
+                time.sleep(0.1)
+            address = json.loads(file.read_text())['address']
+            with distributed.Client(address) as client:
+                client.wait_for_workers(2, PATIENCE)
+            yield address
+            pool.terminate()
+        scheduler.terminate()
+
+
+def as_parquet(results):
+    sink = pyarrow.BufferOutputStream()
+    parquet.write_table(results.table(), sink)
+    return sink.getvalue().to_pybytes()
+
+
+def check_same(scenario, results, pool):
+    outcomes = dict(pool.run(scenario, trials_of(scenario)))
+    assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
+
+
+@pytest.mark.parametrize('backend, count', [('loky', 1), ('loky', 2), ('dask', 2)])
+def test_processes_of_this_machine_give_the_same_table(scenario, results, backend, count):
+    if backend == 'dask':
+        pytest.importorskip('distributed')
+    with workers(backend, count) as pool:
+        check_same(scenario, results, pool)
+
+
+def test_a_dask_cluster_gives_the_same_table(scenario, results, dask_cluster):
+    with workers('dask', scheduler=dask_cluster) as pool:
+        check_same(scenario, results, pool)
+
+
+def test_ray_gives_the_same_table(scenario, results):
+    pytest.importorskip('ray')
+    with workers('ray', 2) as pool:
+        check_same(scenario, results, pool)
+
+
+def test_no_trials_need_no_work(scenario):
+    with workers('loky', 2) as pool:
+        assert list(pool.run(scenario, [])) == []
+
+
+def test_a_trial_that_fails_is_named(scenario):
+    """Robots are lost where nothing is believed able to destroy them."""
+    sensor = replace(scenario.sensor, malfunction=0.0)
+    impossible = replace(scenario, believed_lethality=0.0, sensor=sensor)
+    with (
+        workers('loky', 1) as pool,
+        pytest.raises(RuntimeError, match=r"Trial\(lethality=0.9, method='.*', .*impossible"),
+    ):
+        list(pool.run(impossible, [t for t in trials_of(impossible) if t.lethality == 0.9]))
+
+
+@pytest.mark.parametrize('address', ['127.0.0.1:1', 'nowhere.invalid:8786', 'magic://here'])
+def test_a_cluster_out_of_reach_is_one_error(monkeypatch, address):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr(module, 'PATIENCE', 1)
+    with (
+        pytest.raises(ConnectionError, match=f'no Dask workers.*{address}'),
+        workers('dask', scheduler=address),
+    ):
+        pass
+
+
+def test_a_cluster_without_workers_is_one_error(monkeypatch):
+    distributed = pytest.importorskip('distributed')
+    monkeypatch.setattr(module, 'PATIENCE', 1)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
+        pytest.raises(ConnectionError, match='no Dask workers.*tcp'),
+        workers('dask', scheduler=cluster.scheduler_address),
+    ):
+        pass
+
+
+@pytest.mark.parametrize('backend', ['dask', 'ray'])
+def test_a_backend_that_is_not_installed_is_one_error(monkeypatch, backend):
+    monkeypatch.setattr(module, 'find_spec', lambda name: None)
+    with pytest.raises(ValueError, match=f'backend {backend}.*pip install'), workers(backend):
+        pass
+
+
+@pytest.mark.parametrize(
+    'arguments, complaint',
+    [
+        (('loky', None, 'host:1'), 'scheduler is host:1.*must be dask, not loky'),
+        (('dask', 2, 'host:1'), 'workers is 2: leave it out.*host:1'),
+    ],
+)
+def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, complaint):
+    monkeypatch.setattr(module, 'find_spec', lambda name: True)
+    with pytest.raises(ValueError, match=complaint), workers(*arguments):
+        pass

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the README tells people to type works as it stands there."""
+
+import os
+from pathlib import Path
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BLOCKS = re.findall(r'```(\w+)\n(.*?)```', (ROOT / 'README.md').read_text(), re.S)
+SHELL = [line for language, block in BLOCKS if language == 'bash' for line in block.splitlines()]
+PYTHON = [block for language, block in BLOCKS if language == 'python']
+
+
+def commands(*names):
+    return [
+        shlex.split(line)[1:]
+        for line in SHELL
+        if re.match(f'python3 -m kbnitp_ros ({"|".join(names)}) ', line)
+    ]
+
+
+def start(command, folder):
+    environment = {**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'}
+    return subprocess.Popen([sys.executable, *command], cwd=folder, env=environment)
+
+
+def test_the_demo_and_its_replay(tmp_path):
+    typed = commands('demo', 'replay')
+    assert [words[2] for words in typed] == ['demo', 'replay']
+    for command in typed:
+        assert start(command, tmp_path).wait(timeout=120) == 0
+
+
+def test_the_study_starts(tmp_path):
+    (command,) = commands('study')
+    study = start(command, tmp_path)
+    out = tmp_path / command[command.index('--out') + 1]
+    deadline = time.monotonic() + 120
+    while not list(out.glob('trials/*.npz')) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    study.send_signal(signal.SIGINT)
+    assert study.wait(timeout=60) == 130
+    assert list(out.glob('trials/*.npz'))
+
+
+@pytest.mark.parametrize('snippet', PYTHON)
+def test_the_python_example(snippet):
+    printed = subprocess.run(
+        [sys.executable, '-c', snippet], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert 0 < float(printed) < 112
+
+
+def test_what_it_links_to_is_there():
+    links = re.findall(r'\]\(([^)#]+)\)', (ROOT / 'README.md').read_text())
+    missing = [link for link in links if '://' not in link and not (ROOT / link).exists()]
+    assert not missing
