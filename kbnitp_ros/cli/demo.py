@@ -64,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2
-    # SIGTERM, too, must end the nodes.
+    # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         deploy(values, log)

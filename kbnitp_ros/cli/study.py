@@ -32,7 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     options = parse(argv)
-    # SIGTERM, too, must end the workers.
+    # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the workers.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         return study(options)
@@ -60,7 +61,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--backend',
         choices=tuple(BACKENDS),
         default='loky',
-        help='what runs the workers: processes of this machine (loky, the default), Dask or Ray',
+        help='what runs the trials: processes of this machine (loky, the default), Dask or Ray',
     )
     parser.add_argument(
         '--workers', metavar='N', type=count, help='how many to start; default: one a core'
@@ -68,7 +69,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='of a Dask or Ray cluster that runs already, instead of one started here',
+        help='of a Dask scheduler that runs already, instead of one started here',
     )
     return parser.parse_args(argv)
 

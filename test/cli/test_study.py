@@ -22,7 +22,7 @@ import pytest
 import yaml
 
 STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
-PATIENCE = 60.0
+PATIENCE = 120.0
 LEFT = ['table.parquet', 'entropy.png', 'log_loss.png', 'reliability.png', 'summary.json']
 LEFT += ['summary.md', 'scenario.yaml']
 
@@ -80,18 +80,31 @@ def whole(tmp_path_factory, scenario):
     return out
 
 
-def start(scenario, out, enough):
-    """Start a study and return its process once so many trials are done."""
-    process = subprocess.Popen(
-        command(scenario, out, '--workers', 2),
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    deadline = time.monotonic() + PATIENCE
-    while len(list(out.glob('trials/*.npz'))) < enough and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return process
+@pytest.fixture
+def start():
+    """Return how to start a study, which returns its process once so many trials are done."""
+    started = []
+
+    def start(scenario, out, enough):
+        process = subprocess.Popen(
+            command(scenario, out, '--workers', 2),
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            # Whoever runs the tests in the background may have them ignore it.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        started.append(process)
+        deadline = time.monotonic() + PATIENCE
+        while len(list(out.glob('trials/*.npz'))) < enough and time.monotonic() < deadline:
+            time.sleep(0.005)
+        return process
+
+    yield start
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
 
 
 def test_a_study_leaves_its_table_figures_and_summary(whole):
@@ -107,11 +120,11 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
     assert '| 0.9 | `kappa_bnitp_published` |' in (whole / 'summary.md').read_text()
 
 
-def test_a_killed_study_goes_on_to_the_same_table(scenario, whole, tmp_path):
+def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_path):
     """Twice, at moments that nobody chose."""
     for _ in range(2):
         done_before = len(list(tmp_path.glob('trials/*.npz')))
-        process = start(scenario, tmp_path, random.randint(done_before + 1, done_before + 15))
+        process = start(scenario, tmp_path, random.randint(done_before + 1, done_before + 10))
         time.sleep(random.uniform(0, 0.05))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
@@ -128,7 +141,7 @@ def test_a_killed_study_goes_on_to_the_same_table(scenario, whole, tmp_path):
 
 @pytest.mark.parametrize('number, status', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
-    scenario, tmp_path, number, status
+    start, scenario, tmp_path, number, status
 ):
     process = start(scenario, tmp_path, 3)
     os.killpg(process.pid, number)
@@ -168,7 +181,7 @@ def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, t
     assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
 
 
-def test_shipped_scenarios_are_known_by_name(tmp_path):
+def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     process = start('paper', tmp_path / 'out', 1)
     os.killpg(process.pid, signal.SIGINT)
     process.communicate(timeout=PATIENCE)
