@@ -331,7 +331,45 @@ TABLE = (
         'Whether the hidden world is shown on truth/hazard and truth/target.',
         ('agent',),
     ),
-    Parameter('file', 'mission.mcap', 'The log to write; it must not exist yet.', ('recorder',)),
+    Parameter(
+        'recorded',
+        False,
+        'Whether a robot leaves only when the recorder has its path on disk.',
+        ('agent',),
+    ),
+    Parameter(
+        'resume',
+        '',
+        'Log of the mission to go on with, its first file or its folder; empty for a new mission.',
+        ('planner', 'agent', 'recorder'),
+    ),
+    Parameter(
+        'file',
+        'mission.mcap',
+        'The log to write; it must not exist yet. Not used with resume.',
+        ('recorder',),
+    ),
+    Parameter(
+        'compression',
+        'none',
+        'How the log is compressed.',
+        ('recorder',),
+        choices=('none', 'zstd'),
+    ),
+    Parameter(
+        'max_file_size',
+        0,
+        'Bytes after which the log goes on in another file beside the first; 0 for one file.',
+        ('recorder',),
+        limits=(0, 2**62),
+    ),
+    Parameter(
+        'max_file_duration',
+        0.0,
+        'Seconds after which the log goes on in another file beside the first; 0 for one file.',
+        ('recorder',),
+        limits=(0.0, 1e9),
+    ),
 )
 
 
