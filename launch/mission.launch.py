@@ -18,6 +18,9 @@ SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
+RESUME = {'resume': ParameterValue(LaunchConfiguration('resume'), value_type=str)}
+RECORDED = {'recorded': ParameterValue(LaunchConfiguration('record'), value_type=bool)}
+
 
 def generate_launch_description():
     arguments = [
@@ -34,6 +37,11 @@ def generate_launch_description():
             default_value='true',
             choices=SWITCH,
             description='Whether to record the mission, to the file that the parameters name.',
+        ),
+        DeclareLaunchArgument(
+            'resume',
+            default_value='',
+            description='Log of a dead mission to go on with; empty for a new mission.',
         ),
         DeclareLaunchArgument(
             'rviz',
@@ -57,22 +65,22 @@ def generate_launch_description():
             arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', 'mission.rviz'])],
             condition=IfCondition(LaunchConfiguration('rviz')),
         ),
-        mission_node('recorder', condition=IfCondition(LaunchConfiguration('record'))),
+        mission_node('recorder', RESUME, condition=IfCondition(LaunchConfiguration('record'))),
         mission_node('estimator', awaits=['planner']),
-        mission_node('agent', awaits=['planner', 'estimator']),
-        mission_node('planner', awaits=['agent', 'estimator']),
+        mission_node('agent', RESUME | RECORDED, awaits=['planner', 'estimator']),
+        mission_node('planner', RESUME, awaits=['agent', 'estimator']),
     ]
     mission = GroupAction([PushROSNamespace(LaunchConfiguration('namespace')), *nodes])
     return LaunchDescription([*arguments, discovery, mission])
 
 
-def mission_node(name, awaits=(), condition=None):
+def mission_node(name, own=None, awaits=(), condition=None):
     """Return a node that the mission cannot go on without; it also awaits the recorder, if any."""
-    own = {}
+    own = dict(own or {})
     if awaits:
         recorded, alone = str([*awaits, 'recorder']), str(awaits)
         nodes = IfElseSubstitution(LaunchConfiguration('record'), recorded, alone)
-        own = {'await_nodes': ParameterValue(nodes, value_type=list[str])}
+        own['await_nodes'] = ParameterValue(nodes, value_type=list[str])
     return Node(
         package='kbnitp_ros',
         executable=name,

@@ -48,6 +48,8 @@ class LoggedMessage:
         When it was received and when it was sent, in nanoseconds.
     position : int
         How far into the file it was found, in bytes.
+    data : bytes
+        As it came off the wire.
     message : object
         Has the fields of its type, as defined in the file itself.
 
@@ -58,6 +60,7 @@ class LoggedMessage:
     log_time: int
     publish_time: int
     position: int
+    data: bytes
     message: Any
 
 
@@ -156,6 +159,7 @@ def decoded(file: IO[bytes], types: Collection[str] | None) -> Iterator[LoggedMe
                     record.log_time,
                     record.publish_time,
                     file.tell(),
+                    record.data,
                     decode(decoders, channel, schema, record.data),
                 )
 

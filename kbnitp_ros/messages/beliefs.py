@@ -28,6 +28,8 @@ class Snapshot:
 
     Attributes
     ----------
+    stamp : int
+        The time of its evidence, in nanoseconds.
     grid : Grid
         The field.
     max_steps : int
@@ -45,6 +47,7 @@ class Snapshot:
 
     """
 
+    stamp: int
     grid: Grid
     max_steps: int
     model: SensorModel
@@ -109,6 +112,7 @@ def read_belief_maps(message: Any) -> Snapshot:
             f'joint has {joint.size} values: it must have 4 * width * height = {4 * grid.cells}'
         )
     return Snapshot(
+        stamp=from_stamp(message.header.stamp),
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(

@@ -6,10 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
+from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import DeploymentKey, World
+from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import grid_of, sensor_model_of
@@ -31,13 +34,17 @@ class AgentNode(Shell):
         self._model = sensor_model_of(self.values)
         self._rng = np.random.default_rng(self.values['seed'])
         self._world = self._hidden_world()
-        self._traversed: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._waiting: list[DeploymentKey] = []
+        self._newest_recorded = 0
         self._reports = self.create_publisher(
             DeploymentReport, f'{self._name}/report', qos.EVIDENCE
         )
         self._readings = self.create_publisher(Marker, f'{self._name}/readings', qos.LATCHED)
         if self.values['publish_truth']:
             self._publish_truth()
+        if self.values['resume']:
+            self._restore(self.values['resume'])
         self._awaiting = self.create_poll(self._listen)
 
     def _hidden_world(self) -> World:
@@ -56,6 +63,15 @@ class AgentNode(Shell):
             truth = occupancy_grid(self._grid, getattr(self._world, name), self.now())
             self.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED).publish(truth)
 
+    def _restore(self, log: str) -> None:
+        """Publish the reports on record again, and do not make those deployments once more."""
+        for key, recorded in read_deployments(log).items():
+            if key.agent == self._name and recorded.report is not None:
+                _, path = read_path(self._grid, self._name, recorded.path.message)
+                self._known[key] = path
+                self._rng.spawn(1)
+                self._reports.publish(recorded.report.data)
+
     def _listen(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""
         self.diagnostics.state = self.waiting_for([self._reports])
@@ -63,6 +79,10 @@ class AgentNode(Shell):
             self._awaiting.cancel()
             self.diagnostics.state = f'taking paths of {self._name}'
             self.create_subscription(Path, f'{self._name}/path', self._on_path, qos.EVIDENCE)
+            if self.values['recorded']:
+                self.create_subscription(
+                    Time, f'{self._name}/recorded', self._on_recorded, qos.LATCHED
+                )
 
     def _on_path(self, message: Path) -> None:
         try:
@@ -73,20 +93,36 @@ class AgentNode(Shell):
         except ValueError as error:
             self.diagnostics.refuse(f'{self._name}/path', error)
             return
-        self._traversed[key] = path
         self.diagnostics.accept()
-        # The k-th path is traversed with the k-th child of the seed, as in core's run_mission.
-        observation = self._world.traverse(path, self._model, self._rng.spawn(1)[0])
+        self._known[key] = path
+        self._waiting.append(key)
+        self._send_out()
+
+    def _is_known(self, key: DeploymentKey, path: NDArray[np.intp]) -> bool:
+        known = self._known.get(key)
+        if known is not None and not np.array_equal(known, path):
+            raise ValueError(f'deployment {key} is known along another path: the first holds')
+        return known is not None
+
+    def _on_recorded(self, message: Time) -> None:
+        self._newest_recorded = from_stamp(message)
+        self._send_out()
+
+    def _send_out(self) -> None:
+        """Have the robots leave whose paths no crash can take from the base any more."""
+        while self._waiting and (
+            not self.values['recorded'] or self._waiting[0].stamp <= self._newest_recorded
+        ):
+            self._traverse(self._waiting.pop(0))
+        self.diagnostics.waiting = len(self._waiting)
+
+    def _traverse(self, key: DeploymentKey) -> None:
+        # The k-th robot leaves with the k-th child of the seed, as in core's run_mission.
+        observation = self._world.traverse(self._known[key], self._model, self._rng.spawn(1)[0])
         stamp = self.now()
         self._reports.publish(report_message(key, observation, stamp))
         if observation.survived:
             self._readings.publish(readings_marker(self._grid, observation, stamp))
-
-    def _is_known(self, key: DeploymentKey, path: NDArray[np.intp]) -> bool:
-        known = self._traversed.get(key)
-        if known is not None and not np.array_equal(known, path):
-            raise ValueError(f'deployment {key} was made along another path: the first holds')
-        return known is not None
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -8,8 +8,9 @@ import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import DeploymentKey, plan
+from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import path_message, read_report
+from kbnitp_ros.messages.deployments import path_message, read_path, read_report
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.shell import run, Shell
@@ -28,10 +29,13 @@ class PlannerNode(Shell):
             for agent in agents_of(self.values)
         }
         self._newest: Snapshot | None = None
-        self._out: DeploymentKey | None = None
-        self._out_is_reported = False
-        self._held_before = 0
+        self._out: set[DeploymentKey] = set()
+        # How many deployments the belief must hold before the next is planned on it.
+        self._made = 0
         self._last_stamp = 0
+        self._is_heard = False
+        if self.values['resume']:
+            self._restore(self.values['resume'])
         self.diagnostics.state = 'waiting for the belief'
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         for agent in self._paths:
@@ -39,6 +43,22 @@ class PlannerNode(Shell):
                 DeploymentReport, f'{agent}/report', self._on_report, qos.EVIDENCE
             )
         self.create_poll(self._deploy)
+
+    def _restore(self, log: str) -> None:
+        """Publish the paths on record again: those sent before are known to nobody else now."""
+        for key, recorded in read_deployments(log).items():
+            if key.agent not in self._paths:
+                raise ValueError(
+                    f'{log} has deployments of {key.agent}: the parameter agents names only '
+                    f'{", ".join(self._paths)}'
+                )
+            _, cells = read_path(self._grid, key.agent, recorded.path.message)
+            self._grid.check_path(cells, self.values['max_steps'])
+            self._paths[key.agent].publish(recorded.path.data)
+            if recorded.report is None:
+                self._out.add(key)
+            self._made += 1
+            self._last_stamp = key.stamp
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
@@ -68,9 +88,8 @@ class PlannerNode(Shell):
         except ValueError as error:
             self.diagnostics.refuse('report', error)
             return
-        if key == self._out:
-            self._out_is_reported = True
-            self._deploy()
+        self._out.discard(key)
+        self._deploy()
 
     def _deploy(self) -> None:
         """Send the next robot, unless something must come first."""
@@ -90,24 +109,37 @@ class PlannerNode(Shell):
             width=self.values['beam_width'],
             max_visits=self.values['max_visits'],
         )
-        # A stamp names a deployment, so none is used twice, even if the clock jumps back.
-        self._last_stamp = max(self.now(), self._last_stamp + 1)
         agent = list(self._paths)[newest.deployments % len(self._paths)]
-        self._out = DeploymentKey(agent, self._last_stamp)
-        self._out_is_reported = False
-        self._held_before = newest.deployments
-        self._paths[agent].publish(path_message(self._grid, planned.path, self._last_stamp))
+        key = DeploymentKey(agent, self._next_stamp(newest))
+        self._out.add(key)
+        self._made = newest.deployments + 1
+        self._last_stamp = key.stamp
+        self._paths[agent].publish(path_message(self._grid, planned.path, key.stamp))
+
+    def _next_stamp(self, newest: Snapshot) -> int:
+        """
+        Return the stamp that names the deployment to be planned on a belief.
+
+        It is the belief's own, so that a planner which was restarted, and no longer knows what it
+        sent, sends the very same message again, which changes nothing. None is used twice, even
+        if the clock jumps back.
+        """
+        held = 0 if newest.newest is None else newest.newest.stamp
+        return max(newest.stamp, held + 1, self._last_stamp + 1)
 
     def _reason_to_wait(self, held: int) -> str:
         """Return what must come before the next deployment; empty when nothing."""
-        if self._out is not None and not (self._out_is_reported and held > self._held_before):
-            return f'waiting for {self._out} to be reported and believed'
+        if self._out:
+            return f'waiting for {min(self._out, key=lambda key: key.stamp)} to be reported'
+        if held < self._made:
+            return f'waiting for a belief that holds {self._made} deployments'
         robots = self.values['robots']
         if held >= robots:
             return f'done: {held} of {robots} robots deployed'
-        if self._out is None and (waiting := self.waiting_for(self._paths.values())):
+        if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
-        return '' if self.now() > 0 else 'waiting for the clock'
+        self._is_heard = True
+        return ''
 
 
 def main(args: Sequence[str] | None = None) -> int:

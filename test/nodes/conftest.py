@@ -61,6 +61,12 @@ class Field:
         ):
             self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
 
+    def kill(self, full_name):
+        """End a node without warning; it may be started again."""
+        process = self.processes.started.pop(full_name)
+        process.kill()
+        process.wait()
+
     def said(self, full_name):
         """Return what a node wrote to its terminal."""
         return self._outputs[full_name].read_text()

@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import Grid, Report, SensorModel, World
+from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.deployments import path_message, read_report
+from kbnitp_ros.messages.headers import to_stamp
+from kbnitp_ros.nodes import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
+from rclpy.serialization import serialize_message
 from samples import BAD_PATHS, FIELD, GRID, HOME, key, path
 from visualization_msgs.msg import Marker
 
@@ -101,3 +106,49 @@ def test_the_grid_may_lie_anywhere(field):
     paths.publish(path_message(grid, tours[1], 2))
     field.until(lambda: len(reports) == 2, 'both reports')
     assert field.count('/agent', 'refused') <= 0
+
+
+def test_a_robot_leaves_when_its_path_is_on_disk(field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    recorded = field.node.create_publisher(Time, '/scout_1/recorded', qos.LATCHED)
+    field.start('agent', {**PARAMETERS, 'recorded': True})
+    paths = field.talk(Path, '/scout_1/path')
+    for number in (1, 2, 3):
+        paths.publish(path(number))
+    field.until(lambda: field.count('/agent', 'waiting') == 3, 'three paths')
+    assert not reports
+    recorded.publish(to_stamp(key(2).stamp))
+    field.until(lambda: field.count('/agent', 'waiting') == 1, 'two robots to leave')
+    field.until(lambda: len(reports) == 2, 'reports')
+    recorded.publish(to_stamp(key(3).stamp))
+    field.until(lambda: len(reports) == 3, 'last report')
+    assert [read_report(report)[0] for report in reports] == [key(1), key(2), key(3)]
+
+
+def test_a_resumed_agent_repeats_its_reports_and_no_traverse(field):
+    log = field.folder / 'mission.mcap'
+    tours = [HOME, [0, 4, 8, 4, 0], [0, 1, 0], HOME, [0, 0]]
+    expected = list(expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours))
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    field.start('agent', PARAMETERS)
+    paths = field.talk(Path, '/scout_1/path')
+    with LogWriter(log) as writer:
+        writer.add_topic('/scout_1/path', 'nav_msgs/msg/Path', '[]')
+        writer.add_topic('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport', '[]')
+        for number, cells in enumerate(tours[:3]):
+            paths.publish(path(number, cells))
+            writer.write('/scout_1/path', serialize_message(path(number, cells)), 1, 1)
+            field.until(lambda n=number: len(reports) > n, 'report')
+            # The third was not on disk yet.
+            if number < 2:
+                writer.write('/scout_1/report', serialize_message(reports[number]), 1, 1)
+    field.kill('/agent')
+    field.start('agent', {**PARAMETERS, 'resume': str(log)})
+    field.until(lambda: len(reports) == 6, 'old reports and the third once more')
+    for number in (3, 4):
+        paths.publish(path(number, tours[number]))
+    field.until(lambda: len(reports) == 8, 'new reports')
+    assert reports[3:5] == reports[:2]
+    made = [read_report(report) for report in reports[:3] + reports[6:]]
+    assert made == [(key(number), outcome) for number, outcome in enumerate(expected)]
+    assert read_report(reports[5]) == made[2]

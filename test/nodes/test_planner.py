@@ -14,11 +14,19 @@ from kbnitp_ros.core import (
     plan,
     SensorModel,
 )
+from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.deployments import read_path, read_report, report_message
+from kbnitp_ros.messages.deployments import (
+    path_message,
+    read_path,
+    read_report,
+    report_message,
+)
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from nav_msgs.msg import Path
 import rclpy
+from rclpy.serialization import serialize_message
 from samples import changed, in_frame
 
 GRID = Grid(3, 3)
@@ -74,7 +82,7 @@ def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
 
     report = mission.lose(0)
     mission.show_belief()
-    mission.until_state('to be reported and believed')
+    mission.until_state('to be reported')
     assert len(mission.paths) == 1
     mission.reports.publish(report)
     assert mission.until_sent(1) == mission.planned()
@@ -82,7 +90,7 @@ def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
     report = mission.lose(1)
     mission.reports.publish(report)
     mission.reports.publish(report)
-    mission.until_state('to be reported and believed')
+    mission.until_state('waiting for a belief that holds 2 deployments')
     assert len(mission.paths) == 2
     mission.show_belief()
     assert mission.until_sent(2) == mission.planned()
@@ -103,7 +111,7 @@ def test_an_estimator_that_starts_over_is_waited_for(field):
     mission.until_sent(1)
     mission.reports.publish(mission.lose(1))
     mission.beliefs.publish(prior)
-    mission.until_state('to be reported and believed')
+    mission.until_state('waiting for a belief that holds 2 deployments')
     assert len(mission.paths) == 2
     mission.show_belief()
     assert mission.until_sent(2) == mission.planned()
@@ -148,6 +156,68 @@ def test_bad_beliefs_are_refused_and_counted(field):
     assert "agent is ''" in field.until_refused('/planner', len(cases) + 1)
     mission.show_belief()
     assert mission.until_sent(0) == mission.planned()
+
+
+def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
+    mission = Mission(field, {'robots': 3})
+    mission.show_belief()
+    mission.until_sent(0)
+    mission.reports.publish(mission.lose(0))
+    mission.show_belief()
+    mission.until_sent(1)
+    field.kill('/planner')
+    field.start('planner', {**PARAMETERS, 'robots': 3})
+    mission.until_sent(2)
+    assert mission.paths[2] == mission.paths[1]
+    mission.reports.publish(mission.lose(1))
+    mission.show_belief()
+    assert mission.until_sent(3) == mission.planned()
+    stamps = [from_stamp(path.header.stamp) for path in mission.paths]
+    assert stamps[0] < stamps[1] == stamps[2] < stamps[3]
+
+
+def test_a_resumed_planner_knows_what_is_on_record(field):
+    log = field.folder / 'mission.mcap'
+    mission = Mission(field, {'robots': 3})
+    with LogWriter(log) as writer:
+        for topic, kind in (
+            ('/scout_1/path', 'nav_msgs/msg/Path'),
+            ('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport'),
+        ):
+            writer.add_topic(topic, kind, '[]')
+        for number in range(2):
+            mission.show_belief()
+            mission.until_sent(number)
+            writer.write('/scout_1/path', serialize_message(mission.paths[number]), 1, 1)
+            report = mission.lose(number)
+            if number == 0:
+                mission.reports.publish(report)
+                writer.write('/scout_1/report', serialize_message(report), 1, 1)
+    field.kill('/planner')
+    field.start('planner', {**PARAMETERS, 'robots': 3, 'resume': str(log)})
+    mission.until_sent(3)
+    assert mission.paths[2:] == mission.paths[:2]
+    # The belief that the test still offers holds one deployment: the second is out.
+    mission.until_state('to be reported')
+    mission.reports.publish(report)
+    mission.until_state('waiting for a belief that holds 2 deployments')
+    mission.show_belief()
+    assert mission.until_sent(4) == mission.planned()
+
+
+def test_a_log_of_another_mission_is_not_resumed(field):
+    log = field.folder / 'mission.mcap'
+    with LogWriter(log) as writer:
+        writer.add_topic('/scout_9/path', 'nav_msgs/msg/Path', '[]')
+        home = path_message(Grid(9, 9), [0, 8, 0], 1)
+        writer.write('/scout_9/path', serialize_message(home), 1, 1)
+    for namespace, resumed, told in (
+        ('/a', log, 'has deployments of scout_9: the parameter agents'),
+        ('/b', field.folder / 'none.mcap', 'none.mcap cannot be read'),
+    ):
+        planner = field.start('planner', {'resume': str(resumed)}, namespace)
+        assert planner.wait(timeout=20) == 2
+        assert told in field.said(f'{namespace}/planner')
 
 
 def test_a_mission_may_be_empty(field):

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The deployments of a log as they came off the wire, for a node that goes on with its mission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.log.reader import LoggedMessage, read_log
+from kbnitp_ros.log.replay import PATH, REPORT
+from kbnitp_ros.messages.headers import from_stamp
+
+
+@dataclass
+class RecordedDeployment:
+    """
+    What a log has of a deployment.
+
+    Attributes
+    ----------
+    path : LoggedMessage
+        A nav_msgs/Path.
+    report : LoggedMessage or None
+        A DeploymentReport; None if the robot was still out. That of a return, if there is one.
+
+    """
+
+    path: LoggedMessage
+    report: LoggedMessage | None = None
+
+
+def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]:
+    """
+    Return the deployments whose path is on record, in the order they were made.
+
+    Parameters
+    ----------
+    log : str or Path
+        The log of one mission, finished or not.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read or is damaged.
+
+    """
+    paths = {}
+    reports: dict[DeploymentKey, LoggedMessage] = {}
+    for logged in read_log(log, (PATH, REPORT)):
+        message = logged.message
+        if logged.type_name == REPORT:
+            key = DeploymentKey(message.agent, from_stamp(message.deployment))
+            if key not in reports or message.survived > reports[key].message.survived:
+                reports[key] = logged
+        elif logged.topic.endswith('/path'):
+            key = DeploymentKey(logged.topic.split('/')[-2], from_stamp(message.header.stamp))
+            paths.setdefault(key, logged)
+    in_order = sorted(paths, key=lambda key: (key.stamp, key.agent))
+    return {key: RecordedDeployment(paths[key], reports.get(key)) for key in in_order}
