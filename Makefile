@@ -48,8 +48,9 @@ clean:
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	touch $@
 
-.venv/.dev: requirements-dev.txt .venv/.run
+.venv/.dev: requirements-dev.txt test/log/package-lock.json .venv/.run
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements-dev.txt
+	npm ci --silent --prefix test/log
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)

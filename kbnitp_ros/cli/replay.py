@@ -6,12 +6,18 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 import sys
+from typing import TypeVar
 
-from kbnitp_ros.log.reader import LogError, LoggedMessage
+from kbnitp_ros.log.reader import log_size, LogError, LoggedMessage
+from kbnitp_ros.log.recorded import Recorded
+from kbnitp_ros.log.repair import repair
 from kbnitp_ros.log.replay import replay, ReplayReport
 from tqdm import tqdm
+
+T = TypeVar('T', LoggedMessage, Recorded)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,27 +27,44 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all beliefs are reproduced, 1 if not, 2 if the file cannot be used.
+        0 if all beliefs are reproduced, 1 if not, 2 if the log cannot be used or repaired.
 
     """
     parser = argparse.ArgumentParser(prog='replay', description=__doc__)
-    parser.add_argument('file', metavar='FILE.mcap', type=Path, help='the log of one mission')
-    path = parser.parse_args(argv).file
-
-    def progress(messages: Iterator[LoggedMessage]) -> Iterator[LoggedMessage]:
-        size = path.stat().st_size if path.is_file() else None
-        with tqdm(total=size, unit='B', unit_scale=True, disable=None) as bar:
-            for message in messages:
-                yield message
-                bar.update(message.position - bar.n)
-
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        help="the log of one mission: its first file, or its folder if it is the only one's",
+    )
+    parser.add_argument(
+        '--repair',
+        metavar='OUT.mcap',
+        type=Path,
+        help='write what is intact of an unfinished or damaged log to a new file, and replay that',
+    )
+    options = parser.parse_args(argv)
+    log = options.log
     try:
-        report = replay(path, progress)
-    except LogError as error:
+        if options.repair:
+            repaired = repair(log, options.repair, partial(with_progress, log_size(log)))
+            print(f'{repaired.messages} messages of {log} are saved in {options.repair}')
+            print('\n'.join(f'lost: {loss}' for loss in repaired.lost) or 'nothing was lost')
+            log = options.repair
+        report = replay(log, partial(with_progress, log_size(log)))
+    except (LogError, OSError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 2
     print('\n'.join(lines(report)))
     return 0 if report.reproduced else 1
+
+
+def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
+    """Pass on what is read of a log of so many bytes, showing on a terminal how far that is."""
+    with tqdm(total=size, unit='B', unit_scale=True, disable=None) as bar:
+        for item in items:
+            yield item
+            bar.update(item.position - bar.n)
 
 
 def lines(report: ReplayReport) -> Iterator[str]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import deployment_order, DeploymentKey
 from kbnitp_ros.log.reader import LoggedMessage, read_log
 from kbnitp_ros.log.replay import PATH, REPORT
 from kbnitp_ros.messages.headers import from_stamp
@@ -45,7 +45,7 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
         If it cannot be read or is damaged.
 
     """
-    paths = {}
+    paths: dict[DeploymentKey, LoggedMessage] = {}
     reports: dict[DeploymentKey, LoggedMessage] = {}
     for logged in read_log(log, (PATH, REPORT)):
         message = logged.message
@@ -56,5 +56,7 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
         elif logged.topic.endswith('/path'):
             key = DeploymentKey(logged.topic.split('/')[-2], from_stamp(message.header.stamp))
             paths.setdefault(key, logged)
-    in_order = sorted(paths, key=lambda key: (key.stamp, key.agent))
-    return {key: RecordedDeployment(paths[key], reports.get(key)) for key in in_order}
+    return {
+        key: RecordedDeployment(paths[key], reports.get(key))
+        for key in sorted(paths, key=deployment_order)
+    }

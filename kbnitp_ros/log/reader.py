@@ -1,36 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Read the mission log.
-
-The file is read from front to back, without its index: that works alike for one that is finished,
-still being written, left behind by a killed process or cut short.
-"""
+"""Read the mission log, or a bag of rosbag2 with the same topics."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-import os
 from pathlib import Path
-import struct
-from typing import Any, IO
+from typing import Any
 
-from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
-from mcap.records import Channel, Message, Schema, Statistics
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
+from kbnitp_ros.log import mcap_file, sqlite_file
+from kbnitp_ros.log.errors import LogError
+from kbnitp_ros.log.parts import parts_of
+from kbnitp_ros.log.recorded import OnDamage, Recorded, RecordedMessage, RecordedMetadata, refuse
 from mcap_ros2.decoder import DecoderFactory
 
-# What the stream reader raises when a record is not all there.
-CUT_SHORT = (EndOfFile, RecordLengthLimitExceeded, struct.error)
-
-
-NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
-
-
-class LogError(ValueError):
-    """A file that is no mission log, or a damaged one."""
+__all__ = ['LogError', 'LoggedMessage', 'is_finished', 'log_size', 'read_log', 'read_metadata']
 
 
 @dataclass(frozen=True)
@@ -47,7 +32,7 @@ class LoggedMessage:
     log_time, publish_time : int
         When it was received and when it was sent, in nanoseconds.
     position : int
-        How far into the file it was found, in bytes.
+        How far into the log it was found, in bytes, earlier parts counted.
     data : bytes
         As it came off the wire.
     message : object
@@ -66,124 +51,182 @@ class LoggedMessage:
 
 def read_log(path: str | Path, types: Collection[str] | None = None) -> Iterator[LoggedMessage]:
     """
-    Yield the messages of a log in the order they were written.
+    Yield the messages of a log in the order they were written, part after part.
 
     A file that ends early yields all that is whole; `is_finished` tells it from a finished one.
 
     Parameters
     ----------
     path : str or Path
-        An MCAP file.
+        The log's first file or its folder, as `parts.parts_of` takes them. Parts are MCAP files
+        or SQLite databases of rosbag2.
     types : collection of str, optional
         The message types to yield; without it all.
 
     Raises
     ------
     LogError
-        If the file cannot be read or is no MCAP file; also, after all that comes before, where it
-        is damaged or holds a message that cannot be decoded. There is no other error.
+        If a file cannot be read or is no log; also, after all that comes before, where it is
+        damaged or holds a message that cannot be decoded. There is no other error.
 
     """
-    with opened(path) as file:
-        try:
-            yield from decoded(file, types)
-        except LogError as error:
-            raise LogError(f'{path}: {error}') from error
-        except OSError:
-            raise
-        except Exception as error:
-            # A damaged record may fail in any of the libraries it comes through.
-            if isinstance(error, CUT_SHORT) and not is_finished(path):
-                return
-            raise LogError(f'{path} is damaged near byte {file.tell()}: {error!r}') from error
+    decode = Decoders(path)
+    for item in read_recorded(path):
+        if isinstance(item, RecordedMessage) and (types is None or item.schema.name in types):
+            yield LoggedMessage(
+                item.channel.topic,
+                item.schema.name,
+                item.log_time,
+                item.publish_time,
+                item.position,
+                item.data,
+                decode(item),
+            )
+
+
+def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
+    """
+    Return the records of named values that a log has, by their names, of each the last one.
+
+    Raises
+    ------
+    LogError
+        As for `read_log`.
+
+    """
+    return {
+        item.name: item.values
+        for item in read_recorded(path)
+        if isinstance(item, RecordedMetadata)
+    }
 
 
 def is_finished(path: str | Path) -> bool:
     """
-    Return whether the log ends as its writer ends it; not if that was killed or the end is cut.
+    Return whether each part of a log ends as its writer ends it.
+
+    None does if that was killed, or if its end is cut off.
 
     Raises
     ------
     LogError
-        If the file cannot be read or is no MCAP file.
+        If a file cannot be read or is no log.
 
     """
-    with opened(path) as file:
-        last = file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
-        return last > 0 and file.read() == MCAP0_MAGIC
+    return all(map(is_finished_part, parts_of(path)))
+
+
+def is_finished_part(part: Path) -> bool:
+    """Return `is_finished` for a file alone."""
+    with readable(part):
+        if is_sqlite(part):
+            return sqlite_file.is_finished(part)
+        return mcap_file.is_finished(part)
+
+
+def log_size(path: str | Path) -> int:
+    """Return how many bytes a log has, all parts together; errors are as for `read_log`."""
+    return sum(map(size_of, parts_of(path)))
+
+
+def size_of(part: Path) -> int:
+    """Return how many bytes a file has; raises LogError if it cannot be read."""
+    with readable(part):
+        return part.stat().st_size
+
+
+def read_recorded(path: str | Path, on_damage: OnDamage = refuse) -> Iterator[Recorded]:
+    """
+    Yield what is in all parts of a log, not decoded, with positions in the whole.
+
+    Parameters and errors are as for `read_part`, the path as for `read_log`.
+    """
+    before = 0
+    for part in parts_of(path):
+        for item in read_part(part, on_damage):
+            yield item._replace(position=before + item.position)
+        before += size_of(part)
+
+
+def read_part(part: Path, on_damage: OnDamage = refuse) -> Iterator[Recorded]:
+    """
+    Yield what is in a file of a log.
+
+    Parameters
+    ----------
+    part : Path
+        The file.
+    on_damage : callable
+        Takes a LogError wherever the file is damaged; what can be read after it is yielded too.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read or is no log, and what `on_damage` raises.
+
+    """
+    with readable(part):
+        if is_sqlite(part):
+            yield from sqlite_file.read_sqlite(part, on_damage)
+        else:
+            yield from mcap_file.read_mcap(part, on_damage)
+
+
+def is_sqlite(part: Path) -> bool:
+    """Return whether a file starts like a SQLite database."""
+    with part.open('rb') as file:
+        return file.read(len(sqlite_file.MAGIC)) == sqlite_file.MAGIC
 
 
 @contextmanager
-def opened(path: str | Path) -> Iterator[IO[bytes]]:
-    """
-    Open a log that starts like an MCAP file.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read or starts otherwise.
-
-    """
+def readable(part: Path) -> Iterator[None]:
+    """Raise a LogError where a file cannot be read."""
     try:
-        with Path(path).open('rb') as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise LogError(f'{path} is no MCAP file: it does not start like one')
-            file.seek(0)
-            yield file
+        yield
     except OSError as error:
-        raise LogError(f'{path} cannot be read: {error.strerror}') from error
+        raise LogError(f'{part} cannot be read: {error.strerror}') from error
 
 
-def decoded(file: IO[bytes], types: Collection[str] | None) -> Iterator[LoggedMessage]:
-    """Yield the messages of an MCAP stream; fails in many ways where it is damaged."""
-    size = os.fstat(file.fileno()).st_size
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    decoders = DecoderFactory()
-    count = 0
-    for record in StreamReader(file, validate_crcs=True, record_size_limit=size).records:
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Statistics) and record.message_count != count:
-            raise McapError(f'{count} messages found, {record.message_count} were written')
-        elif isinstance(record, Message):
-            count += 1
-            channel = channels[record.channel_id]
-            schema = schemas.get(channel.schema_id, NO_SCHEMA)
-            if types is None or schema.name in types:
-                yield LoggedMessage(
-                    channel.topic,
-                    schema.name,
-                    record.log_time,
-                    record.publish_time,
-                    file.tell(),
-                    record.data,
-                    decode(decoders, channel, schema, record.data),
-                )
-
-
-def decode(decoders: DecoderFactory, channel: Channel, schema: Schema, data: bytes) -> Any:
+class Decoders:
     """
-    Return a message's fields.
+    What makes messages of bytes, for each type as the file defines it.
 
-    Raises
-    ------
-    LogError
-        If the message is not in CDR, its type is not defined in ROS's own language, or the bytes
-        do not fit the type.
+    Parameters
+    ----------
+    path : str or Path
+        The log, to be named in errors.
 
     """
-    decoder = decoders.decoder_for(channel.message_encoding, schema)
-    if decoder is None:
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+        self._decoders: dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None] = {}
+
+    def __call__(self, recorded: RecordedMessage) -> Any:
+        """
+        Return a message's fields.
+
+        Raises
+        ------
+        LogError
+            If the message is not in CDR, its type is not defined in ROS's own language, or the
+            bytes do not fit the type.
+
+        """
+        channel, schema = recorded.channel, recorded.schema
+        encoding = channel.message_encoding
+        key = encoding, schema.encoding, schema.name, schema.data
+        try:
+            if key not in self._decoders:
+                self._decoders[key] = DecoderFactory().decoder_for(encoding, schema)
+            decoder = self._decoders[key]
+            if decoder is not None:
+                return decoder(recorded.data)
+        except Exception as error:
+            raise LogError(
+                f'{self._path}: a message of topic {channel.topic} is no {schema.name}: {error!r}'
+            ) from error
         raise LogError(
-            f'topic {channel.topic} is {channel.message_encoding!r} of a type defined in '
+            f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
             f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
         )
-    try:
-        return decoder(data)
-    except Exception as error:
-        raise LogError(
-            f'a message of topic {channel.topic} is no {schema.name}: {error!r}'
-        ) from error

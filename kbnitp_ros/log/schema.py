@@ -46,12 +46,13 @@ def describe(type_name: str) -> TypeDescription:
     Raises
     ------
     LookupError
-        If its package is not installed.
-    OSError
-        If the package does not have it.
+        If it is not installed.
 
     """
-    description = json.loads(interface_file(type_name, 'json').read_text())
+    try:
+        description = json.loads(interface_file(type_name, 'json').read_text())
+    except OSError as error:
+        raise LookupError(f'type {type_name} is not installed: {error}') from error
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
     message = description['type_description_msg']
     sections = [interface_file(type_name, 'msg').read_text()]

@@ -1,70 +1,127 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the mission log: an MCAP file as rosbag2 and its relatives expect it."""
+"""Write the mission log: MCAP files as rosbag2 and its relatives expect them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import os
 from pathlib import Path
 from types import TracebackType
 
-from kbnitp_ros.log.schema import describe, TypeDescription
-from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
-from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
-import yaml
-
-# rosbag2's metadata version of ROS 2 Jazzy, where a topic's QoS is a list and policies have names.
-BAG_VERSION = 9
+from kbnitp_ros.log.bag import BagFile, is_of_another_bag, write_metadata
+from kbnitp_ros.log.errors import LogError
+from kbnitp_ros.log.part import COMPRESSIONS, Definition, PartWriter
+from kbnitp_ros.log.parts import check_is_new, is_later_part, part_path, parts_of
+from kbnitp_ros.log.recorded import QOS, TYPE_HASH
+from kbnitp_ros.log.repair import finished
+from kbnitp_ros.log.schema import describe
+from mcap.well_known import MessageEncoding, SchemaEncoding
 
 
 @dataclass
 class Topic:
-    """A topic on record and how many messages it has."""
+    """
+    A topic on record.
 
-    name: str
-    type_name: str
-    type_hash: str
-    qos_profiles_yaml: str
-    channel: int
+    Attributes
+    ----------
+    metadata : dict
+        What its channel says of it.
+    messages : int
+        How many were written, to all parts.
+    channel : int
+        Its number in the part being written.
+
+    """
+
+    definition: Definition
+    metadata: dict[str, str]
     messages: int = 0
+    channel: int = 0
 
 
 class LogWriter:
     """
-    Writes messages, as the bytes that came off the wire, to a new MCAP file.
+    Writes messages, as the bytes that came off the wire, to a new log.
 
     Messages are collected in chunks. After `sync` all that was written is on the disk and stays
-    readable whatever happens to the process or the machine; `close` makes the file a finished one,
-    with indexes. Used in a ``with`` statement it closes itself.
+    readable whatever happens to the process or the machine; `close` makes the last file a finished
+    one, with indexes, as was done with those before, and the folder a bag. Used in a ``with``
+    statement it closes itself.
+
+    Once the disk has refused anything the log is as it was after the last thing that reached it,
+    and closed.
+
+    Attributes
+    ----------
+    path : Path
+        The log's first file.
+    current_path : Path
+        The file being written.
+    shares_folder : bool
+        Whether the folder has the metadata.yaml of another bag, which is left alone: others then
+        know the log by its files only.
 
     Parameters
     ----------
     path : str or Path
-        The file to make.
+        The first file to make; or with `resume` the first file, or the folder, of a log to go on
+        with, in a new file beside it.
+    resume : bool
+        Whether the log is there already. Where it is unfinished it is finished first.
+    compression : str
+        'none' or 'zstd'.
+    max_file_size : int
+        Bytes after which the log goes on in another file; 0 for never.
+    max_file_duration : float
+        Seconds after which it does so, by the times of the messages; 0 for never.
 
     Raises
     ------
     OSError
         If there is such a file already, its folder is missing, or the disk refuses; also from all
         methods that write.
+    LogError
+        If there is no log to go on with, or a damaged one.
+    ValueError
+        If the compression is unknown.
 
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._file = self.path.open('xb')
-        self._writer = Writer(self._file, compression=CompressionType.NONE)
-        self._writer.start(Profile.ROS2, f'kbnitp_ros, {LIBRARY_IDENTIFIER}')
-        self._types: dict[str, tuple[int, TypeDescription]] = {}
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        resume: bool = False,
+        compression: str = 'none',
+        max_file_size: int = 0,
+        max_file_duration: float = 0.0,
+    ) -> None:
+        if compression not in COMPRESSIONS:
+            raise ValueError(f'compression is {compression!r}: it must be none or zstd')
+        self._compression = compression
+        self._max_size = max_file_size or 2**63
+        self._max_duration = round(max_file_duration * 1e9) or 2**63
         self._topics: dict[str, Topic] = {}
-        self._first = self._last = 0
-        self.sync()
-        sync_folder(self.path.parent)
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._finished: list[BagFile] = []
+        self._number = 0
+        if resume:
+            parts = parts_of(path)
+            self.path = parts[0]
+            check_goes_on(self.path)
+            self._finished = [finished(part, compression) for part in parts]
+            self._number = len(parts)
+            self.current_path = part_path(self.path, self._number)
+        else:
+            self.path = self.current_path = Path(path)
+            check_is_new(self.path)
+        self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
+        self._part: PartWriter | None = PartWriter(self.current_path, compression)
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """
-        Put a topic on record; each is added before its first message.
+        Put a topic on record: before its first message, and again whenever its QoS changes.
 
         Parameters
         ----------
@@ -78,32 +135,31 @@ class LogWriter:
         Raises
         ------
         LookupError
-            If the type's package is not installed.
+            If the type is not installed.
 
         """
-        if type_name not in self._types:
-            description = describe(type_name)
-            schema = self._writer.register_schema(
-                type_name, SchemaEncoding.ROS2, description.definition.encode()
-            )
-            self._types[type_name] = schema, description
-        schema, description = self._types[type_name]
-        channel = self._writer.register_channel(
-            topic,
-            MessageEncoding.CDR,
-            schema,
-            {
-                'offered_qos_profiles': qos_profiles_yaml,
-                'topic_type_hash': description.type_hash,
-            },
-        )
-        self._topics[topic] = Topic(
-            topic, type_name, description.type_hash, qos_profiles_yaml, channel
+        description = describe(type_name)
+        definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
+        metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
+        known = self._topics.get(topic)
+        self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)
+        self._add_channel(topic)
+
+    def _add_channel(self, topic: str) -> None:
+        """Have the part that is being written know a topic."""
+        added = self._topics[topic]
+        added.channel = self._open_part().add_channel(
+            topic, MessageEncoding.CDR, added.definition, added.metadata
         )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of named values into the file, such as how the run was configured."""
-        self._writer.add_metadata(name, dict(values))
+        """Put a record of named values into this file and all later ones, or replace it there."""
+        self._metadata[name] = dict(values)
+        try:
+            self._open_part().add_metadata(name, values)
+        except OSError:
+            self._abandon()
+            raise
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """
@@ -116,29 +172,42 @@ class LogWriter:
         data : bytes
             The message in CDR, with its encapsulation header.
         log_time, publish_time : int
-            When it was received and when it was sent, in nanoseconds.
+            When it was received and when it was sent, in nanoseconds; a negative time, which the
+            file cannot hold, becomes 0.
 
         """
+        part = self._open_part()
+        contents = part.contents
         entry = self._topics[topic]
         entry.messages += 1
-        self._first = min(self._first or log_time, log_time)
-        self._last = max(self._last, log_time)
-        self._writer.add_message(entry.channel, log_time, data, publish_time, entry.messages)
+        try:
+            if contents.last and (
+                part.size >= self._max_size or log_time - contents.first >= self._max_duration
+            ):
+                part = self._next_part()
+            part.write(entry.channel, data, max(log_time, 0), max(publish_time, 0), entry.messages)
+        except OSError:
+            self._abandon()
+            raise
 
     def sync(self) -> None:
         """Put everything written so far onto the disk."""
-        self._writer.flush()
-        os.fsync(self._file.fileno())
+        try:
+            self._open_part().sync()
+        except OSError:
+            self._abandon()
+            raise
 
     def close(self) -> None:
-        """Finish the file and put it onto the disk."""
-        with self._file:
-            self.add_metadata(
-                'rosbag2',
-                {'serialized_metadata': yaml.safe_dump(self._bag_metadata(), sort_keys=False)},
-            )
-            self._writer.finish()
-            self.sync()
+        """Finish the log and put it onto the disk; nothing is done if it is closed already."""
+        if self._part is None:
+            return
+        try:
+            self._finish_part()
+        except OSError:
+            self._abandon()
+            raise
+        self._part = None
 
     def __enter__(self) -> LogWriter:
         """Return the writer itself."""
@@ -150,47 +219,50 @@ class LogWriter:
         exc_value: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Close the file, also after an error: what was written is worth having."""
+        """Close the log, also after an error: what was written is worth having."""
         self.close()
 
-    def _bag_metadata(self) -> dict[str, object]:
-        """Return what rosbag2 wants to know of a bag that consists of this file."""
-        messages = sum(topic.messages for topic in self._topics.values())
-        span = {
-            'duration': {'nanoseconds': self._last - self._first},
-            'starting_time': {'nanoseconds_since_epoch': self._first},
-            'message_count': messages,
-        }
-        return {
-            'version': BAG_VERSION,
-            'storage_identifier': 'mcap',
-            **span,
-            'topics_with_message_count': [
-                {
-                    'topic_metadata': {
-                        'name': topic.name,
-                        'type': topic.type_name,
-                        'serialization_format': MessageEncoding.CDR,
-                        'offered_qos_profiles': yaml.safe_load(topic.qos_profiles_yaml),
-                        'type_description_hash': topic.type_hash,
-                    },
-                    'message_count': topic.messages,
-                }
-                for topic in self._topics.values()
-            ],
-            'compression_format': '',
-            'compression_mode': '',
-            'relative_file_paths': [self.path.name],
-            'files': [{'path': self.path.name, **span}],
-            'custom_data': {},
-            'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
-        }
+    def _open_part(self) -> PartWriter:
+        if self._part is None:
+            raise ValueError(f'{self.path} is closed')
+        return self._part
+
+    def _next_part(self) -> PartWriter:
+        """Go on in another file, which can be read without those before."""
+        self._finish_part()
+        self._number += 1
+        self.current_path = part_path(self.path, self._number)
+        self._part = PartWriter(self.current_path, self._compression)
+        for name, values in self._metadata.items():
+            self._part.add_metadata(name, values)
+        for topic in self._topics:
+            self._add_channel(topic)
+        return self._part
+
+    def _finish_part(self) -> None:
+        part = self._open_part()
+        part.finish()
+        self._finished.append(part.contents)
+        self.shares_folder = not write_metadata(self.path.parent, self._finished)
+
+    def _abandon(self) -> None:
+        """Give up after an error: what reached the disk stays as it is."""
+        if self._part is not None:
+            self._part.abandon()
+            self._part = None
 
 
-def sync_folder(folder: Path) -> None:
-    """Put onto the disk which files the folder has."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def check_goes_on(first: Path) -> None:
+    """
+    Check that a log can be gone on with under the name of this file.
+
+    Raises
+    ------
+    LogError
+        If it is a later part, or no MCAP file.
+
+    """
+    if is_later_part(first):
+        raise LogError(f'{first} is a part of the log beside it: name the first file of that')
+    if first.suffix != '.mcap':
+        raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be gone on with')

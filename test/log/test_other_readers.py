@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file is read by the tools that its users have: all of it, field by field."""
+"""The log is read by the tools that its users have: all of it, field by field."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose
-from kbnitp_ros.log.schema import describe
+from kbnitp_ros.log.parts import parts_of
+from kbnitp_ros.log.reader import read_log, read_recorded
+from kbnitp_ros.log.repair import repair
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.writer import LogWriter
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from mission_log import mission, QOS, record, same, START
+from mission_log import mission, record, record_to, same, START
+from other_readers import check_all_read, check_same, with_mcap, with_node, with_rosbags
 import pytest
 from rclpy.qos import QoSProfile
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 import yaml
@@ -33,9 +28,9 @@ def sent():
         Marker(
             ns='readings',
             type=Marker.SPHERE_LIST,
-            pose=Pose(position=Point(x=0.5)),
-            points=[Point(x=1.5, y=2.5), Point(z=-0.1)],
-            colors=[ColorRGBA(r=0.25, a=1.0), ColorRGBA(g=0.125)],
+            pose=Pose(position=Point(x=0.5, y=-0.0, z=float('nan'))),
+            points=[Point(x=1.5, y=2.5), Point(z=float('inf'))],
+            colors=[ColorRGBA(r=0.25, a=1.0), ColorRGBA(g=0.1)],
             text='ünïcode',
         ),
     )
@@ -46,10 +41,78 @@ def sent():
     return whole.sent
 
 
-@pytest.fixture(scope='module')
-def path(sent, tmp_path_factory):
-    """Return a finished log of them."""
-    return record(tmp_path_factory.mktemp('log') / 'mission.mcap', sent)
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / 'mission.mcap'
+
+
+def check(log, sent):
+    """Check that all libraries read what was sent."""
+    assert [each.data for each in read_log(log)] == [each.data for each in sent]
+    check_all_read(log)
+
+
+@pytest.mark.parametrize('library', [with_mcap, with_node, with_rosbags])
+def test_the_comparison_can_fail(path, sent, library):
+    """A message that is missing, changed or of other QoS is found."""
+    record(path, sent)
+    read = list(library(path))
+    written = list(read_recorded(path))
+    check_same(read, written)
+    changed = read[0]._replace(message=read[1].message)
+    for wrong in (read[1:], [changed, *read[1:]], [read[0]._replace(qos=[]), *read[1:]]):
+        with pytest.raises((AssertionError, AttributeError)):
+            check_same(wrong, written)
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_a_finished_log(path, sent, compression):
+    with LogWriter(path, compression=compression) as log:
+        record_to(log, sent, synced=True)
+    check(path, sent)
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_a_split_log(path, sent, compression):
+    with LogWriter(path, compression=compression, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    assert len(parts_of(path)) > 3
+    check(path, sent)
+
+
+def test_a_log_that_was_gone_on_with(path, sent):
+    log = LogWriter(path)
+    record_to(log, sent[:20], synced=True)
+    with LogWriter(path, resume=True) as log:
+        record_to(log, sent[20:])
+    check(path, sent)
+
+
+def test_a_repaired_log(path, sent, tmp_path):
+    log = LogWriter(path)
+    record_to(log, sent, synced=True)
+    target = tmp_path / 'repaired' / 'mission.mcap'
+    target.parent.mkdir()
+    repair(path, target)
+    check(target, sent)
+
+
+def test_a_log_with_a_topic_whose_qos_changed(path, sent):
+    """In one file, and from file to file."""
+    with LogWriter(path) as log:
+        for depth, each in enumerate(sent[:1] * 3, 1):
+            log.add_topic(
+                each.topic, each.type_name, qos_profiles_yaml([QoSProfile(depth=depth % 2 + 1)])
+            )
+            log.write(each.topic, each.data, each.time + depth, each.time)
+    with LogWriter(path, resume=True) as log:
+        record_to(log, sent)
+    check(path, [*sent[:1] * 3, *sent])
+
+
+def test_a_log_without_messages(path):
+    record(path, [])
+    check(path, [])
 
 
 def test_same_can_tell(sent):
@@ -59,107 +122,40 @@ def test_same_can_tell(sent):
     assert not same(reports[0], reports[1])
 
 
-def test_mcap_ros2_support_reads_everything(path, sent):
-    with path.open('rb') as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        read = list(reader.iter_decoded_messages())
-    assert len(read) == len(sent)
-    for one, original in zip(read, sent):
-        assert one.channel.topic == original.topic
-        assert one.schema.name == original.type_name
-        assert (one.message.publish_time, one.message.log_time) == (
-            original.time,
-            original.time + 500,
-        )
-        assert one.message.data == original.data
-        assert same(one.decoded_message, original.message)
-
-
-def read_by_rosbags(path):
-    """Yield (topic, type, time, message) of all messages, decoded by what is in the file alone."""
-    with Reader(path) as reader:
-        store = get_typestore(Stores.EMPTY)
-        for connection in reader.connections:
-            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-        for connection, time, data in reader.messages():
-            message = store.deserialize_cdr(data, connection.msgtype)
-            yield connection.topic, connection.msgtype, time, message
-
-
-def test_rosbags_reads_everything(path, sent):
-    read = list(read_by_rosbags(path))
-    assert len(read) == len(sent)
-    for (topic, type_name, time, message), original in zip(read, sent):
-        assert (topic, type_name, time) == (
-            original.topic,
-            original.type_name,
-            original.time + 500,
-        )
-        assert same(message, original.message)
-
-
-def test_rosbags_reads_it_as_a_bag_too(path, sent, tmp_path):
-    """What the file says of itself makes a folder with it a bag."""
-    with path.open('rb') as file:
-        records = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-    description = yaml.safe_load(records['rosbag2']['serialized_metadata'])
-    (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / 'metadata.yaml').write_text(
-        yaml.safe_dump({'rosbag2_bagfile_information': description})
-    )
-    read = list(read_by_rosbags(tmp_path))
-    assert len(read) == len(sent)
-    assert all(same(message, original.message) for (*_, message), original in zip(read, sent))
-    with Reader(tmp_path) as reader:
+def test_the_bag_says_what_is_in_it(path, sent):
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    with Reader(path.parent) as reader:
         assert reader.message_count == len(sent)
         assert reader.start_time == sent[0].time + 500
         assert reader.end_time == sent[-1].time + 500 + 1
         assert reader.ros_distro == 'jazzy'
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+        files = [(file['path'], file['message_count']) for file in reader.storage.files]
     assert counts == {
         topic: sum(each.topic == topic for each in sent) for topic in {each.topic for each in sent}
     }
+    assert [name for name, _ in files] == [part.name for part in parts_of(path)]
+    assert sum(messages for _, messages in files) == len(sent)
 
 
-def test_rosbags_reads_the_qos_back(path):
-    expected = Qos(
-        QosHistory.KEEP_LAST,
-        7,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL,
-        QosTime(0, 0),
-        QosTime(0, 0),
-        QosLiveliness.SYSTEM_DEFAULT,
-        QosTime(0, 0),
-        False,
-    )
-    with Reader(path) as reader:
-        for connection in reader.connections:
-            assert connection.ext.offered_qos_profiles == [expected]
-            assert connection.ext.serialization_format == 'cdr'
-
-
-def test_each_topic_keeps_its_own_qos(tmp_path, sent):
-    path = record(tmp_path / 'mission.mcap', sent[:1], QoSProfile(depth=3))
-    with Reader(path) as reader:
-        (qos,) = reader.connections[0].ext.offered_qos_profiles
-    assert (qos.depth, qos.durability) == (3, QosDurability.VOLATILE)
-    assert QOS.depth != 3
-
-
-def test_the_type_hash_is_read_back(path, sent):
-    with path.open('rb') as file:
-        summary = make_reader(file).get_summary()
-    assert {channel.topic for channel in summary.channels.values()} == {
-        each.topic for each in sent
-    }
-    for channel in summary.channels.values():
-        type_name = summary.schemas[channel.schema_id].name
-        assert channel.metadata['topic_type_hash'] == describe(type_name).type_hash
-        assert channel.metadata['topic_type_hash'].startswith('RIHS01_')
+def test_each_file_says_what_is_in_it(path, sent):
+    """The record that ros2 bag info reads when it is given a file."""
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    for part in parts_of(path):
+        with part.open('rb') as file:
+            reader = make_reader(file)
+            count = reader.get_summary().statistics.message_count
+            records = {record.name: record.metadata for record in reader.iter_metadata()}
+        described = yaml.safe_load(records['rosbag2']['serialized_metadata'])
+        assert described['relative_file_paths'] == [part.name]
+        assert described['message_count'] == count
+        assert described['version'] == 9
 
 
 def test_the_file_is_indexed(path, sent):
+    record(path, sent)
     with path.open('rb') as file:
         reader = make_reader(file)
         summary = reader.get_summary()
@@ -173,17 +169,20 @@ def test_the_file_is_indexed(path, sent):
     assert len(last) == 1
 
 
-def test_one_schema_for_all_topics_of_a_type(path):
+def test_one_schema_for_all_topics_of_a_type(path, sent):
+    record(path, sent)
     with path.open('rb') as file:
         names = [schema.name for schema in make_reader(file).get_summary().schemas.values()]
     assert len(set(names)) == len(names)
 
 
-def test_messages_are_numbered_by_topic(path, sent):
-    with path.open('rb') as file:
-        numbers = [
-            message.sequence
-            for _, channel, message in make_reader(file).iter_messages()
-            if channel.topic == '/belief'
-        ]
+def test_messages_are_numbered_by_topic_through_all_files(path, sent):
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    numbers = [
+        each.sequence
+        for part in parts_of(path)
+        for each in with_mcap(part)
+        if each.topic == '/belief'
+    ]
     assert numbers == list(range(1, sum(each.topic == '/belief' for each in sent) + 1))

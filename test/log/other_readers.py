@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read logs with the tools that their users have, and compare what comes out with what is in."""
+
+import base64
+from importlib import import_module
+import json
+from pathlib import Path
+import subprocess
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from kbnitp_ros.log.mcap_file import read_mcap
+from kbnitp_ros.log.parts import parts_of
+from kbnitp_ros.log.reader import read_recorded
+from kbnitp_ros.log.recorded import RecordedMessage
+from kbnitp_ros.log.schema import describe
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from mission_log import same
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+import yaml
+
+NODE = ['node', Path(__file__).with_name('read_mcap.mjs')]
+
+
+class Read(NamedTuple):
+    """A message as a library reads it; None is what the library does not tell."""
+
+    topic: str
+    type_name: str
+    log_time: int
+    data: bytes
+    message: Any
+    qos: list
+    type_hash: str
+    publish_time: int | None = None
+    sequence: int | None = None
+
+
+def with_mcap(path):
+    """Yield the messages of a finished file as mcap and mcap-ros2-support read them."""
+    with path.open('rb') as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for each in reader.iter_decoded_messages():
+            yield Read(
+                each.channel.topic,
+                each.schema.name,
+                each.message.log_time,
+                each.message.data,
+                each.decoded_message,
+                yaml.safe_load(each.channel.metadata['offered_qos_profiles']),
+                each.channel.metadata['topic_type_hash'],
+                each.message.publish_time,
+                each.message.sequence,
+            )
+
+
+def with_node(path):
+    """Yield the messages of a finished file as @mcap/core and Foxglove's libraries read them."""
+
+    def exact(fields):
+        return int(fields['bigint']) if 'bigint' in fields else SimpleNamespace(**fields)
+
+    done = subprocess.run([*NODE, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for line in done.stdout.splitlines():
+        read = json.loads(line, object_hook=exact)
+        yield Read(
+            read.topic,
+            read.type_name,
+            read.log_time,
+            base64.b64decode(read.data),
+            read.message,
+            yaml.safe_load(read.metadata.offered_qos_profiles),
+            read.metadata.topic_type_hash,
+            read.publish_time,
+            read.sequence,
+        )
+
+
+def with_rosbags(path):
+    """Yield the messages of a finished file, or of a folder that is a bag, as rosbags does."""
+    with Reader(path) as reader:
+        store = get_typestore(Stores.EMPTY)
+        for connection in reader.connections:
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+        for connection, time, data in reader.messages():
+            yield Read(
+                connection.topic,
+                connection.msgtype,
+                time,
+                data,
+                store.deserialize_cdr(data, connection.msgtype),
+                [plain(profile) for profile in connection.ext.offered_qos_profiles],
+                connection.digest or store.hash_rihs01(connection.msgtype),
+            )
+
+
+def plain(qos):
+    """Return a QoS profile of rosbags as it stands in a file."""
+
+    def duration(time):
+        return {'sec': time.sec, 'nsec': time.nsec}
+
+    return {
+        'history': qos.history.name.lower(),
+        'depth': qos.depth,
+        'reliability': qos.reliability.name.lower(),
+        'durability': qos.durability.name.lower(),
+        'deadline': duration(qos.deadline),
+        'lifespan': duration(qos.lifespan),
+        'liveliness': qos.liveliness.name.lower(),
+        'liveliness_lease_duration': duration(qos.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': qos.avoid_ros_namespace_conventions,
+    }
+
+
+def check_same(read, written):
+    """
+    Check that a library read all that was written, field by field.
+
+    Parameters
+    ----------
+    read : iterable of Read
+        What it read; libraries go by time, so messages of one time may come in any order.
+    written : iterable of RecordedMessage or RecordedMetadata
+        What is in the log.
+
+    """
+    read = sorted(read, key=lambda each: (each.log_time, each.topic, each.data))
+    written = [each for each in written if isinstance(each, RecordedMessage)]
+    written.sort(key=lambda each: (each.log_time, each.channel.topic, each.data))
+    assert len(read) == len(written)
+    for one, original in zip(read, written):
+        assert (one.topic, one.type_name) == (original.channel.topic, original.schema.name)
+        assert (one.log_time, one.data) == (original.log_time, original.data)
+        assert one.publish_time in (None, original.publish_time)
+        assert one.sequence in (None, original.sequence)
+        assert one.qos == yaml.safe_load(original.channel.metadata['offered_qos_profiles'])
+        assert one.type_hash == describe(one.type_name).type_hash
+        package, kind, name = one.type_name.split('/')
+        message_class = getattr(import_module(f'{package}.{kind}'), name)
+        assert same(one.message, deserialize_message(original.data, message_class))
+
+
+def check_all_read(log):
+    """
+    Check that all libraries read all of a finished log: each file singly, and the folder as a bag.
+
+    Parameters
+    ----------
+    log : Path
+        Its first file, which has the folder for itself.
+
+    """
+    for part in parts_of(log):
+        for library in (with_mcap, with_node, with_rosbags):
+            check_same(library(part), read_mcap(part))
+    check_same(with_rosbags(log.parent), read_recorded(log))
