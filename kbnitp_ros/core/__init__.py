@@ -5,7 +5,7 @@ from kbnitp_ros.core.belief import Belief
 from kbnitp_ros.core.estimator import Estimator, METHODS
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.information import path_information
-from kbnitp_ros.core.ledger import DeploymentKey, Ledger, Report
+from kbnitp_ros.core.ledger import deployment_order, DeploymentKey, Ledger, Report
 from kbnitp_ros.core.metrics import brier_score, log_loss
 from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.observation import Observation
@@ -30,6 +30,7 @@ __all__ = [
     'SensorModel',
     'World',
     'brier_score',
+    'deployment_order',
     'log_loss',
     'path_information',
     'plan',

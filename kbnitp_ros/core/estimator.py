@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 from kbnitp_ros.core.belief import Belief
 from kbnitp_ros.core.methods import ONE_PASS
 from kbnitp_ros.core.methods.smoothed import Smoother
@@ -63,3 +65,9 @@ class Estimator:
             self.belief = self._smoother.assimilate(observation)
         else:
             self.belief = update(self.belief, self.model, observation, self.method)
+
+    def copy(self) -> Estimator:
+        """Return an estimator that goes on by itself from here; it costs next to no memory."""
+        other = copy(self)
+        other._smoother = copy(self._smoother)
+        return other

@@ -201,7 +201,7 @@ class Grid:
         array = np.asarray(points, dtype=np.float64)
         if array.ndim != 2 or array.shape[1] != 2:
             raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')
-        with np.errstate(invalid='ignore'):
+        with np.errstate(invalid='ignore', over='ignore'):
             place = np.floor((array - np.array(self.origin)) / self.resolution)
             inside = ((place >= 0) & (place < (self.width, self.height))).all(axis=1)
         if not inside.all():

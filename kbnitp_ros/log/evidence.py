@@ -11,10 +11,13 @@ from kbnitp_ros.messages.headers import from_stamp
 import numpy as np
 from numpy.typing import NDArray
 
+# A deployment and how it ended, as one message had it.
+Reported = tuple[DeploymentKey, Report]
+
 
 class Evidence:
     """
-    Paths and reports by deployment.
+    Paths and reports by deployment, each once however often it was recorded.
 
     Attributes
     ----------
@@ -31,13 +34,20 @@ class Evidence:
         # Those that differ: what is published again says nothing new.
         self._paths: dict[DeploymentKey, list[Any]] = {}
         self._reports: dict[DeploymentKey, list[Report]] = {}
+        self._by_agent: dict[str, list[Reported]] = {}
 
     def take_path(self, topic: str, message: Any) -> None:
         """Keep a nav_msgs/Path if it came on AGENT/path; it is read when its grid is known."""
         parent, _, name = topic.rpartition('/')
-        if name == 'path':
-            key = DeploymentKey(parent.rpartition('/')[2], from_stamp(message.header.stamp))
-            self._keep('path', self._paths, key, message)
+        if name != 'path':
+            return
+        key = DeploymentKey(parent.rpartition('/')[2], from_stamp(message.header.stamp))
+        known = self._paths.setdefault(key, [])
+        if message not in known:
+            if known:
+                self.refused.append(f'a second path of deployment {key}, which differs')
+            known.append(message)
+            self._complete(key)
 
     def take_report(self, topic: str, message: Any) -> None:
         """Keep a DeploymentReport."""
@@ -45,36 +55,61 @@ class Evidence:
             key, report = read_report(message)
         except ValueError as error:
             self.refused.append(f'a report on {topic}: {error}')
-        else:
-            self._keep('report', self._reports, key, report)
-
-    def _keep(
-        self, what: str, known: dict[DeploymentKey, list[Any]], key: DeploymentKey, said: Any
-    ) -> None:
-        if said in known.setdefault(key, []):
             return
-        if known[key]:
-            self.refused.append(f'a second {what} of deployment {key}, which differs')
-        known[key].append(said)
+        known = self._reports.setdefault(key, [])
+        if any(report == each and report.stamp == each.stamp for each in known):
+            return
+        if report.survived and any(each.survived and each != report for each in known):
+            self.refused.append(f'a second return of deployment {key}, which differs')
+        known.append(report)
+        self._by_agent.setdefault(key.agent, []).append((key, report))
+        self._complete(key)
+
+    def _complete(self, key: DeploymentKey) -> None:
         if key in self._paths and key in self._reports:
             self.complete[key] = None
 
-    def tell(self, ledger: Ledger, key: DeploymentKey) -> str:
+    def has(self, key: DeploymentKey, stamp: int) -> bool:
+        """Return whether a deployment's path and its report of this time are on record."""
+        return key in self.complete and any(each.stamp == stamp for each in self._reports[key])
+
+    def news(self, ledger: Ledger) -> dict[str, list[Reported]]:
+        """Return what would be new to a ledger of what each agent reported, in that order."""
+        returned = {key: ledger.returned(key) for key in ledger.deployments}
+        return {
+            agent: [
+                (key, report)
+                for key, report in said
+                if key in self.complete and report.survived > returned.get(key, -1)
+            ]
+            for agent, said in self._by_agent.items()
+        }
+
+    def tell(self, ledger: Ledger, key: DeploymentKey, report: Report) -> bool:
         """
-        Have a ledger take in a deployment: of its paths and reports the first it does not refuse.
+        Tell a ledger of a deployment's paths and of one of its reports.
 
         Returns
         -------
-        str
-            Why it takes in none; empty if it holds the deployment now.
+        bool
+            Whether its belief changed.
+
+        Raises
+        ------
+        ValueError
+            If the ledger takes none of the paths, or refuses the report.
 
         """
-        for what, known in (('path', self._paths), ('report', self._reports)):
-            if key not in known:
-                return f'{what} of deployment {key} is not on record'
-        said = (*self._paths[key], *self._reports[key])
-        refusals = [refusal(ledger, key, each) for each in said]
-        return '' if key in ledger.held else next(filter(None, refusals))
+        refusals = []
+        for message in self._paths[key]:
+            try:
+                ledger.record_path(key, read_path(ledger.grid, key.agent, message)[1])
+                break
+            except ValueError as error:
+                refusals.append(error)
+        else:
+            raise refusals[0]
+        return ledger.record_report(key, report)
 
     def path(self, key: DeploymentKey, grid: Grid) -> NDArray[np.intp]:
         """
@@ -89,8 +124,26 @@ class Evidence:
         return read_path(grid, key.agent, self._paths[key][0])[1]
 
     def report(self, key: DeploymentKey) -> Report:
-        """Return the first report of a deployment."""
-        return self._reports[key][0]
+        """Return the report of a complete deployment that counts: of a return if there is one."""
+        said, steps = self._reports[key], len(self._paths[key][0].poses) - 1
+        fitting = (each for each in said if each.survived and len(each.readings) == steps)
+        return next(fitting, said[0])
+
+    def report_of(self, key: DeploymentKey, stamp: int) -> Report:
+        """
+        Return the report of a deployment that the base learnt at this time, or else the last one.
+
+        Raises
+        ------
+        ValueError
+            If none is on record, or not the path.
+
+        """
+        for what, known in (('path', self._paths), ('report', self._reports)):
+            if key not in known:
+                raise ValueError(f'{what} of deployment {key} is not on record')
+        said = self._reports[key]
+        return next((report for report in said if report.stamp == stamp), said[-1])
 
     @property
     def survived(self) -> int:
@@ -106,15 +159,3 @@ class Evidence:
     def without_path(self) -> list[DeploymentKey]:
         """Deployments whose end is on record but not their path."""
         return [key for key in self._reports if key not in self._paths]
-
-
-def refusal(ledger: Ledger, key: DeploymentKey, said: Any) -> str:
-    """Return why a ledger does not take a path or a report; empty if it does."""
-    try:
-        if isinstance(said, Report):
-            ledger.record_report(key, said)
-        else:
-            ledger.record_path(key, read_path(ledger.grid, key.agent, said)[1])
-    except ValueError as error:
-        return str(error)
-    return ''

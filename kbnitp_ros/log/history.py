@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from kbnitp_ros.core import Belief, Grid, Observation, World
+from kbnitp_ros.core import Belief, deployment_order, Grid, Observation, World
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.reader import LogError, read_log
 from kbnitp_ros.log.replay import BELIEF, GRID, PATH, REPORT
@@ -27,7 +27,7 @@ class History:
     beliefs : list of Belief
         Those on record, the prior first.
     observations : list of Observation
-        The deployments on record, in the order they were reported.
+        The deployments on record in their order, each once: the return if a loss was reported too.
     world : World or None
         The hidden truth, if the agent published it.
 
@@ -72,7 +72,7 @@ def read_history(path: str | Path) -> History:
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     grid = snapshots[0].grid
     observations = []
-    for key in evidence.complete:
+    for key in sorted(evidence.complete, key=deployment_order):
         report = evidence.report(key)
         readings = np.array([detected for _, detected in report.readings], dtype=bool)
         observations.append(

@@ -2,23 +2,24 @@
 """
 Compute a log's beliefs again from its paths and reports.
 
-A belief on record says how many deployments it holds and which of them came last. This gives the
-order in which the estimator took them in, whatever the order in which a recorder heard of them.
-What the estimator should have published is then compared with what is on record, field by field
-and bit for bit.
+A belief on record says how many deployments it holds and whose evidence was taken in last. This
+gives what the estimator knew, whatever a recorder had heard of by then. What the estimator should
+have published is then compared with what is on record, field by field and bit for bit.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
 from kbnitp_ros.log.compare import Difference, differences
-from kbnitp_ros.log.evidence import Evidence
+from kbnitp_ros.log.evidence import Evidence, Reported
 from kbnitp_ros.log.reader import is_finished, LogError, LoggedMessage, read_log
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
@@ -28,6 +29,12 @@ BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 PATH = 'nav_msgs/msg/Path'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+
+# A view's topic and its stamp, which may be that of several beliefs.
+View = tuple[str, int]
+
+# How many ways to fill a gap between recorded beliefs are tried.
+TRIALS = 1000
 
 VIEWS = ('hazard', 'target', 'kappa')
 
@@ -169,15 +176,17 @@ class Fold:
         self.topic = ''
         self.prior: Snapshot | None = None
         self.ledger: Ledger | None = None
-        self.held: set[DeploymentKey] = set()
+        # With whether their robots came back: a late return is more than the loss it replaces.
+        self.held: set[tuple[DeploymentKey, bool]] = set()
         self.passed_over: list[DeploymentKey] = []
         self.not_yet_held: list[DeploymentKey] = []
         self.mismatches: list[Mismatch] = []
         self.compared: Counter[str] = Counter()
         self._seen: Counter[str] = Counter()
         self._beliefs: deque[Recorded] = deque()
-        self._views: dict[tuple[str, int], Recorded] = {}
-        self._computed_views: dict[tuple[str, int], tuple[DeploymentKey | None, Any]] = {}
+        self._is_astray = False
+        self._views: dict[View, list[Recorded]] = {}
+        self._computed_views: dict[View, list[tuple[DeploymentKey | None, Any]]] = {}
 
     def take(self, logged: LoggedMessage) -> None:
         """
@@ -197,8 +206,8 @@ class Fold:
             self.evidence.take_report(logged.topic, logged.message)
         elif logged.type_name == GRID:
             view = logged.topic, from_stamp(logged.message.header.stamp)
-            self._views[view] = recorded
-            self.compare_view(view)
+            self._views.setdefault(view, []).append(recorded)
+            self.match_views(view)
         else:
             if self.topic not in ('', logged.topic):
                 raise LogError(
@@ -211,59 +220,99 @@ class Fold:
             self.compare_belief(self._beliefs.popleft())
 
     def finish(self) -> None:
-        """Compare the beliefs whose deployments never came, and find deployments in no belief."""
+        """Compare what still waits, and find deployments in no belief."""
         while self._beliefs:
             self.compare_belief(self._beliefs.popleft())
+        # What is left has another value, or belongs to a belief that is not on record.
+        for view, recorded in self._views.items():
+            for each, (newest, shown) in zip(recorded, self._computed_views.get(view, ())):
+                self.compared[each.topic] += 1
+                different = tuple(differences(each.message, shown))
+                self.mismatches.append(Mismatch(each.topic, each.index, newest, different))
         for key in self.evidence.complete:
-            if key in self.held:
+            report = self.evidence.report(key)
+            if (key, report.survived) in self.held:
                 self.passed_over += self.not_yet_held
                 self.not_yet_held = []
-            elif self.ledger is not None and (refusal := self.evidence.tell(self.ledger, key)):
-                self.evidence.refused.append(refusal)
+                continue
+            try:
+                if self.ledger is not None:
+                    self.evidence.tell(self.ledger, key, report)
+            except ValueError as error:
+                self.evidence.refused.append(str(error))
             else:
                 self.not_yet_held.append(key)
 
     def can_compute(self, belief: Any) -> bool:
         """Return whether the deployments that a recorded belief holds have been read."""
         newest = newest_deployment(belief)
-        complete = self.evidence.complete
-        return newest is None or (newest in complete and len(complete) >= belief.deployments)
+        return newest is None or (
+            self.evidence.has(newest, from_stamp(belief.header.stamp))
+            and len(self.evidence.complete) >= belief.deployments
+        )
 
     def compare_belief(self, recorded: Recorded) -> None:
         """Compute a recorded belief and its views, and compare."""
+        self.compared[recorded.topic] += 1
         newest = newest_deployment(recorded.message)
         stamp = from_stamp(recorded.message.header.stamp)
         try:
-            ledger = self.advance(recorded.message)
-            computed = belief_maps(ledger, stamp)
+            ledger = self.ledger = self.ledger_of(recorded.message)
         except ValueError as error:
-            self.compared[recorded.topic] += 1
             mismatch = Mismatch(recorded.topic, recorded.index, newest, reason=str(error))
             self.mismatches.append(mismatch)
             return
-        self.compare(recorded, newest, computed)
+        computed = belief_maps(ledger, stamp)
+        different = tuple(differences(recorded.message, computed))
+        self._is_astray = bool(different)
+        if different:
+            self.mismatches.append(Mismatch(recorded.topic, recorded.index, newest, different))
+        self.held.update((key, ledger.returned(key)) for key in ledger.deployments)
         for name in VIEWS:
             view = f'{recorded.topic}/{name}', stamp
             shown = occupancy_grid(ledger.grid, getattr(ledger.belief, name), stamp)
-            self._computed_views[view] = newest, shown
-            self.compare_view(view)
+            self._computed_views.setdefault(view, []).append((newest, shown))
+            self.match_views(view)
 
-    def compare_view(self, view: tuple[str, int]) -> None:
-        """Compare a view, named by topic and stamp, once it is both recorded and computed."""
-        if view in self._views and view in self._computed_views:
-            self.compare(self._views.pop(view), *self._computed_views[view])
+    def match_views(self, view: View) -> None:
+        """Strike out recorded views of a topic and stamp that are as computed."""
+        computed = self._computed_views.get(view, [])
+        for recorded in self._views.get(view, []).copy():
+            for index, (_, shown) in enumerate(computed):
+                if not any(differences(recorded.message, shown)):
+                    self.compared[recorded.topic] += 1
+                    self._views[view].remove(recorded)
+                    del computed[index]
+                    break
 
-    def compare(self, recorded: Recorded, newest: DeploymentKey | None, computed: Any) -> None:
-        """Compare a recorded message with the computed one."""
-        self.compared[recorded.topic] += 1
-        different = tuple(differences(recorded.message, computed))
-        if different:
-            mismatch = Mismatch(recorded.topic, recorded.index, newest, different)
-            self.mismatches.append(mismatch)
-
-    def advance(self, belief: Any) -> Ledger:
+    def ledger_of(self, belief: Any) -> Ledger:
         """
-        Return the ledger with the deployments that a recorded belief holds.
+        Return the ledger that gives a recorded belief; if there is none, the likeliest.
+
+        Raises
+        ------
+        ValueError
+            As `candidates`.
+
+        """
+        ledgers = self.candidates(belief)
+        likeliest = next(ledgers)
+        # After a belief that is not reproduced others seldom are, and looking for them takes long.
+        if self._is_astray:
+            return likeliest
+        stamp = from_stamp(belief.header.stamp)
+        for ledger in chain([likeliest], ledgers):
+            if not any(differences(belief, belief_maps(ledger, stamp))):
+                return ledger
+        return likeliest
+
+    def candidates(self, belief: Any) -> Iterator[Ledger]:
+        """
+        Yield ledgers that a recorded belief may be of, the likeliest first.
+
+        It says how many deployments it holds and whose evidence was taken in last. Where the
+        beliefs before it are not on record, what else it holds is to be found out: DDS keeps the
+        order of each topic, so of each agent's reports it holds the first ones.
 
         Raises
         ------
@@ -272,29 +321,62 @@ class Fold:
             not on record or cannot be taken in.
 
         """
-        newest = newest_deployment(belief)
+        newest, stamp = newest_deployment(belief), from_stamp(belief.header.stamp)
         if newest is None:
             self.prior = read_belief_maps(belief)
-            self.ledger = started(self.prior)
-            return self.ledger
+            yield started(self.prior)
+            return
         if self.prior is None or self.ledger is None:
             raise ValueError('the prior it started from is not on record')
-        ledger = self.ledger
-        if len(ledger.held) == belief.deployments and ledger.held[-1] == newest:
-            return ledger
-        if len(ledger.held) >= belief.deployments:
-            # The estimator was restarted and took in everything again.
-            ledger = self.ledger = started(self.prior)
-        # Of beliefs that are not on record only the number is known: the order is the evidence's.
-        others = (
-            key for key in self.evidence.complete if key != newest and key not in ledger.held
-        )
-        while len(ledger.held) < belief.deployments - 1 and (key := next(others, None)):
-            if not self.evidence.tell(ledger, key):
-                self.held.add(key)
-        if refusal := self.evidence.tell(ledger, newest):
-            raise ValueError(refusal)
-        self.held.add(newest)
+        last = newest, self.evidence.report_of(newest, stamp)
+        # It may be the same belief again, go on from the one before, or be of an estimator that
+        # was restarted and took in everything again.
+        count = belief.deployments
+        going_on = self.after(self.ledger, last, count)
+        starting_over = self.after(started(self.prior), last, count)
+        for ledger in chain([self.ledger], going_on, starting_over):
+            if (len(ledger.deployments), ledger.newest, ledger.newest_stamp) == (
+                count,
+                newest,
+                stamp,
+            ):
+                yield ledger
+        ledger = self.ledger.copy()
+        self.evidence.tell(ledger, *last)
+        yield ledger
+
+    def after(self, start: Ledger, last: Reported, count: int) -> Iterator[Ledger]:
+        """Yield ledgers that go on from `start`, hold `count` deployments and took in `last`."""
+        news = self.evidence.news(start)
+        if last not in news.get(last[0].agent, ()):
+            return
+        yield self.told(start, last)
+        own = news.pop(last[0].agent)
+        before = self.told(start, *own[: own.index(last)])
+        in_time = sorted(chain(*news.values()), key=lambda said: said[1].stamp)
+        missing = count - 1 - len(before.deployments)
+        yield self.told(before, *in_time[: max(0, missing)], last)
+        for ledger in islice(self.further(before, [*news.values()], count), TRIALS):
+            yield self.told(ledger, last)
+
+    def further(self, ledger: Ledger, news: list[list[Reported]], count: int) -> Iterator[Ledger]:
+        """Yield ledgers that took in ever more of what other agents reported, up to `count`."""
+        if not news:
+            yield ledger
+            return
+        yield from self.further(ledger, news[1:], count)
+        for said in news[0]:
+            ledger = self.told(ledger, said)
+            if len(ledger.deployments) >= count:
+                return
+            yield from self.further(ledger, news[1:], count)
+
+    def told(self, ledger: Ledger, *news: Reported) -> Ledger:
+        """Return a ledger that was told more and took in what an estimator would."""
+        ledger = ledger.copy()
+        for key, report in news:
+            with suppress(ValueError):
+                self.evidence.tell(ledger, key, report)
         return ledger
 
 

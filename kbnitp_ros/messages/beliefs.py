@@ -29,7 +29,8 @@ class Snapshot:
     Attributes
     ----------
     stamp : int
-        The time of its evidence, in nanoseconds.
+        When the base learnt what it took in last, in nanoseconds; of a prior, when the estimator
+        started.
     grid : Grid
         The field.
     max_steps : int
@@ -41,7 +42,7 @@ class Snapshot:
     deployments : int
         How many it has taken in.
     newest : DeploymentKey or None
-        The last of them; None when there is none.
+        Whose evidence it took in last; None when there is none.
     belief : Belief
         Given those.
 
@@ -57,29 +58,31 @@ class Snapshot:
     belief: Belief
 
 
-def belief_maps(ledger: Ledger, stamp: int) -> BeliefMaps:
+def belief_maps(ledger: Ledger, started: int) -> BeliefMaps:
     """
     Return the message of what is believed now.
+
+    Nothing in it depends on when it is made: the same evidence gives the same message.
 
     Parameters
     ----------
     ledger : Ledger
         The deployments so far.
-    stamp : int
-        When the belief was computed, in nanoseconds.
+    started : int
+        The stamp of a prior: when the estimator started, in nanoseconds.
 
     """
     belief, grid = ledger.belief, ledger.grid
-    newest = ledger.held[-1] if ledger.held else DeploymentKey('', 0)
+    newest = ledger.newest or DeploymentKey('', 0)
     return BeliefMaps(
-        header=header(stamp),
+        header=header(ledger.newest_stamp if ledger.newest else started),
         info=map_metadata(grid),
         base=grid.base,
         blocked=sorted(grid.blocked),
         max_steps=ledger.max_steps,
         method=ledger.estimator.method,
         **asdict(ledger.estimator.model),
-        deployments=len(ledger.held),
+        deployments=len(ledger.deployments),
         agent=newest.agent,
         deployment=to_stamp(newest.stamp),
         hazard=float64s(belief.hazard),
@@ -126,7 +129,7 @@ def read_belief_maps(message: Any) -> Snapshot:
 
 
 def newest_deployment(message: Any) -> DeploymentKey | None:
-    """Return which deployment a belief took in last; None if it is a prior."""
+    """Return whose evidence a belief took in last; None if it is a prior."""
     if not message.deployments:
         return None
     return DeploymentKey(message.agent, from_stamp(message.deployment))

@@ -13,7 +13,7 @@ from typing import Any
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from kbnitp_msgs.msg import DeploymentReport, TargetReading
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
-from kbnitp_ros.messages.headers import check_frame, from_stamp, header, to_stamp
+from kbnitp_ros.messages.headers import check_frame, header, read_stamp, to_stamp
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,7 +61,8 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
     Raises
     ------
     ValueError
-        If it has no pose, or one is in another frame, not finite or outside the grid.
+        If it has no pose, or one is in another frame, not finite or outside the grid, or its
+        time is none.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -77,7 +78,8 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
         raise ValueError(
             f'poses[{first}].pose.position is {tuple(points[first].tolist())}: it must be finite'
         )
-    return DeploymentKey(agent, from_stamp(message.header.stamp)), grid.cells_at(points)
+    stamp = read_stamp('header.stamp', message.header.stamp)
+    return DeploymentKey(agent, stamp), grid.cells_at(points)
 
 
 def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> DeploymentReport:
@@ -116,12 +118,13 @@ def read_report(message: Any) -> tuple[DeploymentKey, Report]:
     Raises
     ------
     ValueError
-        If it is in another frame or names no agent.
+        If it is in another frame, a time is none, or it names no agent.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")
-    key = DeploymentKey(message.agent, from_stamp(message.deployment))
+    stamp = read_stamp('header.stamp', message.header.stamp)
+    key = DeploymentKey(message.agent, read_stamp('deployment', message.deployment))
     readings = tuple((int(reading.cell), bool(reading.detected)) for reading in message.readings)
-    return key, Report(bool(message.survived), readings)
+    return key, Report(bool(message.survived), readings, stamp)

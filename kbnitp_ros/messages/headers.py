@@ -33,6 +33,21 @@ def from_stamp(stamp: Any) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
+def read_stamp(name: str, stamp: Any) -> int:
+    """
+    Return the nanoseconds of a builtin_interfaces/Time that came from outside.
+
+    Raises
+    ------
+    ValueError
+        If its nanoseconds are a second or more: then two messages would say the same time.
+
+    """
+    if not stamp.nanosec < SECOND:
+        raise ValueError(f'{name}.nanosec is {stamp.nanosec}: it must be below {SECOND}')
+    return from_stamp(stamp)
+
+
 def header(nanoseconds: int) -> Header:
     """Return the header of a message about the grid at this time."""
     return Header(stamp=to_stamp(nanoseconds), frame_id=FRAME)

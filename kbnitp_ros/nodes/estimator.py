@@ -12,6 +12,7 @@ from kbnitp_ros.core import Belief, Estimator, Ledger
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.shell import run, Shell
@@ -45,22 +46,27 @@ class EstimatorNode(Shell):
             self.create_subscription(
                 DeploymentReport, f'{agent}/report', partial(self._on_report, agent), qos.EVIDENCE
             )
+        self._started = 0
         self._awaiting = self.create_poll(self._publish_first)
 
     def _publish_first(self) -> None:
-        self.diagnostics.state = self.waiting_for([self._belief])
-        if not self.diagnostics.state:
+        self._started = self.now()
+        waiting = self.waiting_for([self._belief])
+        if waiting or self._started <= 0:
+            self.diagnostics.state = waiting or 'waiting for the clock'
+        else:
             self._awaiting.cancel()
             self._publish()
+            self._say_what_is_held()
 
     def _on_path(self, agent: str, message: Path) -> None:
         try:
             key, cells = read_path(self._ledger.grid, agent, message)
             changed = self._ledger.record_path(key, cells)
         except ValueError as error:
-            self.diagnostics.refuse(f'{agent}/path', error)
+            self._refuse(f'{agent}/path', error)
         else:
-            self._accepted(changed)
+            self._accept(changed)
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
@@ -69,23 +75,36 @@ class EstimatorNode(Shell):
                 raise ValueError(f'agent is {key.agent!r}: on this topic it must be {agent!r}')
             changed = self._ledger.record_report(key, report)
         except ValueError as error:
-            self.diagnostics.refuse(f'{agent}/report', error)
+            self._refuse(f'{agent}/report', error)
         else:
-            self._accepted(changed)
+            self._accept(changed)
 
-    def _accepted(self, changed: bool) -> None:
+    def _refuse(self, topic: str, error: ValueError) -> None:
+        # A report that waited in vain for the right path has been dropped.
+        self.diagnostics.waiting = self._ledger.waiting
+        self.diagnostics.refuse(topic, error)
+
+    def _accept(self, changed: bool) -> None:
         self.diagnostics.accept()
         self.diagnostics.waiting = self._ledger.waiting
-        if changed and self._awaiting.is_canceled():
-            self._publish()
+        if self._awaiting.is_canceled():
+            if changed:
+                self._publish()
+            self._say_what_is_held()
 
     def _publish(self) -> None:
-        stamp = self.now()
+        message = belief_maps(self._ledger, self._started)
+        self._belief.publish(message)
         grid, belief = self._ledger.grid, self._ledger.belief
-        self._belief.publish(belief_maps(self._ledger, stamp))
+        stamp = from_stamp(message.header.stamp)
         for name, publisher in self._maps.items():
             publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))
-        self.diagnostics.state = f'{len(self._ledger.held)} deployments in the belief'
+
+    def _say_what_is_held(self) -> None:
+        self.diagnostics.state = (
+            f'{len(self._ledger.deployments)} deployments in the belief, '
+            f'{self._ledger.duplicates} messages said nothing new'
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

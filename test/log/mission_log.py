@@ -22,6 +22,7 @@ from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -76,6 +77,7 @@ class Mission:
         """Publish the prior, as an estimator does when it is started."""
         estimator = Estimator(self.prior, MODEL, self.method)
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
+        self.started = self.now
         self.publish_belief()
 
     def publish(self, topic, message):
@@ -85,8 +87,9 @@ class Mission:
 
     def publish_belief(self):
         """Send the belief and its views."""
-        stamp = self.now
-        self.publish('belief', belief_maps(self.ledger, stamp))
+        belief = belief_maps(self.ledger, self.started)
+        self.publish('belief', belief)
+        stamp = from_stamp(belief.header.stamp)
         for name in ('hazard', 'target', 'kappa'):
             view = getattr(self.ledger.belief, name)
             self.publish(f'belief/{name}', occupancy_grid(self.grid, view, stamp))

@@ -3,6 +3,7 @@
 
 from array import array
 from copy import deepcopy
+from functools import partial
 import re
 
 from hypothesis import assume, given, settings
@@ -12,7 +13,7 @@ from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
 from kbnitp_ros.log.reader import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.writer import LogWriter
-from kbnitp_ros.messages.deployments import path_message, report_message
+from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from mcap.writer import Writer
 from mission_log import (
@@ -113,23 +114,108 @@ def test_the_order_between_topics_does_not_matter(whole_mission, tmp_path_factor
     assert report.compared == REPRODUCED
 
 
-def test_the_estimators_order_counts_not_the_recorders(replayed):
-    """Two robots are out; the one whose report is recorded first is taken in last."""
+def two_out():
+    """Return a mission whose two robots are out and report, and how to take their reports in."""
     whole = Mission()
     first, second = Observation([2, 7, 12, 7, 2], False), Observation([2, 7, 6, 2], False)
-    one, two = whole.send_out(first.path, 'scout_1'), whole.send_out(second.path, 'scout_2')
-    reports = [whole.come_back(one, first), whole.come_back(two, second)]
-    whole.assimilate(second.path, *reports[1])
-    whole.assimilate(first.path, *reports[0])
-    assert replayed(whole.sent).reproduced
+    keys = [whole.send_out(first.path, 'scout_1'), whole.send_out(second.path, 'scout_2')]
+    reports = [whole.come_back(key, each) for key, each in zip(keys, (first, second))]
+    take = [
+        partial(whole.assimilate, each.path, *report)
+        for each, report in zip((first, second), reports)
+    ]
+    return whole, take
 
-    # The two losses overlap, so that the wrong order shows.
-    _, after_second, after_both = beliefs(whole.sent)
-    wrong = deepcopy(after_both.message)
-    wrong.agent, wrong.deployment = 'scout_2', after_second.message.deployment
-    sent = instead(without(whole.sent, after_second), after_both, wrong)
-    belief_mismatch = replayed(sent, 'other.mcap').mismatches[0]
-    assert 'joint' in [difference.field for difference in belief_mismatch.differences]
+
+@pytest.mark.parametrize('order', [(0, 1), (1, 0)])
+def test_the_estimators_order_counts_not_the_recorders(replayed, order):
+    whole, take = two_out()
+    for index in order:
+        take[index]()
+    assert replayed(whole.sent).reproduced
+    _, after_one, after_both = beliefs(whole.sent)
+    assert after_one.message.agent == f'scout_{order[0] + 1}'
+
+    # The other one's belief is another one, and of both there is only one.
+    wrong = deepcopy(after_one.message)
+    wrong.agent, wrong.deployment = after_both.message.agent, after_both.message.deployment
+    wrong.header = after_both.message.header
+    (mismatch,) = replayed(instead(whole.sent, after_one, wrong), 'other.mcap').mismatches[:1]
+    assert 'joint' in [difference.field for difference in mismatch.differences]
+    assert replayed(without(whole.sent, after_one), 'gap.mcap').reproduced
+
+
+@pytest.mark.parametrize('recorded', [(), (2,), (3,), (2, 3)])
+def test_a_late_return_is_reproduced(replayed, recorded):
+    """Beliefs before it have the loss and those after it the return; some may be missing."""
+    whole = Mission()
+    lost, other, back = (
+        Observation([2, 7, 12, 7, 2], False),
+        Observation([2, 7, 6, 2], False),
+        Observation([2, 7, 12, 7, 2], True, [True, False, True, False]),
+    )
+    key = whole.deploy(lost)
+    whole.deploy(other)
+    whole.assimilate(back.path, *whole.come_back(key, back))
+    whole.deploy(other, 'scout_2')
+    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 2, 2, 3]
+    missing = [beliefs(whole.sent)[index] for index in recorded]
+    report = replayed(without(whole.sent, *missing))
+    assert report.mismatches == report.not_yet_held == report.evidence.refused == []
+    assert report.reproduced
+    assert report.evidence.survived == 1
+    assert len(report.evidence.complete) == 3
+
+
+def test_a_late_return_that_no_belief_has_is_said(replayed):
+    whole = Mission()
+    key = whole.deploy(Observation([2, 7, 2], False))
+    whole.come_back(key, Observation([2, 7, 2], True, [True, False]))
+    assert replayed(whole.sent).not_yet_held == [key]
+    whole.deploy(Observation([2, 7, 2], False))
+    report = replayed(whole.sent, 'passed.mcap')
+    assert (report.passed_over, report.mismatches) == ([key], [])
+    assert not report.reproduced
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_factory, data):
+    """It hears each agent's robots in their order, and not all its beliefs are recorded."""
+    whole = Mission()
+    told = {'scout_1': [], 'scout_2': [], 'scout_3': []}
+    for deployment in observations(6, seed=data.draw(st.integers(0, 5))):
+        agent = data.draw(st.sampled_from(sorted(told)))
+        observation = deployment.observation
+        key = whole.deploy(observation, agent)
+        _, report = read_report(on(whole.sent, f'/{agent}/report')[-1].message)
+        told[agent].append((observation.path, key, report))
+    first_run = len(whole.sent)
+    whole.start_estimator()
+    while any(told.values()):
+        agent = data.draw(st.sampled_from([agent for agent in told if told[agent]]))
+        whole.assimilate(*told[agent].pop(0))
+    again = [each for each in whole.sent[first_run:] if each.topic == '/belief']
+    gone = [again[index] for index in data.draw(st.sets(st.integers(0, 6)))]
+    evidence = [each for each in whole.sent if re.search('path|report', each.topic)]
+    sent = [*without(whole.sent, *gone), *evidence]
+    path = tmp_path_factory.mktemp('caught_up') / 'mission.mcap'
+    report = replay(record(path, sent))
+    assert report.mismatches == report.passed_over == report.not_yet_held == []
+    assert report.compared['/belief'] == 14 - len(gone)
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_reports_out_of_order_are_reproduced(replayed, method):
+    """All robots are out at once, and their reports come the other way round."""
+    whole = Mission(method=method)
+    observed = [each.observation for each in observations(6, seed=3)]
+    keys = [whole.send_out(each.path) for each in observed]
+    for key, observation in reversed([*zip(keys, observed)]):
+        whole.assimilate(observation.path, *whole.come_back(key, observation))
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared['/belief'] == 7
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -370,17 +456,21 @@ def test_what_is_said_twice_counts_once(whole_mission, replayed):
 
 def test_what_contradicts_is_refused_as_the_estimator_does(whole_mission, replayed):
     whole = deepcopy(whole_mission)
-    key = keys(whole.sent)[0]
-    lost = not on(whole.sent, '/scout_1/report')[0].message.survived
-    readings = [False] if lost else None
-    whole.come_back(key, Observation([2, 2], lost, readings))
+    returned = next(
+        each for each in on(whole.sent, '/scout_1/report') if each.message.survived
+    ).message
+    key = read_report(returned)[0]
+    cells = [2, *(reading.cell for reading in returned.readings)]
+    readings = [not reading.detected for reading in returned.readings]
+    whole.come_back(key, Observation(cells, True, readings))
+    whole.come_back(key, Observation(cells, False))
     whole.publish('scout_1/path', path_message(whole.grid, [2, 2], key.stamp))
     unnamed = report_message(DeploymentKey('', 5), Observation([2, 2], False), 5)
     whole.publish('scout_1/report', unnamed)
     report = replayed(whole.sent)
     assert report.reproduced
-    second_report, second_path, no_agent = report.evidence.refused
-    assert second_report == f'a second report of deployment {key}, which differs'
+    second_return, second_path, no_agent = report.evidence.refused
+    assert second_return == f'a second return of deployment {key}, which differs'
     assert second_path == f'a second path of deployment {key}, which differs'
     assert "/scout_1/report: agent is ''" in no_agent
 
@@ -400,8 +490,8 @@ def test_what_the_estimator_refused_is_refused_again(replayed, tmp_path, capsys)
     assert report.mismatches == report.passed_over == report.not_yet_held == []
     assert report.reproduced
     assert report.compared['/belief'] == 3
-    second_report, misfit = report.evidence.refused
-    assert 'a second report of deployment' in second_report
+    second_return, misfit = report.evidence.refused
+    assert 'a second return of deployment' in second_return
     assert f'readings of deployment {key} are of the 1 cells [3]' in misfit
     assert main([str(tmp_path / 'mission.mcap')]) == 0
     assert f'refused: {misfit}' in capsys.readouterr().out
@@ -455,7 +545,7 @@ def test_a_log_without_beliefs_is_refused(whole_mission, tmp_path, capsys):
 
 def test_what_is_no_log_is_refused(whole_mission, tmp_path, capsys):
     assert 'cannot be read: No such file' in refused(tmp_path / 'gone.mcap', capsys)
-    assert 'cannot be read: Is a directory' in refused(tmp_path, capsys)
+    assert 'holds no log: there is no file' in refused(tmp_path, capsys)
     path = tmp_path / 'notes.txt'
     path.write_text('scout_1 did not come back')
     assert 'notes.txt is no MCAP file' in refused(path, capsys)

@@ -41,7 +41,7 @@ def ledger_of(seed=0, grid=None, method='kappa_bnitp'):
 
 def test_a_prior_says_how_the_mission_starts():
     ledger = ledger_of()
-    message = belief_maps(ledger, stamp=3_000_000_001)
+    message = belief_maps(ledger, started=3_000_000_001)
     assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
     assert (message.info.width, message.info.height, message.base) == (4, 3, 1)
     assert list(message.blocked) == [5, 10]
@@ -56,7 +56,7 @@ def test_a_prior_says_how_the_mission_starts():
 def test_the_joint_is_laid_out_cell_by_cell():
     joint = np.array([[[0.5, 0.25], [0.125, 0.125]], [[1.0, 0.0], [0.0, 0.0]]])
     ledger = Ledger(Grid(2, 1), 6, Estimator(Belief(joint), MODEL))
-    message = belief_maps(ledger, stamp=0)
+    message = belief_maps(ledger, started=0)
     # P(Z=0,X=0) P(Z=0,X=1) P(Z=1,X=0) P(Z=1,X=1), then the next cell
     assert list(message.joint) == [0.5, 0.25, 0.125, 0.125, 1.0, 0.0, 0.0, 0.0]
     assert list(message.hazard) == [0.25, 0.0]
@@ -67,19 +67,34 @@ def test_the_joint_is_laid_out_cell_by_cell():
 def test_the_newest_deployment_is_named():
     ledger = ledger_of()
     ledger.record_path(KEY, [1, 2, 1])
-    ledger.record_report(KEY, Report(False))
-    message = over_the_wire(belief_maps(ledger, stamp=0))
+    ledger.record_report(KEY, Report(False, stamp=9_000_000_001))
+    message = over_the_wire(belief_maps(ledger, started=3_000_000_001))
     assert (message.deployments, message.agent) == (1, 'scout_3')
     assert (message.deployment.sec, message.deployment.nanosec) == (5, 7)
     assert newest_deployment(message) == KEY
-    assert read_belief_maps(message).newest == KEY
+    snapshot = read_belief_maps(message)
+    assert (snapshot.newest, snapshot.stamp) == (KEY, 9_000_000_001)
+
+
+def test_the_same_evidence_gives_the_same_message():
+    """Even if it comes late, and when the estimator was started again."""
+    first, second = DeploymentKey('scout_1', 1), DeploymentKey('scout_2', 1)
+    ledgers = ledger_of(), ledger_of()
+    for ledger, keys in zip(ledgers, ((first, second), (second, first, second))):
+        for key in keys:
+            ledger.record_path(key, [1, 2, 1])
+            ledger.record_report(key, Report(False, stamp=7))
+    message, other = (belief_maps(ledger, started) for started, ledger in enumerate(ledgers))
+    assert (message.agent, other.agent) == ('scout_2', 'scout_1')
+    other.agent = message.agent
+    assert serialize_message(message) == serialize_message(other)
 
 
 @pytest.mark.parametrize('method', METHODS)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_belief_comes_back_bit_for_bit(method, seed):
     ledger = ledger_of(seed, method=method)
-    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, stamp=9)))
+    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
     assert snapshot.belief.joint.tobytes() == ledger.belief.joint.tobytes()
     assert snapshot.grid == ledger.grid
     assert (snapshot.max_steps, snapshot.model, snapshot.method) == (6, MODEL, method)
@@ -90,20 +105,20 @@ def test_a_belief_comes_back_bit_for_bit(method, seed):
 def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
     ledger = ledger_of()
     ledger.estimator.model = SensorModel(*probabilities)
-    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, stamp=0)))
+    snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, started=0)))
     assert snapshot.model == SensorModel(*probabilities)
 
 
 def test_the_views_on_the_wire_are_those_of_the_joint():
     ledger = ledger_of()
-    message = over_the_wire(belief_maps(ledger, stamp=0))
+    message = over_the_wire(belief_maps(ledger, started=0))
     for name in ('hazard', 'target', 'kappa'):
         sent = np.asarray(getattr(message, name))
         assert sent.tobytes() == getattr(read_belief_maps(message).belief, name).tobytes()
 
 
 def test_only_the_joint_counts():
-    message = belief_maps(ledger_of(), stamp=0)
+    message = belief_maps(ledger_of(), started=0)
     joint = read_belief_maps(message).belief.joint
     message.hazard = array('d', [1.0] * 12)
     assert (read_belief_maps(message).belief.joint == joint).all()
@@ -127,14 +142,14 @@ def test_only_the_joint_counts():
     ],
 )
 def test_a_bad_belief_is_refused(field, value, error):
-    message = belief_maps(ledger_of(), stamp=0)
+    message = belief_maps(ledger_of(), started=0)
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_belief_maps(message)
 
 
 def test_a_belief_about_another_frame_is_refused():
-    message = belief_maps(ledger_of(), stamp=0)
+    message = belief_maps(ledger_of(), started=0)
     message.header.frame_id = 'odom'
     with pytest.raises(ValueError, match="header.frame_id is 'odom'"):
         read_belief_maps(message)

@@ -162,6 +162,29 @@ def test_what_is_said_is_read_even_if_it_makes_no_sense():
     assert read_report(message)[1] == Report(False, tuple((cell, True) for cell in PATH[1:]))
 
 
+def test_a_report_tells_when_the_base_learnt_it():
+    message = report_message(KEY, Observation(PATH, False), STAMP)
+    assert read_report(message)[1].stamp == STAMP
+
+
+def test_a_time_of_more_than_its_nanoseconds_is_refused():
+    path, report = (
+        path_message(GRID, PATH, STAMP),
+        report_message(KEY, Observation(PATH, False), STAMP),
+    )
+    for message, field, read in (
+        (path.header.stamp, 'header.stamp', lambda: read_path(GRID, 'scout_1', path)),
+        (report.header.stamp, 'header.stamp', lambda: read_report(report)),
+        (report.deployment, 'deployment', lambda: read_report(report)),
+    ):
+        message.nanosec = 999_999_999
+        read()
+        message.nanosec = 10**9
+        with pytest.raises(ValueError, match=f'{field}.nanosec is 1000000000: it must be below'):
+            read()
+        message.nanosec = 0
+
+
 @pytest.mark.parametrize(
     'field, error',
     [('agent', "agent is '': it must name"), ('frame_id', "header.frame_id is ''.*'map'")],

@@ -6,10 +6,12 @@ from __future__ import annotations
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import report_message
+from kbnitp_ros.messages.headers import from_stamp, header
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
-from samples import BAD_PATHS, changed, FIELD, GRID, HOME, in_frame, lost, path, returned
+from samples import BAD_PATHS, changed, FIELD, GRID, HOME, in_frame, key, lost, path, returned
 
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'agents': ['scout_1', 'scout_2']}
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
@@ -70,6 +72,9 @@ def test_what_comes_twice_counts_once(estimator):
     estimator.until(lambda: estimator.count('/estimator', 'accepted') == 6, 'six messages')
     assert estimator.count('/estimator', 'refused') == 0
     assert [belief.deployments for belief in estimator.beliefs] == [0, 1]
+    estimator.until(
+        lambda: '4 messages said nothing new' in estimator.state('/estimator'), 'count'
+    )
 
 
 BAD_REPORTS = [
@@ -81,9 +86,37 @@ BAD_REPORTS = [
     (changed(returned(3), readings=[]), 'one for each of the 4 steps'),
     (changed(returned(3), readings=[TargetReading(cell=9)] * 4), 'one for each of the 4 steps'),
     (changed(returned(3), survived=False), 'lost brings none'),
-    (lost(1), 'is known and differs'),
-    (changed(returned(1), readings=returned(1).readings[::-1]), 'is known and differs'),
+    (changed(returned(1), readings=returned(1).readings[::-1]), 'one for each of the 4 steps'),
+    (report_message(key(1), Observation(HOME, True, [False] * 4), 0), 'is known and differs'),
 ]
+
+
+def test_a_late_return_replaces_the_loss_and_counts_in_its_place(estimator):
+    came_back = Observation(HOME, True, [True, False, True, False])
+    for number in (1, 2):
+        estimator.paths.publish(path(number))
+        estimator.reports.publish(lost(number))
+    until_held(estimator, 2)
+    estimator.reports.publish(changed(returned(1), header=header(77)))
+    estimator.until(lambda: len(estimator.beliefs) == 4, 'belief with the return')
+    belief = read_belief_maps(estimator.beliefs[-1])
+    assert (belief.deployments, belief.newest, belief.stamp) == (2, key(1), 77)
+    expected = update(update(PRIOR, MODEL, came_back), MODEL, Observation(HOME, False))
+    assert belief.belief.joint.tobytes() == expected.joint.tobytes()
+
+
+def test_a_restarted_estimator_says_the_same_of_the_same_evidence(estimator):
+    estimator.paths.publish(path(1))
+    estimator.reports.publish(changed(returned(1), header=header(77)))
+    until_held(estimator, 1)
+    prior, before = from_stamp(estimator.beliefs[0].header.stamp), estimator.beliefs[1]
+    estimator.processes.started['/estimator'].kill()
+    estimator.start('estimator', PARAMETERS)
+    estimator.until(
+        lambda: len(estimator.beliefs) > 2 and estimator.beliefs[-1].deployments, 'belief again'
+    )
+    assert estimator.beliefs[-1] == before
+    assert all(from_stamp(again.header.stamp) > prior for again in estimator.beliefs[2:-1])
 
 
 def test_bad_input_is_refused_counted_and_changes_nothing(estimator):

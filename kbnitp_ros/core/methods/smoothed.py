@@ -72,6 +72,8 @@ class Smoother:
     """
     The evidence of a mission and the belief it gives.
 
+    No array is changed once it is made, so a shallow copy is a smoother of its own.
+
     Parameters
     ----------
     prior : Belief
@@ -115,6 +117,7 @@ class Smoother:
         self._messages = np.pad(
             self._messages, ((0, 0), (0, losses.cell.size - self._messages.shape[1]))
         )
+        self._visited = self._visited.copy()
         self._visited[visits.cells] = True
         return self._belief()
 

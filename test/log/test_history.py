@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A log's deployments are each told once, in their order, by what is known of them in the end."""
+
+from kbnitp_ros.core import Observation
+from kbnitp_ros.log.history import read_history
+from mission_log import Mission, record
+
+NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
+
+
+def told(path):
+    """Return path, outcome and readings of every deployment in a log."""
+    return [
+        (
+            each.path.tolist(),
+            each.survived,
+            None if each.readings is None else each.readings.tolist(),
+        )
+        for each in read_history(path).observations
+    ]
+
+
+def test_deployments_are_in_their_order_and_a_return_outdoes_a_loss(tmp_path):
+    whole = Mission()
+    first, second, third = (
+        whole.send_out(path, agent)
+        for path, agent in ((FAR, 'scout_1'), (NEAR, 'scout_2'), (NEAR, 'scout_1'))
+    )
+    whole.assimilate(NEAR, *whole.come_back(third, Observation(NEAR, False)))
+    whole.assimilate(FAR, *whole.come_back(first, Observation(FAR, False)))
+    back = Observation(FAR, True, [True, False, False, True])
+    whole.assimilate(FAR, *whole.come_back(first, back))
+    whole.come_back(first, Observation(FAR, False))
+    whole.assimilate(NEAR, *whole.come_back(second, Observation(NEAR, True, [True, True])))
+    path = record(tmp_path / 'mission.mcap', [*whole.sent, *whole.sent])
+    assert told(path) == [
+        (FAR, True, [True, False, False, True]),
+        (NEAR, True, [True, True]),
+        (NEAR, False, None),
+    ]
+    assert len(read_history(path).beliefs) == 2 * 5

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whatever is sent to the estimator, it counts each message once and believes the sound ones alone.
+
+The environment variable KBNITP_FUZZ says how many messages are sent.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from copy import deepcopy
+from itertools import pairwise
+import json
+import os
+import time
+
+from hypothesis import given, HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
+from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Observation, SensorModel
+from kbnitp_ros.messages.deployments import path_message, report_message
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.estimator import EstimatorNode
+from nav_msgs.msg import Path
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+
+MESSAGES = 50  # sent to one node
+NODES = int(os.environ.get('KBNITP_FUZZ', '1000')) // MESSAGES
+SECOND = 10**9
+GRID = Grid(4, 3, blocked=[5], resolution=0.5)
+AGENTS = ('scout_1', 'scout_2')
+PATHS = ([0, 1, 2, 1, 0], [0, 4, 8, 4, 0], [0, 0], [0, 5, 0], [0, 2, 0], [0, 1, 2, 3, 2, 1, 1, 0])
+
+EDGES = {
+    'boolean': st.booleans(),
+    'double': st.one_of(
+        st.floats(), st.sampled_from([-0.0, 2.0, 1.999, 1e308, -1e308, 5e-324]), st.floats(0, 2)
+    ),
+    'int32': st.one_of(st.integers(-(2**31), 2**31 - 1), st.integers(0, 3)),
+    'uint32': st.one_of(
+        st.integers(0, 2**32 - 1), st.integers(0, 13), st.integers(10**9 - 1, 10**9 + 1)
+    ),
+    'string': st.one_of(st.sampled_from(['', 'map', '/map', *AGENTS]), st.text(max_size=8)),
+}
+
+
+@st.composite
+def sound(draw):
+    """Draw a message that may be taken in, with its agent."""
+    agent = draw(st.sampled_from(AGENTS))
+    key = DeploymentKey(agent, draw(st.integers(0, 3)) * SECOND)
+    # Mostly the path that belongs to the deployment, so that reports fit.
+    cells = draw(st.sampled_from([PATHS[key.stamp // SECOND % 2]] * 4 + list(PATHS)))
+    if draw(st.booleans()):
+        return agent, path_message(GRID, cells, key.stamp)
+    readings = [draw(st.booleans())] * (len(cells) - 1)
+    survived = draw(st.booleans())
+    observation = Observation(cells, survived, readings if survived else None)
+    return agent, report_message(key, observation, draw(st.integers(0, 10**18)))
+
+
+def leaves(message, place=()):
+    """Yield (place, type) for every field of a message, those of its parts included."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if kind in EDGES:
+            yield (*place, name), kind
+        elif isinstance(value, list):
+            yield (*place, name), 'sequence'
+            for index, part in enumerate(value):
+                yield from leaves(part, (*place, name, index))
+        else:
+            yield from leaves(value, (*place, name))
+
+
+def get(message, place):
+    """Return the part of a message at a place."""
+    for step in place:
+        message = message[step] if isinstance(step, int) else getattr(message, step)
+    return message
+
+
+@st.composite
+def spoiled(draw):
+    """Draw a message with one to three fields changed to anything their types allow."""
+    agent, message = draw(sound())
+    message = deepcopy(message)
+    for _ in range(draw(st.integers(1, 3))):
+        place, kind = draw(st.sampled_from(list(leaves(message))))
+        *parents, name = place
+        if kind == 'sequence':
+            parts = get(message, place)
+            kept = draw(st.lists(st.sampled_from(parts), max_size=8)) if parts else []
+            if isinstance(message, DeploymentReport) and draw(st.booleans()):
+                kept.append(TargetReading(cell=draw(EDGES['uint32'])))
+            setattr(get(message, parents), name, [deepcopy(part) for part in kept])
+        else:
+            setattr(get(message, parents), name, draw(EDGES[kind]))
+    return agent, message
+
+
+@st.composite
+def scrambled(draw):
+    """Draw bytes that come close to a message, or not."""
+    agent, message = draw(sound())
+    data = bytearray(serialize_message(message))
+    for _ in range(draw(st.integers(0, 4))):
+        data[draw(st.integers(0, len(data) - 1))] = draw(st.integers(0, 255))
+    end = draw(st.integers(0, len(data))) if draw(st.booleans()) else len(data)
+    scrambled = draw(st.one_of(st.just(bytes(data[:end])), st.binary(max_size=200)))
+    return agent, type(message), scrambled
+
+
+class Sender:
+    """The real node, and the test in place of DDS where messages come in."""
+
+    def __init__(self):
+        self.node = EstimatorNode()
+        self.callbacks = {each.topic_name: each.callback for each in self.node.subscriptions}
+        self.beliefs = []
+        self.node.create_subscription(BeliefMaps, 'belief', self.beliefs.append, qos.LATCHED)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.until(lambda: self.beliefs)
+
+    def until(self, condition):
+        """Let the node do its own things until something holds."""
+        deadline = time.monotonic() + 10.0
+        while not condition():
+            assert time.monotonic() < deadline
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def send(self, agent, message):
+        """Have the node take a message, which it must count once."""
+        counts = self.node.diagnostics
+        before = counts.accepted + counts.refused
+        what = 'path' if isinstance(message, Path) else 'report'
+        self.callbacks[f'/{agent}/{what}'](message)
+        assert counts.accepted + counts.refused == before + 1
+
+    def belief(self, deployments):
+        """Return the bits of the newest belief, which holds so many deployments."""
+        self.beliefs.clear()
+        self.node.create_subscription(BeliefMaps, 'belief', self.beliefs.append, qos.LATCHED)
+        self.until(lambda: self.beliefs)
+        assert self.beliefs[-1].deployments == deployments
+        return self.beliefs[-1].joint.tobytes()
+
+    def close(self):
+        """Take the node down."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+
+
+class Evidence:
+    """What is sound of all that was sent, found without the package's own reading of it."""
+
+    def __init__(self):
+        self.paths = {}
+        self.reports = defaultdict(list)
+
+    def take(self, agent, message):
+        """Keep a message if it is sound by itself."""
+        stamps = [message.header.stamp]
+        if isinstance(message, Path):
+            cells = self.cells(message)
+            if cells is not None and stamps[0].nanosec < SECOND:
+                self.paths.setdefault((seconds(stamps[0]), agent), cells)
+            return
+        stamps.append(message.deployment)
+        if (
+            message.header.frame_id == 'map'
+            and message.agent == agent
+            and all(stamp.nanosec < SECOND for stamp in stamps)
+        ):
+            self.reports[seconds(stamps[1]), agent].append(deepcopy(message))
+
+    def cells(self, message):
+        """Return the cells of a path that a robot can take; None of any other."""
+        cells = []
+        for each in (message, *message.poses):
+            if each.header.frame_id != 'map':
+                return None
+        for pose in message.poses:
+            x, y = pose.pose.position.x, pose.pose.position.y
+            if not (0.0 <= x < 2.0 and 0.0 <= y < 1.5):
+                return None
+            cells.append(int(2.0 * y) * 4 + int(2.0 * x))
+        if not 2 <= len(cells) <= 7 or cells[0] != 0 or cells[-1] != 0 or 5 in cells:
+            return None
+        steps = pairwise(cells)
+        near = all(abs(a % 4 - b % 4) <= 1 and abs(a // 4 - b // 4) <= 1 for a, b in steps)
+        return cells if near else None
+
+    def observation(self, key):
+        """Return what the reports of a deployment say together; None if none of them fits."""
+        path, lost = self.paths[key], None
+        for report in self.reports[key]:
+            read = [reading.cell for reading in report.readings]
+            if report.survived and read == path[1:]:
+                return Observation(path, True, [reading.detected for reading in report.readings])
+            if not report.survived and not read:
+                lost = Observation(path, False)
+        return lost
+
+    def joint(self):
+        """Return the belief's bits."""
+        estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
+        held = 0
+        for key in sorted(self.paths):
+            observation = self.observation(key)
+            if observation is not None:
+                estimator.assimilate(observation)
+                held += 1
+        return held, estimator.belief.joint.tobytes()
+
+
+def seconds(stamp):
+    """Return a stamp as a pair that sorts."""
+    return stamp.sec, stamp.nanosec
+
+
+@pytest.fixture(scope='module')
+def context(tmp_path_factory):
+    """Provide ROS in this process, on a domain of its own."""
+    parameters = {
+        'grid.width': 4,
+        'grid.height': 3,
+        'grid.blocked': [5],
+        'grid.resolution': 0.5,
+        'max_steps': 6,
+        'agents': list(AGENTS),
+        'await_nodes': ['estimator'],
+    }
+    args = ['--ros-args', '--log-level', 'fatal']
+    for name, value in parameters.items():
+        args += ['--param', f'{name}:={json.dumps(value)}']
+    with free_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        for name, value in environment(domain).items():
+            patch.setenv(name, value)
+        patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        yield
+        rclpy.try_shutdown()
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+@given(st.lists(st.one_of(sound(), spoiled(), scrambled()), min_size=MESSAGES, max_size=MESSAGES))
+@settings(
+    max_examples=NODES,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    # Making so many messages smaller takes longer than reading them.
+    phases=[Phase.generate],
+)
+def test_only_what_is_sound_is_believed(context, sent):
+    node, evidence = Sender(), Evidence()
+    for agent, *message in sent:
+        if len(message) == 2:
+            kind, data = message
+            try:
+                message = [deserialize_message(data, kind)]
+            except RuntimeError:
+                continue  # what cannot be decoded, DDS drops as well
+        node.send(agent, *message)
+        evidence.take(agent, *message)
+    held, joint = evidence.joint()
+    assert node.belief(held) == joint
+    node.close()
