@@ -10,6 +10,7 @@ import time
 from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.log.reader import LogError, read_log
 from kbnitp_ros.log.replay import replay, REPORT
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.parameters import check_config, NODES, parameters_of
 import pytest
 import yaml
@@ -71,30 +72,39 @@ def test_rviz_shows_the_three_beliefs_the_path_and_the_readings_to_a_late_joiner
 
 
 def reports_in(log):
-    """Return how many reports are on disk; 0 before the recorder has begun."""
+    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
     try:
-        return sum(1 for _ in read_log(log, [REPORT]))
+        return len({from_stamp(each.message.deployment) for each in read_log(log, [REPORT])})
     except LogError:
         return 0
 
 
-def test_the_launch_file_runs_a_mission_in_a_namespace(tmp_path):
-    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
-    config, log = tmp_path / 'short.yaml', tmp_path / 'mission.mcap'
-    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 3'))
-    launch = [sys.executable, '-c', LAUNCH, ROOT / 'launch' / 'mission.launch.py']
-    arguments = [f'params_file:={config}', 'namespace:=north']
+def launch(folder, *arguments, until):
+    """Launch a mission, end it as Ctrl-C does when its log has so many reports, and check that."""
+    command = [sys.executable, '-c', LAUNCH, ROOT / 'launch' / 'mission.launch.py', *arguments]
+    log = folder / 'mission.mcap'
     with free_domain() as domain:
-        mission = subprocess.Popen([*launch, *arguments], cwd=tmp_path, env=environment(domain))
+        mission = subprocess.Popen(command, cwd=folder, env=environment(domain))
         try:
             deadline = time.monotonic() + 30
-            while reports_in(log) < 3 and mission.poll() is None and time.monotonic() < deadline:
+            while reports_in(log) < until and mission.poll() is None:
+                assert time.monotonic() < deadline
                 time.sleep(0.2)
         finally:
             mission.send_signal(signal.SIGINT)
             status = mission.wait(timeout=15)
     assert status == 0
-    assert reports_in(log) == 3
     report = replay(log)
     assert report.reproduced
+    assert len(report.evidence.complete) == until
     assert '/north/belief' in report.compared
+
+
+def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path):
+    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
+    config = tmp_path / 'short.yaml'
+    arguments = [f'params_file:={config}', 'namespace:=north']
+    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 3'))
+    launch(tmp_path, *arguments, until=3)
+    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 5'))
+    launch(tmp_path, *arguments, 'resume:=mission.mcap', until=5)

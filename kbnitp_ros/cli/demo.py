@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a whole mission: planner, agent, estimator and recorder, four processes over DDS."""
+"""Run a whole mission, or go on with a dead one: four nodes, four processes, over DDS."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 import os
@@ -18,7 +18,9 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Belief
+from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.parts import parts_of
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.nodes import qos
@@ -32,6 +34,13 @@ from tqdm import tqdm
 
 NODES = ('recorder', 'estimator', 'agent', 'planner')
 AGENT = 'scout_1'
+
+# Nothing is published for good before all of these hear it.
+AWAITED = {
+    'estimator': ['planner', 'recorder', 'observer'],
+    'agent': ['planner', 'estimator', 'recorder', 'observer'],
+    'planner': ['agent', 'estimator', 'recorder'],
+}
 
 # Options that set one parameter of that name in every node that has it.
 OPTIONS = {
@@ -56,11 +65,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     try:
-        values, out = parse(argv)
-        out.mkdir(parents=True, exist_ok=True)
-        log = out / 'mission.mcap'
-        if log.exists():
-            raise ValueError(f'--out {out} holds a mission already: name another folder')
+        options = parse(argv)
+        if options.resume:
+            log = parts_of(options.resume)[0]
+            parameters = recorded_parameters(log)
+        else:
+            parameters = chosen_parameters(options)
+            log = new_log(options.out)
+            parameters['recorder'] = {'file': str(log)}
     except (ValueError, OSError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2
@@ -68,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        deploy(values, log)
+        deploy(parameters)
     except KeyboardInterrupt:
         print(f'demo: interrupted; {log} holds the mission so far', file=sys.stderr)
         return 130
@@ -78,14 +90,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return conclude(log)
 
 
-def parse(argv: Sequence[str] | None) -> tuple[dict[str, Any], Path]:
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """
-    Return the parameters that the options set and the folder to write to.
+    Return the options.
 
     Raises
     ------
     ValueError
-        If an option's value is not allowed.
+        If there are others beside --resume, which says everything.
 
     """
     table = {**parameters_of('agent'), **parameters_of('estimator'), **parameters_of('planner')}
@@ -100,20 +112,103 @@ def parse(argv: Sequence[str] | None) -> tuple[dict[str, Any], Path]:
         )
     parser.add_argument('--size', default='9', help='cells a side, N or WIDTHxHEIGHT; default 9')
     parser.add_argument('--out', type=Path, help='folder for the results; default runs/<time>')
+    parser.add_argument(
+        '--resume',
+        type=Path,
+        metavar='FILE',
+        help='log of a dead mission, or its folder, to go on with; goes alone',
+    )
     options = parser.parse_args(argv)
+    if options.resume and vars(options) != vars(
+        parser.parse_args(['--resume', str(options.resume)])
+    ):
+        raise ValueError('--resume goes alone: the log says how its mission was configured')
+    return options
+
+
+def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """
+    Return the parameters of each node of a new mission, the recorder's apart.
+
+    Raises
+    ------
+    ValueError
+        If an option's value is not allowed.
+
+    """
     sides = re.fullmatch(r'(\d+)(?:x(\d+))?', options.size)
     if sides is None:
         raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
     size = {'grid.width': int(sides[1]), 'grid.height': int(sides[2] or sides[1])}
     given = {name: getattr(options, option) for option, name in OPTIONS.items()} | size
-    values = {name: table[name].check(value) for name, value in given.items()}
-    out = options.out or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
-    return values, out
+    own = {
+        'estimator': {'agents': [AGENT]},
+        'agent': {'publish_truth': True, 'recorded': True, 'agent': AGENT},
+        'planner': {'agents': [AGENT]},
+    }
+    for node, values in own.items():
+        table = parameters_of(node)
+        values.update(
+            {name: table[name].check(value) for name, value in given.items() if name in table}
+        )
+    return own
 
 
-def deploy(values: dict[str, Any], log: Path) -> None:
+def new_log(out: Path | None) -> Path:
+    """
+    Return where the log of a new mission goes; its folder is there.
+
+    Raises
+    ------
+    ValueError
+        If there is a log already.
+    OSError
+        If the folder cannot be made.
+
+    """
+    folder = out or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / 'mission.mcap'
+    if log.exists():
+        raise ValueError(f'--out {folder} holds a mission already: name another folder')
+    return log
+
+
+def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
+    """
+    Return the parameters of each node that goes on with the mission of a log.
+
+    Raises
+    ------
+    ValueError
+        If the log cannot be read, or does not say how each of the nodes was configured.
+
+    """
+    recorded = read_parameters(log)
+    parameters = {}
+    for node in NODES:
+        if f'/{node}' not in recorded:
+            raise ValueError(
+                f'{log} does not have the parameters of /{node} on record: '
+                'resume its mission with the launch file, which takes them from params_file'
+            )
+        known = parameters_of(node)
+        parameters[node] = {
+            name: value for name, value in recorded[f'/{node}'].items() if name in known
+        }
+        if 'resume' in known:
+            parameters[node]['resume'] = str(log)
+    return parameters
+
+
+def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """
     Start the nodes, watch until all robots are deployed, and stop the nodes.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of each node, by its name.
 
     Raises
     ------
@@ -121,22 +216,12 @@ def deploy(values: dict[str, Any], log: Path) -> None:
         If a node ended before that, or badly after it.
 
     """
-    own = {
-        'recorder': {'file': str(log)},
-        'estimator': {'await_nodes': ['planner', 'recorder', 'observer'], 'agents': [AGENT]},
-        'agent': {
-            'await_nodes': ['planner', 'estimator', 'recorder', 'observer'],
-            'publish_truth': True,
-            'agent': AGENT,
-        },
-        'planner': {'await_nodes': ['agent', 'estimator', 'recorder'], 'agents': [AGENT]},
-    }
     with free_domain() as domain, Processes(domain) as processes:
         for node in NODES:
-            shared = {name: value for name, value in values.items() if name in parameters_of(node)}
-            processes.start(node, shared | own[node])
+            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            processes.start(node, {**parameters[node], **awaited})
         with observed(domain) as observer:
-            observer.watch(values['robots'], processes)
+            observer.watch(parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
         raise RuntimeError(f'nodes did not end well, by exit code: {failed}')

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import DeploymentKey, plan
+from kbnitp_ros.core import deployment_order, DeploymentKey, plan
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import path_message, read_path, read_report
@@ -130,7 +130,7 @@ class PlannerNode(Shell):
     def _reason_to_wait(self, held: int) -> str:
         """Return what must come before the next deployment; empty when nothing."""
         if self._out:
-            return f'waiting for {min(self._out, key=lambda key: key.stamp)} to be reported'
+            return f'waiting for {min(self._out, key=deployment_order)} to be reported'
         if held < self._made:
             return f'waiting for a belief that holds {self._made} deployments'
         robots = self.values['robots']

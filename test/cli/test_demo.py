@@ -11,6 +11,9 @@ import time
 
 from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.replay import REPORT
+from kbnitp_ros.messages.headers import from_stamp
 import numpy as np
 import pytest
 
@@ -87,6 +90,51 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
     again = run_demo('--robots', 1, '--out', out)
     assert again.returncode == 2
     assert str(out) in again.stderr
+
+
+def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
+    options = ['--robots', '40', '--size', '5', '--max-steps', '8', '--lethality', '0.3']
+    method = ['--method', 'kappa_bnitp_smoothed', '--seed', '7']
+    killed = subprocess.Popen(
+        [*DEMO, *options, *method, '--out', str(tmp_path)],
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    log = tmp_path / 'mission.mcap'
+    deadline = time.monotonic() + PATIENCE
+    while reports_in(log) < 8 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.wait()
+    before = reports_in(log)
+    assert 8 <= before < 40
+
+    resumed = run_demo('--resume', log)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert '40 deployments' in resumed.stdout
+    history = read_history(log)
+    grid, model = Grid(5, 5), SensorModel(0.3)
+    rng = np.random.default_rng(7)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
+    expected = run_mission(grid, prior, model, world, 40, rng, method[1], max_steps=8)
+    assert [o.path.tolist() for o in history.observations] == [
+        d.observation.path.tolist() for d in expected
+    ]
+    assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
+
+    both = run_demo('--resume', log, '--robots', 50)
+    assert both.returncode == 2
+    assert both.stderr.startswith('demo: --resume goes alone')
+    assert run_demo('--resume', tmp_path / 'none.mcap').returncode == 2
+
+
+def reports_in(log):
+    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
+    try:
+        return len({from_stamp(logged.message.deployment) for logged in read_log(log, [REPORT])})
+    except LogError:
+        return 0
 
 
 @pytest.mark.parametrize('options, complaint', [
