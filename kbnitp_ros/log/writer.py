@@ -242,6 +242,8 @@ class LogWriter:
     def _finish_part(self) -> None:
         part = self._open_part()
         part.finish()
+        if not self.current_path.exists():
+            raise FileNotFoundError(f'{self.current_path} is gone: it was removed while open')
         self._finished.append(part.contents)
         self.shares_folder = not write_metadata(self.path.parent, self._finished)
 

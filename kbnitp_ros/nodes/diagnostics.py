@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from kbnitp_ros.nodes import qos
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 PERIOD = 1.0  # seconds
+
+# How long a node that cannot go on stays for its last words: until somebody listens, and until
+# they have arrived, each in seconds.
+LAST_WORDS = 1.0
 
 
 class Diagnostics:
@@ -33,6 +40,7 @@ class Diagnostics:
         self.waiting = 0
         self.state = 'running'
         self._last_refusal = ''
+        self._failure = ''
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', qos.DIAGNOSTICS)
         # Diagnostics go on when simulated time stands still.
@@ -50,6 +58,21 @@ class Diagnostics:
         self._node.get_logger().warning(self._last_refusal)
         self.publish()
 
+    def fail(self, why: object) -> None:
+        """Say why the node cannot go on, and stay until that has arrived if anybody listens."""
+        self._failure = str(why)
+        deadline = time.monotonic() + LAST_WORDS
+        while not self._is_heard() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        self.publish()
+        self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
+
+    def _is_heard(self) -> bool:
+        """Say whether anybody but this node listens; the recorder listens to everything."""
+        topic = self._publisher.topic_name
+        own = sum(each.topic_name == topic for each in self._node.subscriptions)
+        return self._publisher.get_subscription_count() > own
+
     def publish(self) -> None:
         """Show the counts now."""
         values = {
@@ -59,12 +82,17 @@ class Diagnostics:
             'waiting': self.waiting,
         }
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if self.refused else DiagnosticStatus.OK,
+            level=self._level(),
             name=self._node.get_fully_qualified_name(),
-            message=self._last_refusal or self.state,
+            message=self._failure or self._last_refusal or self.state,
             hardware_id='kbnitp_ros',
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+
+    def _level(self) -> bytes:
+        if self._failure:
+            return DiagnosticStatus.ERROR
+        return DiagnosticStatus.WARN if self.refused else DiagnosticStatus.OK

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 # Fast DDS keeps at most 5000 samples of a topic unless a profile says otherwise: it accepts a
@@ -28,14 +26,14 @@ LATCHED = QoSProfile(
 DIAGNOSTICS = QoSProfile(depth=10)
 
 
-def lossless(offered: Sequence[QoSProfile]) -> QoSProfile:
+def lossless(offered: QoSProfile) -> QoSProfile:
     """
-    Return the profile of a subscription that gets all that these publishers can give.
+    Return the profile of a subscription that gets all that such a publisher can give.
 
-    It asks for what every one of them offers, and keeps as much unread as it may.
+    It asks for what is offered, and keeps as much unread as it may.
     """
-    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
-    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    reliable = offered.reliability == ReliabilityPolicy.RELIABLE
+    latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

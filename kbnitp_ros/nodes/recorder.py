@@ -3,22 +3,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from importlib import import_module
+import heapq
 import sys
 from typing import Any
 
+from builtin_interfaces.msg import Time
+from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameter_watch import ParameterWatch
 from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.topic import message_class, time_received, Topic
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.utilities import get_rmw_implementation_identifier
 
 # Recorded from outside the mission's namespace, and left out inside it.
 SHARED = ('/clock', '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+PATH = 'nav_msgs/msg/Path'
+EVIDENCE = (PATH, 'kbnitp_msgs/msg/DeploymentReport')
+
+# How often what is no evidence is put onto the disk, in seconds.
+SYNC_PERIOD = 0.5
 
 
 class RecorderNode(Shell):
@@ -26,80 +42,170 @@ class RecorderNode(Shell):
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        self._log = LogWriter(self.values['file'])
+        resume = self.values['resume']
+        self._log = LogWriter(
+            resume or self.values['file'],
+            resume=bool(resume),
+            compression=self.values['compression'],
+            max_file_size=self.values['max_file_size'],
+            max_file_duration=self.values['max_file_duration'],
+        )
+        if self._log.shares_folder:
+            self.get_logger().warning(
+                f'{self._log.path.parent} is the bag of another log, which it stays: others '
+                'know this one by its files only'
+            )
+        self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
+        self._unsynced = True
+        self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
-        self._topics: set[str] = set()
+        self._topics: dict[str, Topic] = {}
+        # Topics whose publishers are all heard, and what cannot be recorded.
+        self._settled: set[str] = set()
+        self._refused: set[tuple[str, str]] = set()
+        self._watch = ParameterWatch(self, self._namespace, self._on_parameters)
         self.create_poll(self._discover)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(SYNC_PERIOD, self._sync, clock=steady)
+
+    def finish(self) -> None:
+        """Record what has arrived, in the order it came."""
+        arrived = [topic.arrived() for topic in self._topics.values()]
+        for message in heapq.merge(*arrived, key=time_received):
+            self._write(*message)
 
     def close(self) -> None:
         """Finish the file."""
-        super().close()
-        self._log.close()
+        try:
+            self._log.close()
+        finally:
+            super().close()
 
     def _discover(self) -> None:
-        """Subscribe to what is published and not recorded yet."""
-        if not self._log.path.exists():
-            raise FileNotFoundError(f'{self._log.path} is gone: it was removed while recording')
+        """Subscribe to what is published and not heard yet."""
+        if not self._log.current_path.exists():
+            raise FileNotFoundError(
+                f'{self._log.current_path} is gone: it was removed while recording'
+            )
         # The estimator publishes as soon as belief has its readers, so the maps, which it created
         # before, must be known and subscribed to before belief is: two looks that agree show all
         # that was created before anything they show, and belief comes last backwards.
         found: dict[str, Any] = {}
-        while found.keys() != (looked := self._published()).keys():
+        while found.keys() != (looked := self._unheard()).keys():
             found = looked
         for topic in sorted(found, reverse=True):
-            self._record(topic, found[topic])
+            self._hear(topic, found[topic])
+        self._watch.look()
 
-    def _published(self) -> dict[str, Any]:
-        """Return the publishers of each topic that is to be recorded and is not yet."""
-        topics = [topic for topic, _ in self.get_topic_names_and_types() if self._is_new(topic)]
+    def _unheard(self) -> dict[str, Any]:
+        """Return the publishers of each topic of which some may not be heard."""
+        topics = [
+            topic
+            for topic, types in self.get_topic_names_and_types()
+            if self._is_ours(topic) and (topic not in self._settled or len(types) > 1)
+        ]
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in topics}
         return {topic: known for topic, known in publishers.items() if known}
 
-    def _is_new(self, topic: str) -> bool:
-        ours = topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT)
-        return ours and topic not in self._topics
+    def _is_ours(self, topic: str) -> bool:
+        return topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT)
 
-    def _record(self, topic: str, publishers: Sequence[Any]) -> None:
-        self._topics.add(topic)
-        type_name = publishers[0].topic_type
-        offered = [publisher.qos_profile for publisher in publishers]
-        try:
-            message_type = message_class(type_name)
-            self._log.add_topic(topic, type_name, qos_profiles_yaml(offered))
-        except LookupError as error:
-            self.diagnostics.refuse(topic, error)
-            return
-        self.create_subscription(
-            message_type,
-            topic,
-            partial(self._on_message, topic, type_name),
-            qos.lossless(offered),
-            raw=True,
-        )
+    def _hear(self, name: str, publishers: Sequence[Any]) -> None:
+        """Subscribe to a topic as often as its publishers need."""
+        for publisher in publishers:
+            type_name = publisher.topic_type
+            if (name, type_name) in self._refused:
+                continue
+            try:
+                topic = self._topic(name, type_name, publishers)
+            except LookupError as error:
+                self._refused.add((name, type_name))
+                self.diagnostics.refuse(name, error)
+                continue
+            profile = qos.lossless(publisher.qos_profile)
+            kind = profile.reliability, profile.durability
+            if kind not in topic.subscriptions:
+                topic.subscriptions[kind] = self._subscribe(topic, profile)
+            self._settled.add(name)
+
+    def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> Topic:
+        """
+        Return a topic, on record from now on.
+
+        Raises
+        ------
+        LookupError
+            If the type is not installed or not that of the topic.
+
+        """
+        if name in self._topics:
+            topic = self._topics[name]
+            if type_name != topic.type_name:
+                raise LookupError(f'type is {type_name}: it is on record as {topic.type_name}')
+            return topic
+        message_class(type_name)
+        # A bag has one list of QoS for each topic: that of its first publishers.
+        offered = [each.qos_profile for each in publishers if each.topic_type == type_name]
+        self._log.add_topic(name, type_name, qos_profiles_yaml(offered))
+        topic = self._topics[name] = Topic(name, type_name)
+        if type_name == PATH and name.endswith('/path'):
+            recorded = f'{name.removesuffix("path")}recorded'
+            topic.recorded = self.create_publisher(Time, recorded, qos.LATCHED)
         self.diagnostics.state = f'recording {len(self._topics)} topics'
+        return topic
 
-    def _on_message(self, topic: str, type_name: str, data: bytes, info: Any) -> None:
-        self._log.write(topic, data, info['received_timestamp'], info['source_timestamp'])
-        if type_name == REPORT:
-            self._log.sync()
+    def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
+        def look_again(_: Any) -> None:
+            self._settled.discard(topic.name)
+
+        return self.create_subscription(
+            message_class(topic.type_name),
+            topic.name,
+            partial(self._on_message, topic),
+            profile,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(
+                matched=look_again, incompatible_qos=look_again, use_default_callbacks=False
+            ),
+        )
+
+    def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
+        self._write(topic, data, info)
+        if topic.type_name in EVIDENCE:
+            # One sync serves all that waits: a restarted recorder gets a whole history at once.
+            for message in topic.arrived():
+                self._write(*message)
+            self._sync()
+        if topic.recorded and topic.newest > topic.told:
+            topic.told = topic.newest
+            topic.recorded.publish(to_stamp(topic.told))
+
+    def _write(self, topic: Topic, data: bytes, info: Any) -> None:
+        """Write a message, unless it is on record."""
+        if not topic.is_new(info['source_timestamp'], data):
+            return
+        if topic.recorded:
+            try:
+                # A path begins with its stamp.
+                stamp = from_stamp(deserialize_message(data, Time))
+            except RuntimeError as error:
+                self.diagnostics.refuse(topic.name, error)
+                return
+            topic.newest = max(topic.newest, stamp)
+        self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
+        self._unsynced = True
         self.diagnostics.accept()
 
+    def _sync(self) -> None:
+        if self._unsynced:
+            self._log.sync()
+            self._unsynced = False
 
-def message_class(type_name: str) -> type:
-    """
-    Return the Python class of a message type, such as 'nav_msgs/msg/Path'.
-
-    Raises
-    ------
-    LookupError
-        If it is not installed.
-
-    """
-    try:
-        package, kind, name = type_name.split('/')
-        return getattr(import_module(f'{package}.{kind}'), name)
-    except (ValueError, ImportError, AttributeError) as error:
-        raise LookupError(f'type {type_name} is not installed: {error}') from error
+    def _on_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+        if values != self._configuration.get(node):
+            self._configuration[node] = values
+            self._log.add_metadata(f'{PARAMETERS}{node}', parameters_record(values))
+            self._unsynced = True
 
 
 def main(args: Sequence[str] | None = None) -> int:

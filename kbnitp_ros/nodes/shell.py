@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 import faulthandler
 import signal
 import sys
@@ -31,8 +32,8 @@ POLL = 0.05
 # How long a node may take to leave the graph, in seconds.
 TEARDOWN = 2.0
 
-# The longest a publisher waits for a reader that may have died.
-FAREWELL = Duration(seconds=0.2)
+# How long a node waits for the readers of its last messages, in seconds: they may have died.
+FAREWELL = 0.3
 
 # What a user can cause: rclpy reports bad arguments as RuntimeError.
 START_ERRORS = (
@@ -79,10 +80,14 @@ class Shell(Node):
         """Call back every `POLL` seconds, also when simulated time stands still."""
         return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def finish(self) -> None:
+        """Do what is left to do after a signal, before the node is closed."""
+
     def close(self) -> None:
         """Stay until what was published last has arrived: DDS drops it with the publisher."""
+        end = time.monotonic() + FAREWELL
         for publisher in self.publishers:
-            publisher.wait_for_all_acked(FAREWELL)
+            publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
 
 def run(
@@ -107,7 +112,7 @@ def run(
     -------
     int
         0 after a signal; 2 if the node could not start, 1 if it could not go on: then one line on
-        stderr says why.
+        stderr says why, and so does diagnostics.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
@@ -124,10 +129,28 @@ def run(
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except START_ERRORS as error:
-        rclpy.try_shutdown()
-        return _complain(name, error, 2)
+        _complain(name, error)
+        if rclpy.ok():
+            _say_why_not_started(name, error)
+        _leave()
+        return 2
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    try:
+        broken = _live(node, executor, signals, linger)
+        if broken:
+            _complain(name, broken)
+            node.diagnostics.fail(broken)
+    finally:
+        _leave(executor, node)
+    return 1 if broken else 0
+
+
+def _live(
+    node: Shell, executor: SingleThreadedExecutor, signals: Sequence[int], linger: float
+) -> OSError | None:
+    """Run a node until a signal comes, and close it; return what broke, if anything did."""
+    broken: OSError | None = None
     try:
         try:
             while not signals:
@@ -135,22 +158,41 @@ def run(
             end = time.monotonic() + linger
             while time.monotonic() < end:
                 executor.spin_once(timeout_sec=linger)
+            node.finish()
+        except OSError as error:
+            broken = error
         finally:
             node.close()
     except OSError as error:
-        return _complain(name, error, 1)
-    finally:
-        # Everything that matters is closed by now. When several processes leave at once, Fast DDS
-        # 2.14 may wait here for good, about once in a thousand times: `set_listener` for a
-        # callback, and that for its lock.
-        faulthandler.dump_traceback_later(TEARDOWN, exit=True)
+        # What breaks after something else did, breaks because of it.
+        broken = broken or error
+    return broken
+
+
+def _complain(name: str, error: Exception) -> None:
+    print(f'{name}: {" ".join(str(error).split())}', file=sys.stderr, flush=True)
+
+
+def _say_why_not_started(name: str, error: Exception) -> None:
+    """Show an error on diagnostics, from a node made for that: there may be none yet."""
+    # What is wrong with the arguments may be wrong with this node, too.
+    with suppress(*START_ERRORS):
+        node = Node(name, enable_rosout=False, start_parameter_services=False)
+        Diagnostics(node).fail(error)
+
+
+def _leave(executor: SingleThreadedExecutor | None = None, node: Shell | None = None) -> None:
+    """
+    Leave the graph.
+
+    Everything that matters is closed by now. When several processes leave at once, Fast DDS 2.14
+    may wait here for good, about once in a thousand times: `set_listener` for a callback, and
+    that for its lock.
+    """
+    faulthandler.dump_traceback_later(TEARDOWN, exit=True)
+    if executor:
         executor.shutdown()
+    if node:
         node.destroy_node()
-        rclpy.try_shutdown()
-        faulthandler.cancel_dump_traceback_later()
-    return 0
-
-
-def _complain(name: str, error: Exception, exit_code: int) -> int:
-    print(f'{name}: {" ".join(str(error).split())}', file=sys.stderr)
-    return exit_code
+    rclpy.try_shutdown()
+    faulthandler.cancel_dump_traceback_later()

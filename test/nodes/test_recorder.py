@@ -3,31 +3,43 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from array import array
+from collections import defaultdict
 import resource
 import shutil
+import signal
+import subprocess
 
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.log.reader import is_finished, read_log
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.recorder import message_class
+from kbnitp_ros.nodes.topic import message_class
 from mcap.reader import make_reader
 from nav_msgs.msg import Path
 import pytest
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from samples import lost, path
-from std_msgs.msg import String, UInt32
+from rclpy.serialization import serialize_message
+from samples import key, lost, path
+from std_msgs.msg import String, UInt8MultiArray, UInt32
 import yaml
 
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=100)
 LAST_OF_FIVE = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def record(field, namespace='/m'):
+def record(field, namespace='/m', **parameters):
     """Start a recorder, and return the file it writes."""
     log = field.folder / 'record' / 'mission.mcap'
-    log.parent.mkdir()
-    field.start('recorder', {'file': str(log)}, namespace)
+    log.parent.mkdir(exist_ok=True)
+    field.start('recorder', {'file': str(log), **parameters}, namespace)
     name = f'{namespace.rstrip("/")}/recorder'
     field.until(lambda: field.diagnosed(name).values, f'diagnostics of {name}')
     return log
@@ -35,10 +47,25 @@ def record(field, namespace='/m'):
 
 def recorded(log):
     """Return the messages of a log by topic."""
-    messages = {}
+    messages = defaultdict(list)
     for logged in read_log(log):
-        messages.setdefault(logged.topic, []).append(logged.message)
+        messages[logged.topic].append(logged.message)
     return messages
+
+
+def values(log, topic):
+    """Return what the messages of a topic in a log hold."""
+    return [message.data for message in recorded(log)[topic]]
+
+
+def stamps_of(messages):
+    """Return which deployments these paths or reports are about."""
+    return [
+        read_report(message)[0].stamp
+        if hasattr(message, 'deployment')
+        else from_stamp(message.header.stamp)
+        for message in messages
+    ]
 
 
 def test_no_message_is_lost_whatever_the_publisher_offers(field):
@@ -85,7 +112,7 @@ def test_a_reported_deployment_is_readable_at_once(field):
     for number in range(5):
         paths.publish(path(number))
         reports.publish(lost(number))
-        field.until(lambda n=number: len(recorded(log).get('/m/scout_1/report', ())) > n, 'report')
+        field.until(lambda n=number: len(recorded(log)['/m/scout_1/report']) > n, 'report')
         assert not is_finished(log)
 
 
@@ -103,37 +130,258 @@ def test_the_log_names_the_quality_of_service_offered(field):
     assert offered['durability'] == 'transient_local'
 
 
+def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
+    log = record(field)
+    told = {agent: field.listen(Time, f'/m/{agent}/recorded') for agent in ('one', 'two')}
+    paths = {agent: field.talk(Path, f'/m/{agent}/path') for agent in told}
+    for agent, numbers in (('one', (3, 1, 4)), ('two', (2,))):
+        for number in numbers:
+            paths[agent].publish(path(number))
+            field.until(
+                lambda a=agent, n=number: any(
+                    from_stamp(stamp) >= key(n).stamp for stamp in told[a]
+                ),
+                f'word of path {number}',
+            )
+            assert from_stamp(told[agent][-1]) in stamps_of(recorded(log)[f'/m/{agent}/path'])
+    field.until(lambda: len(recorded(log)['/m/one/path']) == 3, 'third path')
+    assert [from_stamp(stamp) for stamp in told['one']] == [key(3).stamp, key(4).stamp]
+    assert [from_stamp(stamp) for stamp in told['two']] == [key(2).stamp]
+
+
+def test_a_path_that_is_none_is_refused_and_the_rest_goes_on(field):
+    log = record(field)
+    paths = field.talk(Path, '/m/scout_1/path')
+    paths.publish(b'\0\1\0\0')
+    assert '/m/scout_1/path refused' in field.until_refused('/m/recorder', 1)
+    paths.publish(path(1))
+    field.until(lambda: len(recorded(log)['/m/scout_1/path']) == 1, 'path')
+
+
+def test_what_is_no_evidence_is_on_the_disk_a_second_later(field):
+    log = record(field)
+    talker = field.talk(String, '/m/chatter')
+    talker.publish(String(data='x'))
+    field.until(lambda: '/m/chatter' in recorded(log), 'message', patience=1.0)
+
+
+def test_a_resumed_log_holds_everything(field):
+    log = record(field)
+    told = field.listen(Time, '/m/scout_1/recorded')
+    paths = field.talk(Path, '/m/scout_1/path')
+    paths.publish(path(1))
+    field.until(lambda: told, 'word of path 1')
+    recorder = field.processes.started['/m/recorder']
+    recorder.kill()
+    recorder.wait()
+    paths.publish(path(2))
+    assert not is_finished(log)
+    record(field, resume=str(log.parent))
+    field.until(lambda: from_stamp(told[-1]) == key(2).stamp, 'word of path 2')
+    field.processes.stop()
+    assert is_finished(log)
+    part = log.with_name('mission_1.mcap')
+    assert is_finished(part)
+    assert stamps_of(recorded(part)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
+    assert len(recorded(log)['/m/scout_1/path']) == 3
+
+
+def test_a_log_is_split_and_compressed(field):
+    log = record(field, max_file_size=20_000, compression='zstd')
+    talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
+    for number in range(50):
+        talker.publish(UInt8MultiArray(data=array('B', bytes([number]) * 2000)))
+    field.until(lambda: field.count('/m/recorder', 'accepted') > 50, 'last message')
+    field.processes.stop()
+    parts = sorted(log.parent.glob('*.mcap'))
+    assert 4 < len(parts) < 8
+    assert all(is_finished(part) and part.stat().st_size < 20_000 for part in parts)
+    assert [message.data[0] for message in recorded(log)['/m/bytes']] == list(range(50))
+
+
+def test_a_publisher_may_come_back_with_other_quality_of_service(field):
+    log = record(field)
+    number = 0
+    promised = set()
+    for profile in (RELIABLE, BEST_EFFORT, qos.EVIDENCE, RELIABLE, qos.EVIDENCE, BEST_EFFORT):
+        first = number
+        publisher = field.node.create_publisher(UInt32, '/m/number', profile)
+        if profile is qos.EVIDENCE:
+            publisher.publish(UInt32(data=number))
+            number += 1
+        field.until(lambda p=publisher: p.get_subscription_count() > 0, 'listener')
+        # Some of what is sent with best effort may be lost, whoever listens.
+        while number < first + 20 or max(values(log, '/m/number'), default=-1) < first:
+            publisher.publish(UInt32(data=number))
+            number += 1
+            field.executor.spin_once(timeout_sec=0.01)
+        if profile is not BEST_EFFORT:
+            promised.update(range(first, number))
+        field.until(lambda: promised <= set(values(log, '/m/number')), 'all messages')
+        field.node.destroy_publisher(publisher)
+    numbers = values(log, '/m/number')
+    assert numbers == sorted(set(numbers))
+
+
+def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(field):
+    log = record(field)
+    kept = field.node.create_publisher(UInt32, '/m/number', qos.EVIDENCE)
+    for number in range(3):
+        kept.publish(UInt32(data=number))
+    publishers = [kept, field.talk(UInt32, '/m/number', RELIABLE)]
+    field.until(lambda: len(recorded(log)['/m/number']) == 3, 'history')
+    publishers.append(field.talk(UInt32, '/m/number', BEST_EFFORT))
+    for number in range(3, 300):
+        publishers[number % 3].publish(UInt32(data=number))
+        field.executor.spin_once(timeout_sec=0.001)
+    # Some of what is sent with best effort may be lost, whoever listens.
+    promised = {number for number in range(300) if number < 3 or number % 3 < 2}
+    field.until(lambda: promised <= set(values(log, '/m/number')), 'last message')
+    field.processes.stop()
+    numbers = values(log, '/m/number')
+    assert len(numbers) == len(set(numbers)) > 200
+
+
+def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_on(field):
+    log = record(field)
+    expected = []
+    for kind, value in ((String, 'first'), (UInt32, 1), (String, 'second')):
+        publisher = field.node.create_publisher(kind, '/m/topic', qos.LATCHED)
+        publisher.publish(kind(data=value))
+        if kind is UInt32:
+            refusal = field.until_refused('/m/recorder', 1)
+            assert 'type is std_msgs/msg/UInt32: it is on record as std_msgs/msg/' in refusal
+        else:
+            expected.append(value)
+            field.until(lambda: values(log, '/m/topic') == expected, f'the {value} message')
+        field.node.destroy_publisher(publisher)
+
+
+def test_a_message_larger_than_a_chunk_is_recorded(field):
+    log = record(field)
+    data = bytes(range(256)) * 20_000
+    talker = field.talk(UInt8MultiArray, '/m/image', RELIABLE)
+    talker.publish(UInt8MultiArray(data=array('B', data)))
+    field.until(lambda: '/m/image' in recorded(log), 'image')
+    field.processes.stop()
+    (image,) = recorded(log)['/m/image']
+    assert bytes(image.data) == data
+
+
+def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
+    log = record(field)
+    reports = field.talk(DeploymentReport, '/m/scout_1/report')
+    chatter = field.talk(UInt32, '/m/chatter', QoSProfile(depth=5000))
+    sent = [
+        (serialize_message(lost(number)), serialize_message(UInt32(data=number)))
+        for number in range(2000)
+    ]
+    for report, number in sent:
+        reports.publish(report)
+        chatter.publish(number)
+    for publisher in (reports, chatter):
+        assert publisher.wait_for_all_acked(Duration(seconds=20))
+    recorder = field.processes.started['/m/recorder']
+    recorder.send_signal(signal.SIGTERM)
+    assert recorder.wait(timeout=5) == 0
+    assert is_finished(log)
+    messages = recorded(log)
+    assert [message.data for message in messages['/m/chatter']] == list(range(2000))
+    assert stamps_of(messages['/m/scout_1/report']) == [key(n).stamp for n in range(2000)]
+
+
+def until_failed(field, name, exit_code):
+    """Wait until a node has given up, and return what it said: on diagnostics, and on stderr."""
+    process = field.processes.started[name]
+    while process.poll() is None or field.diagnosed(name).level != DiagnosticStatus.ERROR:
+        field.executor.spin_once(timeout_sec=0.02)
+        assert process.poll() in (None, exit_code)
+    (complaint,) = field.said(name).splitlines()
+    assert complaint == f'recorder: {field.diagnosed(name).message}'
+    return complaint
+
+
 def test_a_file_that_is_there_is_left_alone(field):
     log = field.folder / 'mission.mcap'
     log.write_text('precious')
-    recorder = field.start('recorder', {'file': str(log)})
-    assert recorder.wait(timeout=10) == 2
-    assert 'File exists' in field.said('/recorder')
+    field.start('recorder', {'file': str(log)})
+    assert 'File exists' in until_failed(field, '/recorder', 2)
     assert log.read_text() == 'precious'
 
 
-@pytest.mark.parametrize('trouble', ['folder gone', 'disk full'])
-def test_a_recorder_that_cannot_write_ends_and_says_why(field, trouble):
-    log = record(field)
+@pytest.mark.parametrize(
+    'content, told', [(None, 'No such file'), (b'no log', 'no MCAP file'), ('damaged', 'damaged')]
+)
+def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
+    log = field.folder / 'mission.mcap'
+    if content == 'damaged':
+        with LogWriter(log) as writer:
+            writer.add_topic('/topic', 'std_msgs/msg/String', qos_profiles_yaml([RELIABLE]))
+            writer.write('/topic', serialize_message(String(data='x' * 100)), 1, 1)
+        content = log.read_bytes().replace(b'xxx', b'yyy', 1)[:-200]
+    if content:
+        log.write_bytes(content)
+    field.start('recorder', {'resume': str(log)})
+    assert told in until_failed(field, '/recorder', 2)
+    assert [file.name for file in field.folder.glob('*.mcap')] == [log.name][: content is not None]
+    assert not content or log.read_bytes() == content
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Provide a folder on a disk of 1 MB."""
+    folder = tmp_path / 'disk'
+    folder.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', 'size=1m', 'tmpfs', str(folder)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip('mounting a disk is not allowed here')
+    yield folder
+    subprocess.run(['umount', str(folder)], check=True)
+
+
+def report_until_it_fails(field, log):
+    """Send reports until the recorder fails; return why, and check what can be read after that."""
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
-    reports.publish(lost(0))
-    field.until(lambda: field.count('/m/recorder', 'accepted') > 1, 'report')
+    talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
     recorder = field.processes.started['/m/recorder']
-    if trouble == 'folder gone':
+    readable = 0
+    for number in range(2000):
+        reports.publish(lost(number))
+        talker.publish(UInt8MultiArray(data=array('B', bytes(3000))))
+        field.executor.spin_once(timeout_sec=0.002)
+        if recorder.poll() is not None:
+            break
+        if number < 20:
+            readable = len(recorded(log)['/m/scout_1/report'])
+    told = until_failed(field, '/m/recorder', 1)
+    stamps = stamps_of(recorded(log)['/m/scout_1/report'])
+    assert len(stamps) > readable > 0
+    assert stamps == [key(number).stamp for number in range(len(stamps))]
+    return told
+
+
+def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, small_disk):
+    log = small_disk / 'mission.mcap'
+    field.start('recorder', {'file': str(log)}, '/m')
+    assert 'No space left on device' in report_until_it_fails(field, log)
+
+
+def test_a_file_that_may_not_grow_ends_the_recorder_and_what_was_written_stays(field):
+    log = record(field)
+    recorder = field.processes.started['/m/recorder']
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+    assert 'File too large' in report_until_it_fails(field, log)
+
+
+@pytest.mark.parametrize('what', ['folder', 'file'])
+def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
+    log = record(field)
+    if what == 'folder':
         shutil.rmtree(log.parent)
-        told = f'{log} is gone'
     else:
-        size = log.stat().st_size + 2000
-        resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (size, size))
-        told = 'File too large'
-        for number in range(1, 100):
-            reports.publish(lost(number))
-    assert recorder.wait(timeout=10) == 1
-    (complaint,) = field.said('/m/recorder').splitlines()
-    assert complaint.startswith('recorder: ')
-    assert told in complaint
-    if trouble == 'disk full':
-        assert Counter(logged.topic for logged in read_log(log))['/m/scout_1/report'] > 1
+        log.unlink()
+    assert f'{log} is gone' in until_failed(field, '/m/recorder', 1)
+    assert not log.exists()
 
 
 def test_message_types_are_found_by_name():

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_ros.log.reader import is_finished
 from kbnitp_ros.nodes.parameters import NODES
 import pytest
@@ -50,6 +51,18 @@ def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
     assert len(complaint) == 1, ended.stderr
     assert complaint[0].startswith(f'{name}: ')
     assert told in complaint[0]
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
+    process = field.start(name, {'max_steps': 0, 'compression': 'lzma', 'file': '/'}, '/m')
+    while process.poll() is None:
+        field.executor.spin_once(timeout_sec=0.02)
+    field.executor.spin_once(timeout_sec=0.1)
+    status = field.diagnosed(f'/m/{name}')
+    assert status.level == DiagnosticStatus.ERROR
+    assert field.said(f'/m/{name}') == f'{name}: {status.message}\n'
+    assert process.returncode == 2
 
 
 @pytest.mark.parametrize('name', NODES)

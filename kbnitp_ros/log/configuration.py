@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a run was configured, as it stands in its log: versions, and the parameters of each node."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timezone
+import json
+import os
+from pathlib import Path
+import platform
+import subprocess
+from typing import Any
+import xml.etree.ElementTree as ElementTree
+
+from ament_index_python.packages import get_package_share_directory
+from kbnitp_ros.log.errors import LogError
+from kbnitp_ros.log.reader import read_metadata
+import numpy as np
+
+# Names of metadata records; a node's full name, which starts with a slash, follows the second.
+RUN = 'run'
+PARAMETERS = 'parameters'
+
+
+def run_record(rmw_implementation: str) -> dict[str, str]:
+    """
+    Return what the record `RUN` of a log says: the time (UTC) and what the run runs on.
+
+    Parameters
+    ----------
+    rmw_implementation : str
+        Such as 'rmw_fastrtps_cpp'.
+
+    """
+    packages = ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', rmw_implementation)
+    return {
+        'time': datetime.now(timezone.utc).isoformat(),
+        **{package: _package_version(package) for package in packages},
+        'rmw_implementation': rmw_implementation,
+        'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
+        'python': platform.python_version(),
+        'numpy': np.__version__,
+        'platform': platform.platform(),
+        **_revision(Path(__file__).resolve().parents[2]),
+    }
+
+
+def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the record of a node's parameters says: each value as JSON."""
+    # ROS hands a byte over as bytes of length one.
+    return {name: json.dumps(value, default=ord) for name, value in sorted(values.items())}
+
+
+def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
+    """
+    Return the parameters that the nodes of a run had at its end.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log: a file, its first part or its folder.
+
+    Returns
+    -------
+    dict
+        Values by parameter name, by the node's full name. Lists are lists; a value is None where
+        a parameter was declared but not set.
+
+    Raises
+    ------
+    LogError
+        If it is no log, or a record of parameters in it is not as `parameters_record` makes it.
+
+    """
+    parameters = {}
+    for name, record in read_metadata(path).items():
+        if name.startswith(f'{PARAMETERS}/'):
+            try:
+                values = {key: json.loads(text) for key, text in record.items()}
+            except ValueError as error:
+                raise LogError(f'{path}: record {name!r} is damaged: {error}') from error
+            parameters[name.removeprefix(PARAMETERS)] = values
+    return parameters
+
+
+def _package_version(package: str) -> str:
+    """Return the version that a ROS package's manifest gives."""
+    try:
+        manifest = Path(get_package_share_directory(package), 'package.xml')
+        return ElementTree.parse(manifest).findtext('version', 'unknown')
+    except (LookupError, OSError):
+        return 'unknown'
+
+
+def _revision(source: Path) -> dict[str, str]:
+    """Return the git revision of a folder; nothing if it is no checkout or git is missing."""
+    if not source.joinpath('.git').exists():
+        return {}
+    command = ['git', 'describe', '--always', '--dirty', '--abbrev=40', '--exclude=*']
+    try:
+        described = subprocess.run(command, cwd=source, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return {}
+    return {'git_revision': described.stdout.strip()}

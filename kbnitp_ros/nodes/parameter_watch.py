@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What parameters the nodes of a mission have, asked from each of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+import time
+from typing import Any
+
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import qos_profile_parameter_events
+from rclpy.task import Future
+
+# In seconds: when a node is asked first, so that it has found whom to answer; when one that does
+# not answer is asked again; and when it is left alone.
+ASK_FIRST = 0.5
+ASK_AGAIN = 1.0
+GIVE_UP = 5.0
+
+# Called with the full name of a node and its parameters.
+Tell = Callable[[str, dict[str, Any]], None]
+
+
+class ParameterWatch:
+    """
+    Asks the nodes of a namespace for their parameters, and never waits for an answer.
+
+    A node is asked when it appears, when another of its name appears, which is how a restart
+    looks, and when it says that a parameter has changed. One that does not answer is left alone.
+
+    Parameters
+    ----------
+    node : Node
+        Asks; its own parameters are told as well.
+    namespace : str
+        Ends in a slash.
+    tell : callable
+        Called with each answer.
+
+    """
+
+    def __init__(self, node: Node, namespace: str, tell: Tell) -> None:
+        self._node = node
+        self._namespace = namespace
+        self._tell = tell
+        self._present: Counter[str] = Counter()
+        self._due: set[str] = set()
+        self._inquiries: dict[str, Inquiry] = {}
+        node.create_subscription(
+            ParameterEvent, '/parameter_events', self._on_event, qos_profile_parameter_events
+        )
+
+    def look(self) -> None:
+        """Ask those that are to be asked; to be called again and again."""
+        present = Counter(
+            f'{namespace.rstrip("/")}/{name}'
+            for name, namespace in self._node.get_node_names_and_namespaces()
+        )
+        self._due |= (present - self._present).keys()
+        self._present = present
+        # Those that are being asked are due again when that is over.
+        for name in self._due - self._inquiries.keys():
+            if name.startswith(self._namespace):
+                self._inquiries[name] = Inquiry(self._node, name, self._tell)
+            self._due.remove(name)
+        for name, inquiry in list(self._inquiries.items()):
+            inquiry.pursue()
+            if inquiry.over:
+                self._inquiries.pop(name).destroy()
+
+    def _on_event(self, event: ParameterEvent) -> None:
+        self._due.add(event.node)
+
+
+class Inquiry:
+    """
+    Asks one node for all its parameters.
+
+    Attributes
+    ----------
+    over : bool
+        Whether it has answered, or has not for too long.
+
+    """
+
+    def __init__(self, node: Node, name: str, tell: Tell) -> None:
+        self.over = False
+        self._node = node
+        self._name = name
+        self._tell = tell
+        self._names = node.create_client(ListParameters, f'{name}/list_parameters')
+        self._values = node.create_client(GetParameters, f'{name}/get_parameters')
+        now = time.monotonic()
+        self._ask_at = now + ASK_FIRST
+        self._end_at = now + GIVE_UP
+
+    def pursue(self) -> None:
+        """Ask if the node can be asked, unless an answer may still come."""
+        now = time.monotonic()
+        self.over = self.over or now > self._end_at
+        ready = self._names.service_is_ready() and self._values.service_is_ready()
+        if ready and now >= self._ask_at and not self.over:
+            self._ask_at = now + ASK_AGAIN
+            answer = self._names.call_async(ListParameters.Request())
+            answer.add_done_callback(self._on_names)
+
+    def _on_names(self, answer: Future) -> None:
+        names = answer.result().result.names
+        values = self._values.call_async(GetParameters.Request(names=names))
+        values.add_done_callback(partial(self._on_values, names))
+
+    def _on_values(self, names: Sequence[str], answer: Future) -> None:
+        values = map(parameter_value_to_python, answer.result().values)
+        self.over = True
+        self._tell(self._name, dict(zip(names, values)))
+
+    def destroy(self) -> None:
+        """Take no more answers."""
+        self._node.destroy_client(self._names)
+        self._node.destroy_client(self._values)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A topic as the recorder hears it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import import_module
+import time
+from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+# How many messages of a topic are remembered, to tell those that come by two subscriptions.
+RECENT = 1000
+
+# A topic, the bytes that came on it and what rclpy knows of them.
+Message = tuple['Topic', bytes, dict[str, Any]]
+
+
+@dataclass
+class Topic:
+    """
+    A topic on record.
+
+    Attributes
+    ----------
+    name, type_name : str
+        Full names; a topic has one type.
+    subscriptions : dict
+        One for each reliability and durability offered, by these two. A publisher that comes back
+        with others is heard by one more subscription, so that no message is lost while one is
+        replaced, and no history comes twice.
+    recent : dict
+        Which messages came last: time sent and hash of the bytes, oldest first.
+    recorded : Publisher, optional
+        For the paths of an agent: tells which are on the disk.
+    newest, told : int
+        The newest stamp of the paths, and of those told to be on the disk, in nanoseconds.
+
+    """
+
+    name: str
+    type_name: str
+    subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
+    recent: dict[tuple[int, int], None] = field(default_factory=dict)
+    recorded: Publisher | None = None
+    newest: int = 0
+    told: int = 0
+
+    def is_new(self, sent: int, data: bytes) -> bool:
+        """Say whether a message has not come by another subscription, and remember it."""
+        message = sent, hash(data)
+        if message in self.recent:
+            return False
+        self.recent[message] = None
+        if len(self.recent) > RECENT:
+            del self.recent[next(iter(self.recent))]
+        return True
+
+    def arrived(self) -> Iterator[Message]:
+        """Take the messages that wait to be read, but none that comes from now on."""
+        now = time.time_ns()
+        for subscription in self.subscriptions.values():
+            handle, kind = subscription.handle, subscription.msg_type
+            received = 0
+            with handle:
+                while received < now and (taken := handle.take_message(kind, True)):
+                    message = self, *taken
+                    received = time_received(message)
+                    yield message
+
+
+def time_received(message: Message) -> int:
+    """Return when a message came, in nanoseconds."""
+    _, _, info = message
+    return int(info['received_timestamp'])
+
+
+def message_class(type_name: str) -> type:
+    """
+    Return the Python class of a message type, such as 'nav_msgs/msg/Path'.
+
+    Raises
+    ------
+    LookupError
+        If it is not installed.
+
+    """
+    try:
+        package, kind, name = type_name.split('/')
+        return getattr(import_module(f'{package}.{kind}'), name)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise LookupError(f'type {type_name} is not installed: {error}') from error

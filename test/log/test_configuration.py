@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A log says how its run was configured."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+import math
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from kbnitp_ros.log.configuration import (
+    PARAMETERS,
+    parameters_record,
+    read_parameters,
+    RUN,
+    run_record,
+)
+from kbnitp_ros.log.errors import LogError
+from kbnitp_ros.log.reader import read_metadata
+from kbnitp_ros.log.writer import LogWriter
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_run_names_its_versions():
+    record = run_record('rmw_fastrtps_cpp')
+    assert record['python'] == '.'.join(map(str, sys.version_info[:3]))
+    assert record['numpy'] == np.__version__
+    assert record['rmw_implementation'] == 'rmw_fastrtps_cpp'
+    for package in ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', 'rmw_fastrtps_cpp'):
+        assert re.fullmatch(r'\d+\.\d+\.\d+', record[package]), package
+    since = datetime.now(timezone.utc) - datetime.fromisoformat(record['time'])
+    assert 0 <= since.total_seconds() < 60
+
+
+def test_what_is_not_installed_has_no_version():
+    assert run_record('rmw_of_nobody')['rmw_of_nobody'] == 'unknown'
+
+
+@pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the source is no checkout')
+def test_the_run_names_the_revision_of_a_checkout():
+    command = ['git', 'rev-parse', 'HEAD']
+    head = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    revision = run_record('rmw_fastrtps_cpp')['git_revision']
+    assert revision.removesuffix('-dirty') == head.stdout.strip()
+
+
+def test_parameters_come_back_as_they_were(tmp_path):
+    path = tmp_path / 'mission.mcap'
+    planner = {
+        'flag': True,
+        'count': 3,
+        'rate': 3.0,
+        'tiny': 5e-324,
+        'far': math.inf,
+        'text': 'two\nlines, ünïcode and "quotes"',
+        'empty': [],
+        'cells': [1, 2],
+        'origin': [0.1, -2.0],
+        'names': ['a', 'b'],
+        'unset': None,
+    }
+    with LogWriter(path) as log:
+        log.add_metadata(RUN, {'python': '3.11.7'})
+        log.add_metadata(f'{PARAMETERS}/m/planner', parameters_record({'flag': False}))
+        log.add_metadata(f'{PARAMETERS}/m/planner', parameters_record(planner))
+        log.add_metadata(f'{PARAMETERS}/m/agent', parameters_record({'bytes': [b'\1', b'\2']}))
+    parameters = read_parameters(path)
+    assert parameters == {'/m/planner': planner, '/m/agent': {'bytes': [1, 2]}}
+    assert all(type(parameters['/m/planner'][name]) is type(planner[name]) for name in planner)
+
+
+def test_parameters_are_read_from_an_unfinished_log(tmp_path):
+    log = LogWriter(tmp_path / 'mission.mcap')
+    log.add_metadata(f'{PARAMETERS}/agent', parameters_record({'seed': 1}))
+    log.sync()
+    assert read_parameters(log.path) == {'/agent': {'seed': 1}}
+    assert RUN not in read_metadata(log.path)
+
+
+def test_a_damaged_record_is_told(tmp_path):
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        log.add_metadata(f'{PARAMETERS}/agent', {'seed': 'one'})
+    with pytest.raises(LogError, match="record 'parameters/agent' is damaged"):
+        read_parameters(path)
