@@ -219,8 +219,9 @@ def test_a_publisher_may_come_back_with_other_quality_of_service(field):
             promised.update(range(first, number))
         field.until(lambda: promised <= set(values(log, '/m/number')), 'all messages')
         field.node.destroy_publisher(publisher)
+    # Of two subscriptions one may get its first message before the other gets what is older.
     numbers = values(log, '/m/number')
-    assert numbers == sorted(set(numbers))
+    assert len(numbers) == len(set(numbers))
 
 
 def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(field):
