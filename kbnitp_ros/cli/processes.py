@@ -108,6 +108,7 @@ class Processes:
         parameters: Mapping[str, Any] | None = None,
         *,
         namespace: str = '/',
+        remaps: Mapping[str, str] | None = None,
         output: IO[Any] | None = None,
     ) -> subprocess.Popen[bytes]:
         """
@@ -121,12 +122,15 @@ class Processes:
             Values by parameter name.
         namespace : str
             Where its topics are.
+        remaps : mapping, optional
+            What it calls a topic, and the name to use instead.
         output : file, optional
             Where its stdout and stderr go; to those of this process when None.
 
         """
         command = [sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
-        command += ['--remap', f'__ns:={namespace}']
+        for name, other in {'__ns': namespace, **(remaps or {})}.items():
+            command += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():
             # JSON is the YAML that ROS reads a value as.
             command += ['--param', f'{name}:={json.dumps(value)}']

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measure the four nodes in a long mission: what memory they take, and how fast they are.
+
+    python3 benchmarks/nodes.py --deployments 5000
+
+Memory is the mean over the first and over the last fifth of the deployments. The rate stands
+beside that of bare rclpy processes that pass the same messages round on the same machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.nodes import qos
+import numpy as np
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from tqdm import tqdm
+
+AWAITED = {
+    'recorder': [],
+    'estimator': ['planner', 'recorder'],
+    'agent': ['planner', 'estimator', 'recorder'],
+    'planner': ['agent', 'estimator', 'recorder'],
+}
+
+PERIOD = 0.5  # seconds between two looks at the memory
+PATIENCE = 60.0  # seconds that a deployment may take
+MEBIBYTE = 2**20
+
+
+@dataclass(frozen=True)
+class Sample:
+    """
+    The nodes at a moment.
+
+    Attributes
+    ----------
+    time : float
+        In seconds.
+    deployments : int
+        How many the belief held.
+    rss, pss : dict of str to int
+        The memory of each node's process in bytes: all that is resident, and with what it shares
+        with other processes divided among them.
+
+    """
+
+    time: float
+    deployments: int
+    rss: dict[str, int]
+    pss: dict[str, int]
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--deployments', type=int, default=5000, help='default 5000')
+    deployments = parser.parse_args().deployments
+    samples = run_nodes(deployments)
+    bare = run_bare(deployments)
+    print(table(samples, deployments))
+    first, last = samples[0], samples[-1]
+    rate = (last.deployments - first.deployments) / (last.time - first.time)
+    print(f'\n{deployments} deployments on 9x9 cells, {rate:.1f} a second; bare rclpy passes the')
+    print(f'same messages round {bare:.1f} times a second.')
+
+
+def run_nodes(deployments: int) -> list[Sample]:
+    """
+    Run a mission of 9x9 cells and look at its nodes.
+
+    Raises
+    ------
+    RuntimeError
+        If a node ends or nothing happens any more.
+
+    """
+    samples: list[Sample] = []
+    with TemporaryDirectory() as folder, free_domain() as domain, Processes(domain) as processes:
+        parameters = {
+            'robots': deployments,
+            'planner': 'relaxed',
+            'recorded': True,
+            'file': str(Path(folder, 'mission.mcap')),
+        }
+        for name, awaited in AWAITED.items():
+            processes.start(name, parameters | {'await_nodes': awaited})
+        os.environ |= environment(domain)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node('onlooker')
+        beliefs: list[BeliefMaps] = []
+        node.create_subscription(BeliefMaps, 'belief', beliefs.append, qos.LATCHED)
+        running = processes.started.items()
+        held = 0
+        heard = looked = time.monotonic()
+        with tqdm(total=deployments, unit='deployment', disable=None) as bar:
+            while held < deployments:
+                rclpy.spin_once(node, timeout_sec=PERIOD)
+                now = time.monotonic()
+                if beliefs:
+                    heard = now
+                    bar.update(beliefs[-1].deployments - held)
+                    held = beliefs.pop().deployments
+                if held and now > looked + PERIOD:
+                    looked = now
+                    rss = {name: memory(process.pid, 'Rss') for name, process in running}
+                    pss = {name: memory(process.pid, 'Pss') for name, process in running}
+                    samples.append(Sample(now, held, rss, pss))
+                if processes.ended() or now > heard + PATIENCE:
+                    raise RuntimeError(f'no belief after {held}; ended are {processes.ended()}')
+        node.destroy_node()
+        rclpy.shutdown()
+    return samples
+
+
+def memory(pid: int, kind: str) -> int:
+    """Return the Rss or Pss of a process in bytes."""
+    for line in Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines():
+        if line.startswith(f'{kind}:'):
+            return int(line.split()[1]) * 1024
+    raise ValueError(f'kind is {kind!r}: it must be Rss or Pss')
+
+
+def run_bare(rounds: int) -> float:
+    """Return how many times a second bare rclpy passes the messages round."""
+    program = str(Path(__file__).with_name('ping_pong.py'))
+    with free_domain() as domain:
+        processes = [
+            subprocess.Popen(
+                [sys.executable, program, role, str(rounds)],
+                env=environment(domain),
+                stdout=subprocess.PIPE,
+            )
+            for role in ('path', 'report', 'belief')
+        ]
+        printed, _ = processes[0].communicate()
+        for process in processes:
+            process.kill()
+            process.wait()
+    return float(printed)
+
+
+def table(samples: list[Sample], deployments: int) -> str:
+    """Return the memory of each node early and late, in Markdown."""
+    fifth = deployments // 5
+    early = [sample for sample in samples if sample.deployments <= fifth]
+    late = [sample for sample in samples if sample.deployments > deployments - fifth]
+    lines = [
+        f'| node | | 1 to {fifth} | {deployments - fifth + 1} to {deployments} | growth |',
+        '|---|---|---|---|---|',
+    ]
+    for name in samples[0].rss:
+        for kind in ('rss', 'pss'):
+            before, after = (
+                np.mean([getattr(sample, kind)[name] for sample in part]) / MEBIBYTE
+                for part in (early, late)
+            )
+            lines.append(
+                f'| {name.strip("/")} | {kind.upper()} | {before:.1f} MiB | {after:.1f} MiB '
+                f'| {after / before - 1.0:+.1%} |'
+            )
+    return '\n'.join(lines)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Run missions under random faults and count what was done to them and what they lost.
+
+    python3 test/faults/campaign.py --missions 200 --seed 1
+
+A mission is fixed by its seed, but for the moments at which the machine gets round to it: mission
+k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+import os
+from pathlib import Path
+import shutil
+import sys
+import tempfile
+import time
+
+from kbnitp_ros.cli.processes import environment, free_domain
+from mission import Mission, StuckError
+import numpy as np
+from schedule import draw_faults, KINDS, NODES
+from tqdm import tqdm
+from unbroken import draw_parameters
+
+# What can be found, and how a table calls it.
+FINDINGS = {
+    'stuck': 'missions that did not end',
+    'lost': 'deployments lost',
+    'double': 'deployments counted twice',
+    'belief': 'beliefs that are not those of core',
+    'replay': 'logs that do not replay',
+    'log': 'logs that cannot be read',
+    'exit': 'nodes that ended badly',
+}
+
+
+@dataclass
+class Outcome:
+    """
+    What became of a mission.
+
+    Attributes
+    ----------
+    seed, kind, folder
+        Which one it was and where its log is.
+    faults : Counter
+        How many faults of each kind.
+    strikes : Counter
+        How many times each (kind of fault, node).
+    phases : Counter
+        How many faults in each phase.
+    findings : list of (str, str)
+        What is not as it must be.
+    unused : int
+        How many paths no robot took, which is as it must be.
+    seconds : float
+        How long it took.
+
+    """
+
+    seed: int
+    kind: str
+    folder: Path
+    faults: Counter[str] = field(default_factory=Counter)
+    strikes: Counter[tuple[str, str]] = field(default_factory=Counter)
+    phases: Counter[str] = field(default_factory=Counter)
+    findings: list[tuple[str, str]] = field(default_factory=list)
+    unused: int = 0
+    seconds: float = 0.0
+
+    def __str__(self) -> str:
+        found = ''.join(f'\n  {kind}: {words}' for kind, words in self.findings)
+        return f'mission --kind {self.kind} --seed {self.seed} in {self.folder}:{found}'
+
+
+def run_mission(job: tuple[int, str, Path]) -> Outcome:
+    """Run the mission of a seed with faults of a kind, in a process of its own."""
+    seed, kind, folder = job
+    rng = np.random.default_rng(seed)
+    parameters = draw_parameters(rng)
+    outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
+    begun = time.monotonic()
+    with free_domain() as domain:
+        os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
+        with Mission(domain, outcome.folder, parameters) as mission:
+            mission.start(*NODES)
+            try:
+                for fault in draw_faults(rng, kind, parameters['robots']):
+                    outcome.phases[mission.suffer(fault)] += 1
+                    outcome.faults[fault.kind] += 1
+                    outcome.strikes.update((fault.kind, node) for node in fault.pauses)
+                mission.until_over()
+                outcome.findings = mission.findings()
+                outcome.unused = mission.unused
+            except StuckError as error:
+                outcome.findings = [('stuck', str(error))]
+    outcome.seconds = time.monotonic() - begun
+    if not outcome.findings:
+        shutil.rmtree(outcome.folder)
+    return outcome
+
+
+def run_missions(jobs: list[tuple[int, str, Path]], parallel: int = 2) -> list[Outcome]:
+    """Run missions, some at a time, and say at once which of them went wrong."""
+    outcomes = []
+    # A process that has been on a ROS domain does not forget it.
+    with get_context('spawn').Pool(parallel, maxtasksperchild=1) as pool:
+        bar = tqdm(total=len(jobs), unit='mission', disable=None)
+        for outcome in pool.imap_unordered(run_mission, jobs):
+            outcomes.append(outcome)
+            bar.update()
+            if outcome.findings:
+                bar.write(str(outcome))
+        bar.close()
+    return outcomes
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the totals, in Markdown."""
+    strikes = sum((outcome.strikes for outcome in outcomes), Counter())
+    faults = sum((outcome.faults for outcome in outcomes), Counter())
+    phases = sum((outcome.phases for outcome in outcomes), Counter())
+    found = Counter(kind for outcome in outcomes for kind, _ in outcome.findings)
+    seconds = [outcome.seconds for outcome in outcomes]
+    rows = [('missions', len(outcomes))]
+    for node in NODES:
+        kills = sum(strikes[kind, node] for kind in ('kill', 'two', 'all'))
+        rows.append((f'SIGKILLs of the {node}', kills))
+    rows += [(f'SIGSTOPs of the {node}', strikes['stop', node]) for node in NODES]
+    rows += [('two nodes killed at once', faults['two'])]
+    rows += [('all nodes killed at once', faults['all'])]
+    rows += [(f'faults in phase: {phase}', count) for phase, count in sorted(phases.items())]
+    rows += [(words, found[kind]) for kind, words in FINDINGS.items()]
+    rows += [('paths that no robot took', sum(outcome.unused for outcome in outcomes))]
+    rows += [('seconds a mission, mean', f'{np.mean(seconds):.1f}')]
+    rows += [('seconds a mission, longest', f'{max(seconds):.1f}')]
+    return '\n'.join(['| what | count |', '|---|---|', *(f'| {a} | {b} |' for a, b in rows)])
+
+
+def main() -> int:
+    """Run the command; return 1 if anything was found."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--missions', type=int, default=200, help='how many; default 200')
+    parser.add_argument('--seed', type=int, default=1, help='of the first; default 1')
+    parser.add_argument('--kind', choices=KINDS, default='mixed', help='of faults; default mixed')
+    parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
+    options = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix='campaign-'))
+    seeds = range(options.seed, options.seed + options.missions)
+    begun = time.monotonic()
+    outcomes = run_missions([(seed, options.kind, folder) for seed in seeds], options.parallel)
+    print(table(outcomes))
+    print(f'\nSeeds {seeds[0]} to {seeds[-1]}, {time.monotonic() - begun:.0f} s in all.')
+    failed = [outcome for outcome in outcomes if outcome.findings]
+    print(*failed, sep='\n')
+    return 1 if failed else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

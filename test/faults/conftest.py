@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission of real nodes for a test that strikes them itself."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from kbnitp_ros.cli.processes import environment, free_domain
+from mission import Mission
+import pytest
+
+
+@pytest.fixture
+def set_out(tmp_path, monkeypatch):
+    """Return a function that makes a mission, none of its nodes started, on a free domain."""
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        for name, value in environment(domain).items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
+        yield lambda parameters, **others: stack.enter_context(
+            Mission(domain, tmp_path, parameters, **others)
+        )

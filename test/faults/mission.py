@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission whose nodes are killed, stopped and started again, and what must hold at its end."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+import signal
+import time
+
+from kbnitp_ros.cli.processes import Processes
+from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.replay import PATH, replay, REPORT
+import numpy as np
+from onlooker import Evidence, Onlooker
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from schedule import NODES
+from unbroken import core_mission, folded
+
+# How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
+PATIENCE = 60.0
+
+# The recorder does not listen in on what is outside.
+NAMESPACE = '/mission'
+
+AWAITED = {
+    'recorder': [],
+    'estimator': ['planner', 'recorder'],
+    'agent': ['planner', 'estimator', 'recorder'],
+    'planner': ['agent', 'estimator', 'recorder'],
+}
+
+
+class StuckError(Exception):
+    """A mission does not go on, or a node ended that nobody killed."""
+
+
+class Mission:
+    """
+    Four nodes and an onlooker on a domain of their own, which the environment must be set for.
+
+    Parameters
+    ----------
+    domain : int
+        The domain.
+    folder : Path
+        Where the log and what the nodes say go.
+    parameters : dict
+        Of all nodes.
+    awaited, remaps : dict, optional
+        By node, where they are not as usual: its `await_nodes`, and other names for its topics.
+
+    """
+
+    def __init__(self, domain, folder, parameters, *, awaited=None, remaps=None):
+        self.log = folder / 'log' / 'mission.mcap'
+        self.log.parent.mkdir(parents=True)
+        self._folder = folder
+        self._parameters = parameters | {'recorded': True, 'file': str(self.log)}
+        self._awaited = AWAITED | (awaited or {})
+        self._remaps = remaps or {}
+        self._struck = set()
+        with ExitStack() as stack:
+            context = rclpy.Context()
+            rclpy.init(
+                context=context,
+                domain_id=domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            stack.callback(context.try_shutdown)
+            self.node = rclpy.create_node('onlooker', context=context)
+            stack.callback(self.node.destroy_node)
+            self.onlooker = Onlooker(self.node, NAMESPACE)
+            self._executor = SingleThreadedExecutor(context=context)
+            self._executor.add_node(self.node)
+            self.processes = stack.enter_context(Processes(domain))
+            self._stack = stack.pop_all()
+
+    def __enter__(self):
+        """Return this mission, none of its nodes started."""
+        return self
+
+    def __exit__(self, *_):
+        """End all nodes."""
+        for name in self._struck:
+            self._signal(name, signal.SIGCONT)
+        self._stack.close()
+
+    def start(self, *names):
+        """Start nodes; those that can go on with the log of those before them."""
+        for name in names:
+            self._struck.discard(name)
+            self.onlooker.forget(full_name(name))
+            parameters = self._parameters | {
+                'await_nodes': self._awaited[name],
+                'resume': str(self.log) if self.log.exists() else '',
+            }
+            with (self._folder / f'{name}.txt').open('ab') as output:
+                self.processes.start(
+                    name,
+                    parameters,
+                    namespace=NAMESPACE,
+                    remaps=self._remaps.get(name),
+                    output=output,
+                )
+
+    def said(self, name):
+        """Return what a node wrote to its terminal, in all its lives."""
+        return (self._folder / f'{name}.txt').read_text()
+
+    def _signal(self, name, number):
+        self.processes.started[full_name(name)].send_signal(number)
+
+    def halt(self, name):
+        """Make a node stand still; it may still be killed."""
+        self._struck.add(name)
+        self._signal(name, signal.SIGSTOP)
+
+    def kill(self, name):
+        """End a node without warning."""
+        self._struck.add(name)
+        self._signal(name, signal.SIGKILL)
+        self.processes.started[full_name(name)].wait()
+
+    def restart(self, name):
+        """Kill a node and start it again."""
+        self.kill(name)
+        self.start(name)
+
+    def suffer(self, fault):
+        """Wait for a fault's moment, let it happen, and return the phase that it came in."""
+        reports = self.onlooker.evidence.reports
+        self.until(lambda: len(reports) >= fault.reports, f'report {fault.reports}')
+        self.wait(fault.delay)
+        phase = self.onlooker.phase(self._parameters['robots'])
+        self._struck.update(fault.pauses)
+        for name in fault.pauses:
+            self._signal(name, fault.signal)
+        struck = time.monotonic()
+        for name, pause in sorted(fault.pauses.items(), key=lambda item: item[1]):
+            self.wait(struck + pause - time.monotonic())
+            if fault.signal == signal.SIGSTOP:
+                self._struck.discard(name)
+                self._signal(name, signal.SIGCONT)
+            else:
+                self.restart(name)
+        return phase
+
+    def wait(self, seconds):
+        """Handle messages for a while."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=min(left, 0.02))
+            self._check_alive()
+
+    def until(self, condition, what):
+        """Handle messages until something holds."""
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            if time.monotonic() > deadline:
+                heard = self.onlooker
+                raise StuckError(
+                    f'no {what} within {PATIENCE} s: {len(heard.evidence.paths)} paths, '
+                    f'{len(heard.evidence.reports)} reports, {heard.held} in the belief, '
+                    f'{heard.states}'
+                )
+            self._executor.spin_once(timeout_sec=0.02)
+            self._check_alive()
+
+    def _check_alive(self):
+        for name in NODES:
+            code = self.processes.ended().get(full_name(name))
+            if code is not None and name not in self._struck:
+                raise StuckError(f'{name} ended with {code}: {self.said(name)}')
+
+    def until_over(self):
+        """Wait until all robots are deployed and every node knows, whenever it was started."""
+        robots, states, heard = self._parameters['robots'], self.onlooker.states, self.onlooker
+        self.until(lambda: heard.held == robots, 'belief in all deployments')
+        self.until(lambda: len(heard.evidence.reports) >= robots, 'word of them all')
+        self.until(lambda: states.keys() >= self.processes.started.keys(), 'word of every node')
+        self.until(lambda: states[full_name('planner')].startswith('done'), 'done planner')
+        # A recorder that has just come back catches up with what was said while it was away.
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline and missing(self.onlooker.evidence, self.logged()):
+            self.wait(0.2)
+
+    def logged(self):
+        """Return the evidence that is in the log."""
+        evidence = Evidence()
+        for message in read_log(self.log, (PATH, REPORT)):
+            if message.type_name == REPORT:
+                evidence.take_report(message.message)
+            else:
+                evidence.take_path(message.message)
+        return evidence
+
+    @property
+    def unused(self):
+        """Return how many paths no robot took: a path is sent anew that was not on disk."""
+        return len(self.onlooker.evidence.paths.keys() - self.onlooker.evidence.reports.keys())
+
+    def findings(self):
+        """
+        End all nodes and return what is not as it must be.
+
+        Returns
+        -------
+        list of (str, str)
+            What kind of finding, and the finding in words.
+
+        """
+        robots = self._parameters['robots']
+        codes = self.processes.stop()
+        found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
+        found += [('exit', f'{n}: {self.said(n)}') for n in NODES if 'Traceback' in self.said(n)]
+        try:
+            logged = self.logged()
+            reproduced = replay(self.log).reproduced
+        except LogError as error:
+            return [*found, ('log', str(error))]
+        heard = self.onlooker.evidence
+        found += [('lost', f'{key} was reported: {why}') for key, why in missing(heard, logged)]
+        found += [
+            ('double', f'{len(said)} {what} are {where}: {robots} robots were sent')
+            for what, where, said in (
+                ('paths', 'logged', logged.paths),
+                ('reports', 'logged', logged.reports),
+                ('reports', 'heard', heard.reports),
+            )
+            if len(said) != robots
+        ]
+        found += contradictions('heard', heard) + contradictions('logged', logged)
+        if not reproduced:
+            found.append(('replay', f'{self.log} does not replay'))
+        expected = core_mission(self._parameters)[-1].belief.joint.tobytes()
+        beliefs = {'published last': self.onlooker.belief.joint}
+        if logged.reports.keys() <= logged.paths.keys():
+            beliefs['given by the log'] = folded(self._parameters, logged).joint
+        found += [
+            ('belief', f'the belief {which} is not that of core')
+            for which, joint in beliefs.items()
+            if np.asarray(joint).tobytes() != expected
+        ]
+        return found
+
+
+def full_name(name):
+    """Return what a node of the mission is called in ROS."""
+    return f'{NAMESPACE}/{name}'
+
+
+def missing(heard, logged):
+    """Return the deployments heard reported that a log lacks, and what of them it lacks."""
+    lacking = []
+    for key, reports in heard.reports.items():
+        if not heard.paths.get(key, set()) <= logged.paths.get(key, set()):
+            lacking.append((key, 'its path is not in the log'))
+        elif not reports <= logged.reports.get(key, set()):
+            lacking.append((key, 'its report is not in the log'))
+    return lacking
+
+
+def contradictions(where, evidence):
+    """Return the deployments of which two things are said."""
+    return [
+        ('double', f'{what} of {key} contradict each other as {where}: {versions}')
+        for what, said in (('paths', evidence.paths), ('reports', evidence.reports))
+        for key, versions in said.items()
+        if len(versions) > 1
+    ]

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What somebody who listens to a mission from outside gets to know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import DeploymentKey, Report
+from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path
+
+AGENT = 'scout_1'
+
+
+@dataclass
+class Evidence:
+    """
+    The paths and reports of deployments, each said any number of times.
+
+    Attributes
+    ----------
+    paths, reports : dict
+        All that was ever said of a deployment: more than one thing is a contradiction.
+
+    """
+
+    paths: dict[DeploymentKey, set[tuple[tuple[float, float], ...]]] = field(default_factory=dict)
+    reports: dict[DeploymentKey, set[Report]] = field(default_factory=dict)
+
+    def take_path(self, message):
+        """Keep the positions of a nav_msgs/Path, as received or as decoded from a log."""
+        positions = (pose.pose.position for pose in message.poses)
+        key = DeploymentKey(AGENT, from_stamp(message.header.stamp))
+        self.paths.setdefault(key, set()).add(tuple((each.x, each.y) for each in positions))
+
+    def take_report(self, message):
+        """Keep what a DeploymentReport says, whenever it was said."""
+        key, report = read_report(message)
+        self.reports.setdefault(key, set()).add(report)
+
+
+class Onlooker:
+    """
+    A node that hears everything and says nothing.
+
+    Attributes
+    ----------
+    evidence : Evidence
+        All that was published.
+    belief : BeliefMaps or None
+        The newest.
+    recorded : int
+        The newest path on disk, by its stamp.
+    states : dict
+        What each node says it does, by its full name.
+
+    """
+
+    def __init__(self, node, namespace):
+        self.node = node
+        self.evidence = Evidence()
+        self.belief = None
+        self.recorded = 0
+        self.states = {}
+        for kind, topic, callback, profile in (
+            (Path, f'{AGENT}/path', self.evidence.take_path, qos.EVIDENCE),
+            (DeploymentReport, f'{AGENT}/report', self.evidence.take_report, qos.EVIDENCE),
+            (Time, f'{AGENT}/recorded', self._on_recorded, qos.LATCHED),
+            (BeliefMaps, 'belief', self._on_belief, qos.LATCHED),
+            (DiagnosticArray, 'diagnostics', self._on_diagnostics, qos.DIAGNOSTICS),
+        ):
+            node.create_subscription(kind, f'{namespace}/{topic}', callback, profile)
+
+    def _on_recorded(self, message):
+        self.recorded = from_stamp(message)
+
+    def _on_belief(self, message):
+        self.belief = message
+
+    def _on_diagnostics(self, array):
+        for status in array.status:
+            values = {value.key: value.value for value in status.values}
+            self.states[status.name] = values['state']
+
+    def forget(self, name):
+        """Forget what a node said that is started again."""
+        self.states.pop(name, None)
+        if name.endswith('/estimator'):
+            self.belief = None
+
+    @property
+    def held(self):
+        """Return how many deployments the newest belief holds; -1 before the first."""
+        return -1 if self.belief is None else self.belief.deployments
+
+    def phase(self, robots):
+        """Return what a mission of so many robots is doing, in a few words."""
+        paths, reports = self.evidence.paths, self.evidence.reports
+        if len(paths) > len(reports):
+            on_disk = max(paths).stamp <= self.recorded
+            return 'robot out' if on_disk else 'path being recorded'
+        if len(reports) > self.held:
+            return 'report being believed'
+        return 'planning' if len(reports) < robots else 'over'

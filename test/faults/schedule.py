@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is done to the nodes of a mission, and when: drawn at random, the same for a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from signal import SIGKILL, Signals, SIGSTOP
+
+import numpy as np
+
+NODES = ('recorder', 'estimator', 'agent', 'planner')
+
+# How many nodes each kind of fault strikes.
+STRUCK = {'kill': 1, 'stop': 1, 'two': 2, 'all': len(NODES)}
+
+# A mixed mission has faults of all kinds.
+KINDS = (*STRUCK, 'mixed')
+
+
+@dataclass(frozen=True)
+class Fault:
+    """
+    One or more nodes struck at a moment, each back after a pause.
+
+    Attributes
+    ----------
+    kind : str
+        One of `STRUCK`.
+    reports : int
+        It comes after so many deployments have been reported ...
+    delay : float
+        ... and so many seconds have passed.
+    pauses : dict
+        The nodes struck, in this order, and the seconds until each is back.
+
+    """
+
+    kind: str
+    reports: int
+    delay: float
+    pauses: dict[str, float]
+
+    @property
+    def signal(self) -> Signals:
+        """Return what strikes: nodes that are stopped go on, those killed are started again."""
+        return SIGSTOP if self.kind == 'stop' else SIGKILL
+
+
+def draw_faults(rng: np.random.Generator, kind: str, robots: int) -> list[Fault]:
+    """
+    Draw one to five faults of a kind, in the order of the reports they wait for.
+
+    A deployment takes some 50 ms and a node's start about a second. Most delays are of the first
+    order, so that faults come in every phase of a deployment. Faults share two numbers of reports,
+    so that nodes are struck while those struck before are still away.
+    """
+    reports_at = rng.integers(0, robots, size=2)
+    faults = []
+    for reports in sorted(rng.choice(reports_at, size=rng.integers(1, 6)).tolist()):
+        drawn = rng.choice(list(STRUCK), p=(0.4, 0.2, 0.2, 0.2)) if kind == 'mixed' else kind
+        struck = rng.permutation(NODES)[: STRUCK[drawn]]
+        longest = 2.0 if not reports or rng.random() < 0.15 else 0.06
+        pauses = {str(node): rng.uniform(0.0, 0.5) for node in struck}
+        faults.append(Fault(str(drawn), reports, rng.uniform(0.0, longest), pauses))
+    return faults

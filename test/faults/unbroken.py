@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission that a broken one must come to: the same seeds, run by core alone."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core import Belief, Estimator, METHODS, Observation, run_mission, World
+from kbnitp_ros.nodes.parameters import grid_of, sensor_model_of, TABLE
+import numpy as np
+
+
+def draw_parameters(rng):
+    """Draw the parameters of a small mission that takes a second or two."""
+    side = int(rng.integers(5, 6, endpoint=True))
+    return {
+        'grid.width': side,
+        'grid.height': side,
+        'max_steps': 10,
+        'robots': 15,
+        'method': str(rng.choice(list(METHODS))),
+        'planner': str(rng.choice(['relaxed', 'beam'])),
+        'beam_width': 4,
+        'seed': int(rng.integers(2**31)),
+    }
+
+
+def with_defaults(parameters):
+    """Return the values of all parameters of all nodes."""
+    return {parameter.name: parameter.default for parameter in TABLE} | parameters
+
+
+def prior(parameters):
+    """Return the estimator before the first deployment."""
+    values = with_defaults(parameters)
+    belief = Belief.prior(
+        grid_of(values), values['prior.hazard'], values['prior.target'], values['prior.kappa']
+    )
+    return Estimator(belief, sensor_model_of(values), values['method'])
+
+
+def core_mission(parameters):
+    """Return the deployments that core makes with these parameters."""
+    values = with_defaults(parameters)
+    grid = grid_of(values)
+    rng = np.random.default_rng(values['seed'])
+    world = World.random(
+        grid,
+        rng,
+        values['world.hazard_density'],
+        values['world.kappa'],
+        values['world.target_background'],
+    )
+    estimator = prior(parameters)
+    return run_mission(
+        grid,
+        estimator.belief,
+        estimator.model,
+        world,
+        values['robots'],
+        rng,
+        values['method'],
+        max_steps=values['max_steps'],
+        planner=values['planner'],
+        width=values['beam_width'],
+        max_visits=values['max_visits'],
+    )
+
+
+def folded(parameters, evidence):
+    """Return the belief that all deployments give, in their order; a return beats a loss."""
+    grid = grid_of(with_defaults(parameters))
+    estimator = prior(parameters)
+    for key in sorted(evidence.reports, key=lambda key: key.stamp):
+        (path, *_) = evidence.paths[key]
+        report = max(evidence.reports[key], key=lambda report: report.survived)
+        readings = [detected for _, detected in report.readings]
+        observation = Observation(
+            grid.cells_at(path), report.survived, readings if report.survived else None
+        )
+        estimator.assimilate(observation)
+    return estimator.belief
