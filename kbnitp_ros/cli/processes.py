@@ -38,8 +38,8 @@ def environment(domain: int) -> dict[str, str]:
     return {
         **os.environ,
         'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(share('config/fastdds.xml')),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(share('config/loopback.xml')),
         'PYTHONPATH': os.pathsep.join(filter(None, paths)),
     }
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Report
@@ -133,6 +134,9 @@ class Evidence:
         """
         Return the report of a deployment that the base learnt at this time, or else the last one.
 
+        A report that was not on disk yet when recorder and agent died is on record as it was made
+        again, later; the belief knew of the first.
+
         Raises
         ------
         ValueError
@@ -143,7 +147,8 @@ class Evidence:
             if key not in known:
                 raise ValueError(f'{what} of deployment {key} is not on record')
         said = self._reports[key]
-        return next((report for report in said if report.stamp == stamp), said[-1])
+        made_again = replace(said[-1], stamp=min(stamp, said[-1].stamp))
+        return next((report for report in said if report.stamp == stamp), made_again)
 
     @property
     def survived(self) -> int:

@@ -36,7 +36,7 @@ class AgentNode(Shell):
         self._world = self._hidden_world()
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._waiting: list[DeploymentKey] = []
-        self._newest_recorded = 0
+        self._recorded: set[int] = set()
         self._reports = self.create_publisher(
             DeploymentReport, f'{self._name}/report', qos.EVIDENCE
         )
@@ -81,7 +81,7 @@ class AgentNode(Shell):
             self.create_subscription(Path, f'{self._name}/path', self._on_path, qos.EVIDENCE)
             if self.values['recorded']:
                 self.create_subscription(
-                    Time, f'{self._name}/recorded', self._on_recorded, qos.LATCHED
+                    Time, f'{self._name}/recorded', self._on_recorded, qos.EVIDENCE
                 )
 
     def _on_path(self, message: Path) -> None:
@@ -105,15 +105,15 @@ class AgentNode(Shell):
         return known is not None
 
     def _on_recorded(self, message: Time) -> None:
-        self._newest_recorded = from_stamp(message)
+        self._recorded.add(from_stamp(message))
         self._send_out()
 
     def _send_out(self) -> None:
         """Have the robots leave whose paths no crash can take from the base any more."""
-        while self._waiting and (
-            not self.values['recorded'] or self._waiting[0].stamp <= self._newest_recorded
-        ):
-            self._traverse(self._waiting.pop(0))
+        for key in self._waiting.copy():
+            if not self.values['recorded'] or key.stamp in self._recorded:
+                self._waiting.remove(key)
+                self._traverse(key)
         self.diagnostics.waiting = len(self._waiting)
 
     def _traverse(self, key: DeploymentKey) -> None:

@@ -150,7 +150,7 @@ class RecorderNode(Shell):
         topic = self._topics[name] = Topic(name, type_name)
         if type_name == PATH and name.endswith('/path'):
             recorded = f'{name.removesuffix("path")}recorded'
-            topic.recorded = self.create_publisher(Time, recorded, qos.LATCHED)
+            topic.recorded = self.create_publisher(Time, recorded, qos.EVIDENCE)
         self.diagnostics.state = f'recording {len(self._topics)} topics'
         return topic
 
@@ -176,9 +176,10 @@ class RecorderNode(Shell):
             for message in topic.arrived():
                 self._write(*message)
             self._sync()
-        if topic.recorded and topic.newest > topic.told:
-            topic.told = topic.newest
-            topic.recorded.publish(to_stamp(topic.told))
+        if topic.recorded:
+            for stamp in topic.untold:
+                topic.recorded.publish(to_stamp(stamp))
+            topic.untold.clear()
 
     def _write(self, topic: Topic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
@@ -191,7 +192,7 @@ class RecorderNode(Shell):
             except RuntimeError as error:
                 self.diagnostics.refuse(topic.name, error)
                 return
-            topic.newest = max(topic.newest, stamp)
+            topic.untold.append(stamp)
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()

@@ -36,8 +36,8 @@ class Topic:
         Which messages came last: time sent and hash of the bytes, oldest first.
     recorded : Publisher, optional
         For the paths of an agent: tells which are on the disk.
-    newest, told : int
-        The newest stamp of the paths, and of those told to be on the disk, in nanoseconds.
+    untold : list of int
+        Stamps of the paths that are written and not told to be on the disk yet, in nanoseconds.
 
     """
 
@@ -46,8 +46,7 @@ class Topic:
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
     recorded: Publisher | None = None
-    newest: int = 0
-    told: int = 0
+    untold: list[int] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
         """Say whether a message has not come by another subscription, and remember it."""
