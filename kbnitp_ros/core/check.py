@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -68,6 +70,22 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
         allowed = f'at least {low}' if high is None else f'from {low} to {high}'
         raise ValueError(f'{name} is {value}: it must be a whole number {allowed}')
     return int(value)
+
+
+def cost(name: str, value: float) -> float:
+    """
+    Return `value` as a float if it is a finite number from 0 up.
+
+    Raises
+    ------
+    ValueError
+        If it is negative, infinite or NaN.
+
+    """
+    number = float(value)
+    if not 0.0 <= number < inf:
+        raise ValueError(f'{name} is {value}: it must be a finite number, at least 0')
+    return number
 
 
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:

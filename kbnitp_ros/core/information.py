@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The information one deployment is expected to bring."""
+"""The information that deployments are expected to bring."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import lgamma
 
 from kbnitp_ros.core.belief import Belief
 from kbnitp_ros.core.entropy import binary_entropy, surprisal
+from kbnitp_ros.core.fates import after_sending, Fate, nobody_sent
 from kbnitp_ros.core.observation import as_path, Visits
 from kbnitp_ros.core.sensor import SensorModel
 from kbnitp_ros.core.survival import log_predicted_survival, times_log
@@ -43,6 +45,76 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
         If the path has no step or leaves the belief's cells.
 
     """
+    return added_information(belief, model, path, nobody_sent(belief))
+
+
+def team_information(belief: Belief, model: SensorModel, paths: Iterable[ArrayLike]) -> float:
+    """
+    Return the mutual information between the field and the outcomes of several deployments.
+
+    By the chain rule the sum of what each path adds to those before it, as `added_information`
+    approximates that; of a single path exactly `path_information`.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployments.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    paths : iterable of array_like of int, each of shape (steps + 1,)
+        The cells of each robot's path in order.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    Raises
+    ------
+    ValueError
+        If a path has no step or leaves the belief's cells.
+
+    """
+    fates = nobody_sent(belief)
+    information = 0.0
+    for path in paths:
+        information += added_information(belief, model, path, fates)
+        fates = after_sending(fates, model, path)
+    return information
+
+
+def added_information(
+    belief: Belief, model: SensorModel, path: ArrayLike, fates: tuple[Fate, ...]
+) -> float:
+    """
+    Return the information that a deployment is expected to add to what robots before it bring.
+
+    Their readings of a cell and the path's own count together, less what theirs tell alone. Two
+    things are approximated: that losses tie cells together is forgotten, and what the earlier
+    robots' readings tell of hazards does not make the path's own fate any surer.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before all of these deployments.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    path : array_like of int, shape (steps + 1,)
+        The cells in order.
+    fates : tuple of Fate
+        Of the robots before.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    Raises
+    ------
+    ValueError
+        If the path has no step or leaves the belief's cells.
+
+    """
     cells = as_path(path)
     if cells.min() < 0 or cells.max() >= belief.cells:
         raise ValueError(
@@ -51,19 +123,23 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
         )
     visits = Visits.of(cells)
     steps = len(cells) - 1
-    hazard = belief.hazard[visits.cells]
-    survival = np.exp(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
     exposures = np.zeros(steps + 1)
     exposures[0] = 1.0
-    for z, count in zip(hazard, visits.counts):
+    for z, count in zip(belief.hazard[visits.cells], visits.counts):
         exposures[count:] = (1.0 - z) * exposures[count:] + z * exposures[:-count]
         exposures[:count] *= 1.0 - z
-    left_open = exposures @ fate_entropy(model, steps)
-    read = sum(
-        reading_information(belief.joint[visits.cells[visits.counts == count]], model, count).sum()
-        for count in np.unique(visits.counts)
-    )
-    return float(binary_entropy(survival) - left_open + survival * read)
+    left_open = float(exposures @ fate_entropy(model, steps))
+    information = 0.0
+    for fate in fates:
+        hazard = fate.belief.hazard[visits.cells]
+        survival = np.exp(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
+        read = sum(
+            new_reading_information(fate, model, visits.cells[visits.counts == count], count).sum()
+            for count in np.unique(visits.counts)
+        )
+        # What is left open is the same whatever became of the others.
+        information += fate.probability * (binary_entropy(survival) - left_open + survival * read)
+    return float(information)
 
 
 def fate_entropy(model: SensorModel, steps: int) -> NDArray[np.float64]:
@@ -90,11 +166,45 @@ def fate_entropy(model: SensorModel, steps: int) -> NDArray[np.float64]:
     )
 
 
-def reading_information(
-    joint: NDArray[np.float64], model: SensorModel, visits: int
+def new_reading_information(
+    fate: Fate, model: SensorModel, cells: NDArray[np.intp], visits: int
 ) -> NDArray[np.float64]:
     """
-    Return I(X; Y^n | the robot survived n visits) of cells, with n readings in each.
+    Return what a robot that survives n visits reads of cells on top of earlier robots' readings.
+
+    Parameters
+    ----------
+    fate : Fate
+        Of the earlier robots.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    cells : ndarray of int, shape (n_cells,)
+        Which.
+    visits : int
+        n, at least 1, with a reading each.
+
+    Returns
+    -------
+    ndarray, shape (n_cells,)
+        Nats; 0 where n visits cannot be survived.
+
+    """
+    information = np.zeros(len(cells))
+    for earlier, chance in enumerate(fate.readings[cells].T):
+        some = chance > 0.0
+        joint = fate.belief.joint[cells[some]]
+        added = reading_information(joint, model, visits, visits + earlier)
+        if earlier:
+            added -= reading_information(joint, model, visits, earlier)
+        information[some] += chance[some] * added
+    return information
+
+
+def reading_information(
+    joint: NDArray[np.float64], model: SensorModel, visits: int, readings: int
+) -> NDArray[np.float64]:
+    """
+    Return I(X; Y^m | a robot survived n visits) of cells, with m readings in each.
 
     The readings enter through their count of positives, which is sufficient.
 
@@ -106,6 +216,8 @@ def reading_information(
         What the robot and its sensor are believed to be like.
     visits : int
         n, at least 1.
+    readings : int
+        m, at least 1.
 
     Returns
     -------
@@ -116,15 +228,15 @@ def reading_information(
     survived = joint * np.exp(visits * model.log_survival)[:, None]
     total = survived.sum(axis=(1, 2))
     target = survived.sum(axis=1) / np.where(total > 0.0, total, 1.0)[:, None]
-    positives = np.arange(visits + 1)
+    positives = np.arange(readings + 1)
     orderings = np.array(
-        [lgamma(visits + 1) - lgamma(k + 1) - lgamma(visits - k + 1) for k in positives]
+        [lgamma(readings + 1) - lgamma(k + 1) - lgamma(readings - k + 1) for k in positives]
     )
     read_not, read = model.log_reading
     given = np.exp(
         orderings[:, None]
         + times_log(positives[:, None], read)
-        + times_log((visits - positives)[:, None], read_not)
+        + times_log((readings - positives)[:, None], read_not)
     )
     entropy: NDArray[np.float64] = surprisal(target @ given.T).sum(axis=1)
     entropy -= target @ surprisal(given).sum(axis=0)

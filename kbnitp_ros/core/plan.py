@@ -6,11 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kbnitp_ros.core.belief import Belief
-from kbnitp_ros.core.check import frozen, whole_number
+from kbnitp_ros.core.check import frozen
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.information import path_information
+from kbnitp_ros.core.objective import Objective
 from kbnitp_ros.core.observation import Visits
-from kbnitp_ros.core.planners import PLANNERS
+from kbnitp_ros.core.planners import PathFinder
 from kbnitp_ros.core.sensor import SensorModel
 from kbnitp_ros.core.survival import log_predicted_survival
 import numpy as np
@@ -40,6 +41,15 @@ class Plan:
     def __post_init__(self) -> None:
         frozen(self.path)
 
+    @classmethod
+    def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
+        """Return the plan to take `path`, shape (steps + 1,)."""
+        visits = Visits.of(path)
+        survival = log_predicted_survival(
+            belief.hazard[visits.cells], visits.counts, model.log_survival
+        )
+        return cls(path, path_information(belief, model, path), float(np.exp(survival.sum())))
+
 
 def plan(
     grid: Grid,
@@ -50,9 +60,12 @@ def plan(
     *,
     width: int = 16,
     max_visits: int = 3,
+    loss_cost: float = 0.0,
 ) -> Plan:
     """
     Plan the next deployment: a closed path of much information.
+
+    What is sought is the most of information - loss_cost * (1 - survival).
 
     Parameters
     ----------
@@ -70,6 +83,8 @@ def plan(
         Labels the beam keeps for each cell and step, at least 1.
     max_visits : int
         How often the path may enter a cell, at least 1.
+    loss_cost : float
+        How much information a lost robot is worth, nats, at least 0.
 
     Returns
     -------
@@ -83,20 +98,6 @@ def plan(
         cells than the grid.
 
     """
-    if planner not in PLANNERS:
-        raise ValueError(f'planner is {planner!r}: known are {", ".join(PLANNERS)}')
-    if belief.cells != grid.cells:
-        raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
-    path = PLANNERS[planner](
-        grid,
-        belief,
-        model,
-        whole_number('max_steps', max_steps, 1),
-        whole_number('width', width, 1),
-        whole_number('max_visits', max_visits, 1),
-    )
-    visits = Visits.of(path)
-    survival = log_predicted_survival(
-        belief.hazard[visits.cells], visits.counts, model.log_survival
-    )
-    return Plan(path, path_information(belief, model, path), float(np.exp(survival.sum())))
+    finder = PathFinder(grid, planner, max_steps, width, max_visits)
+    best = finder.paths(Objective.alone(grid, belief, model, loss_cost))[0]
+    return Plan.along(best.path, belief, model)

@@ -2,6 +2,7 @@
 """Planning, against an exhaustive search over all closed paths."""
 
 from functools import cache
+from hashlib import sha256
 from itertools import pairwise
 
 import brute_force
@@ -150,6 +151,34 @@ def test_a_wider_beam_is_no_worse_on_average():
     assert np.mean(gains) >= 0
 
 
+def test_plans_are_what_they_were_before_losses_had_a_cost():
+    """Paths, not bits of what they are worth: those are the machine's."""
+    paths = [plan(*random_problem(seed), 7, loss_cost=0.0).path.tolist() for seed in range(50)]
+    assert sha256(str(paths).encode()).hexdigest()[:16] == '136375b18bd92990'
+
+
+@pytest.mark.parametrize('loss_cost', [0.1, 0.5, 2.0])
+@pytest.mark.parametrize('seed', range(12))
+def test_beam_comes_close_to_the_best_of_all_paths_when_losses_have_a_cost(seed, loss_cost):
+    grid, belief, model = random_problem(seed)
+    visits = every_path(grid.base)
+    lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
+    worth = brute_force.information_of_visits(belief.joint, model, visits) - loss_cost * lost
+    found = plan(grid, belief, model, 7, loss_cost=loss_cost)
+    reached = found.information - loss_cost * (1 - found.survival)
+    assert worth.max() - 0.01 <= reached <= worth.max() + 1e-9
+
+
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('seed', range(12))
+def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner):
+    grid, belief, model = random_problem(seed)
+    plans = [plan(grid, belief, model, 7, planner, loss_cost=c) for c in (0, 0.2, 0.5, 1, 2, 99)]
+    survival = [planned.survival for planned in plans]
+    assert (np.diff(survival) >= -1e-12).all()
+    assert len(plans[-1].path) == 2  # the shortest, at the base
+
+
 @pytest.mark.parametrize(
     'arguments, message',
     [
@@ -159,6 +188,9 @@ def test_a_wider_beam_is_no_worse_on_average():
         ({'max_steps': 2.5}, 'max_steps is 2.5.*whole number'),
         ({'width': 0}, 'width is 0.*at least 1'),
         ({'max_visits': 0}, 'max_visits is 0.*at least 1'),
+        ({'loss_cost': -1}, 'loss_cost is -1.*at least 0'),
+        ({'loss_cost': float('nan')}, 'loss_cost is nan.*finite'),
+        ({'loss_cost': float('inf')}, 'loss_cost is inf.*finite'),
     ],
 )
 def test_bad_requests_are_refused(arguments, message):

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from kbnitp_ros.core.belief import Belief
 from kbnitp_ros.core.entropy import binary_entropy
 from kbnitp_ros.core.grid import Grid
-from kbnitp_ros.core.information import fate_entropy, reading_information
+from kbnitp_ros.core.information import fate_entropy, new_reading_information
+from kbnitp_ros.core.objective import Objective
 from kbnitp_ros.core.planners.exposures import with_visit, without_cell
-from kbnitp_ros.core.sensor import SensorModel
 from kbnitp_ros.core.survival import log_predicted_survival
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,10 @@ class Labels:
     Attributes
     ----------
     value : ndarray, shape (cells, width)
-        Information if the path ended here, nats, best first; -inf where there is no label.
-    log_survival : ndarray, shape (cells, width)
-        Log of the predicted survival.
-    read : ndarray, shape (cells, width)
+        The objective if the path ended here, nats, best first; -inf where there is no label.
+    log_survival : ndarray, shape (fates, cells, width)
+        Log of the predicted survival, by what became of the robots before.
+    read : ndarray, shape (fates, cells, width)
         Information of the readings if the robot survives, nats.
     exposures : ndarray, shape (cells, width, steps + 1)
         P(c of the steps lead into a hazard).
@@ -53,12 +53,12 @@ class Labels:
     mark: NDArray[np.uint64]
 
     @classmethod
-    def none(cls, cells: int, width: int, steps: int) -> Labels:
+    def none(cls, fates: int, cells: int, width: int, steps: int) -> Labels:
         """Return room for labels of `steps` steps."""
         return cls(
             value=np.full((cells, width), -np.inf),
-            log_survival=np.zeros((cells, width)),
-            read=np.zeros((cells, width)),
+            log_survival=np.zeros((fates, cells, width)),
+            read=np.zeros((fates, cells, width)),
             exposures=np.zeros((cells, width, steps + 1)),
             path=np.zeros((cells, width, steps), dtype=np.intp),
             visits=np.zeros((cells, width, cells), dtype=np.int16),
@@ -66,50 +66,80 @@ class Labels:
         )
 
     @classmethod
-    def at(cls, base: int, cells: int, width: int) -> Labels:
+    def at(cls, base: int, fates: int, cells: int, width: int) -> Labels:
         """Return the one label of a robot that stands at the base."""
-        labels = cls.none(cells, width, steps=0)
+        labels = cls.none(fates, cells, width, steps=0)
         labels.value[base, 0] = 0.0
         labels.exposures[base, 0] = 1.0
         return labels
 
 
 class Gains:
-    """What the next visit to each cell adds, by the number of visits before it."""
+    """
+    What the next visit to each cell adds, by fate, cell and the number of visits before it.
 
-    def __init__(self, belief: Belief, model: SensorModel, max_visits: int) -> None:
+    Attributes
+    ----------
+    log_survival, read : ndarray, shape (fates, cells, max_visits)
+        As of `Labels`.
+
+    """
+
+    def __init__(self, objective: Objective, max_visits: int) -> None:
+        cells = np.arange(objective.belief.cells)
         visits = np.arange(max_visits + 1)
-        log_survival = log_predicted_survival(
-            belief.hazard[:, None], visits[None, :], model.log_survival
+        log_survival = np.stack(
+            [
+                log_predicted_survival(
+                    fate.belief.hazard[:, None], visits[None, :], objective.model.log_survival
+                )
+                for fate in objective.fates
+            ]
         )
-        read = np.zeros((belief.cells, max_visits + 1))
-        for count in visits[1:]:
-            read[:, count] = reading_information(belief.joint, model, count)
+        read = np.zeros(log_survival.shape)
+        for fate, of_fate in zip(objective.fates, read):
+            for count in visits[1:]:
+                of_fate[:, count] = new_reading_information(fate, objective.model, cells, count)
         with np.errstate(invalid='ignore'):
             # Once nobody survives nothing more can be lost: -inf less -inf adds nothing.
             self.log_survival = np.nan_to_num(np.diff(log_survival), nan=0.0, neginf=-np.inf)
-        self.read = np.diff(read)
+        self.read = np.diff(read) * objective.interest[:, None]
 
 
-def best_path(
-    grid: Grid, belief: Belief, model: SensorModel, max_steps: int, width: int, max_visits: int
-) -> NDArray[np.intp]:
+class Found(NamedTuple):
     """
-    Return the most informative closed path that the search finds.
+    A closed path that a search found.
 
-    Labels at the same cell after the same number of steps compete by the information of their
+    Attributes
+    ----------
+    worth : float
+        The objective, nats, rounded.
+    path : ndarray of int, shape (steps + 1,)
+        The base first and last.
+
+    """
+
+    worth: float
+    path: NDArray[np.intp]
+
+
+def best_paths(
+    grid: Grid, objective: Objective, max_steps: int, width: int, max_visits: int
+) -> list[Found]:
+    """
+    Return the closed paths of most worth that the search finds.
+
+    Labels at the same cell after the same number of steps compete by the objective of their
     partial path, which is exact at every step, repeated visits included, and every second one is
-    kept for what it promises: the information of that path and a good way home together. Paths
+    kept for what it promises: the objective of that path and a good way home together. Paths
     that differ only in the order of their visits are worth the same and count once.
 
     Parameters
     ----------
     grid : Grid
         Gives the base and who neighbours whom.
-    belief : Belief
-        Before the deployment.
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
+    objective : Objective
+        What a path is worth.
     max_steps : int
         The most steps the path may have.
     width : int
@@ -119,19 +149,20 @@ def best_path(
 
     Returns
     -------
-    ndarray of int, shape (steps + 1,)
-        The base first and last. The same belief gives the same path.
+    list of Found
+        The best first, then the shortest; up to `width` of each number of steps. The same belief
+        gives the same paths.
 
     """
-    search = Search(grid, belief, model, max_steps, max_visits)
+    search = Search(grid, objective, max_steps, max_visits)
     way_home = search.way_home() if width > 1 else None
-    best_value = -np.inf
-    best = np.empty(0, dtype=np.intp)
-    for labels in search.steps(width, way_home):
-        value = np.round(labels.value[grid.base, 0], DECIMALS)
-        if value > best_value:
-            best_value, best = value, labels.path[grid.base, 0]
-    return np.concatenate([[grid.base], best])
+    found = [
+        Found(float(value), np.concatenate([[grid.base], path]))
+        for labels in search.steps(width, way_home)
+        for value, path in zip(np.round(labels.value[grid.base], DECIMALS), labels.path[grid.base])
+        if value > -np.inf
+    ]
+    return sorted(found, key=lambda path: -path.worth)
 
 
 @dataclass(frozen=True)
@@ -156,21 +187,21 @@ class WayHome:
 
 
 class Search:
-    """All that stays the same while labels are extended; arguments as of `best_path`."""
+    """All that stays the same while labels are extended; arguments as of `best_paths`."""
 
-    def __init__(
-        self, grid: Grid, belief: Belief, model: SensorModel, max_steps: int, max_visits: int
-    ) -> None:
+    def __init__(self, grid: Grid, objective: Objective, max_steps: int, max_visits: int) -> None:
         self._grid = grid
-        self._hazard = belief.hazard
+        self._hazard = objective.belief.hazard
+        self._loss_cost = objective.loss_cost
+        self._chance = np.array([[fate.probability] for fate in objective.fates])
         self._max_steps = max_steps
         self._max_visits = max_visits
-        self._gains = Gains(belief, model, max_visits)
+        self._gains = Gains(objective, max_visits)
         self._marks = scattered(grid.cells)
         # By steps in all and exposures; nobody asks for more exposures than steps.
         self._fate_entropy = np.zeros((max_steps + 1, 2 * max_steps + 2))
         for steps in range(1, max_steps + 1):
-            self._fate_entropy[steps, : steps + 1] = fate_entropy(model, steps)
+            self._fate_entropy[steps, : steps + 1] = fate_entropy(objective.model, steps)
 
     def steps(self, width: int, way_home: WayHome | None = None) -> Iterator[Labels]:
         """
@@ -181,10 +212,10 @@ class Search:
         width : int
             How many are kept for each cell.
         way_home : WayHome, optional
-            What labels promise; without it they compete by their information alone.
+            What labels promise; without it they compete by their own worth alone.
 
         """
-        labels = Labels.at(self._grid.base, self._grid.cells, width)
+        labels = Labels.at(self._grid.base, len(self._chance), self._grid.cells, width)
         for step in range(1, self._max_steps + 1):
             labels = self._extend(labels, step, way_home)
             yield labels
@@ -203,7 +234,7 @@ class Search:
         exposures = np.zeros((most + 1, cells, most + 1))
         exposures[0, :, 0] = 1.0
         best = np.full(cells, -np.inf)
-        reached = Labels.at(base, cells, 1)
+        reached = Labels.at(base, len(self._chance), cells, 1)
         for left, labels in enumerate(self.steps(width=1), start=1):
             for kept in (way, before, exposures):
                 kept[left] = kept[left - 1]
@@ -236,9 +267,11 @@ class Search:
         origin, label, to = origin[possible], label[candidate], ends[end]
         visits = labels.visits[origin, label, to].astype(np.intp)
 
-        log_survival = labels.log_survival[origin, label] + self._gains.log_survival[to, visits]
-        read = labels.read[origin, label] + self._gains.read[to, visits]
-        value = total(log_survival, self._left_open(labels, step, origin, label, to, visits), read)
+        log_survival = labels.log_survival[:, origin, label]
+        log_survival = log_survival + self._gains.log_survival[:, to, visits]
+        read = labels.read[:, origin, label] + self._gains.read[:, to, visits]
+        left_open = self._left_open(labels, step, origin, label, to, visits)
+        value = self._worth(log_survival, left_open, read)
         mark = labels.mark[origin, label] + self._marks[to]
         promise = None
         if way_home is not None:
@@ -247,10 +280,10 @@ class Search:
         chosen, slot = best_of_each(end, value, promise, mark, width)
         origin, label, to = origin[chosen], label[chosen], to[chosen]
         kept = (to, slot)
-        after = Labels.none(cells, width, step)
+        after = Labels.none(len(self._chance), cells, width, step)
         after.value[kept] = value[chosen]
-        after.log_survival[kept] = log_survival[chosen]
-        after.read[kept] = read[chosen]
+        after.log_survival[:, to, slot] = log_survival[:, chosen]
+        after.read[:, to, slot] = read[:, chosen]
         after.exposures[kept] = with_visit(
             labels.exposures[origin, label], self._hazard[to], visits[chosen]
         )
@@ -272,7 +305,7 @@ class Search:
         way_home: WayHome,
     ) -> NDArray[np.float64]:
         """
-        Return the information of each candidate's path and way home together.
+        Return the objective of each candidate's path and way home together.
 
         Exact but for the hazards of cells that are on both, whose visits count as those of two
         cells; visits beyond the limit count nothing.
@@ -284,9 +317,9 @@ class Search:
         counts = (home >= 0) & (visits < self._max_visits)
         visits = np.where(counts, visits, 0)
         log_survival = log_survival + np.sum(
-            self._gains.log_survival[home, visits], axis=1, where=counts
+            self._gains.log_survival[:, home, visits], axis=-1, where=counts
         )
-        read = read + np.sum(self._gains.read[home, visits], axis=1, where=counts)
+        read = read + np.sum(self._gains.read[:, home, visits], axis=-1, where=counts)
         # Mean entropy by exposures so far, the exposures on the way home summed out.
         in_all = step + (way_home.cells[left] >= 0).sum(axis=1)
         exposed = np.arange(step + 1)[:, None] + np.arange(self._max_steps + 1)
@@ -295,7 +328,7 @@ class Search:
         exposures, hazard = labels.exposures[origin, label], self._hazard[to]
         left_open = (1.0 - hazard) * (exposures * mean[:, :-1]).sum(axis=1)
         left_open += hazard * (exposures * mean[:, 1:]).sum(axis=1)
-        return total(log_survival, left_open, read)
+        return self._worth(log_survival, left_open, read)
 
     def _left_open(
         self,
@@ -321,14 +354,19 @@ class Search:
             left_open[again] += z * (others @ entropy[-reach:])
         return left_open
 
-
-def total(
-    log_survival: NDArray[np.float64], left_open: NDArray[np.float64], read: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return h(P0) - E_z[h(P(survive | z))] + P0 * (information of the readings), any shape."""
-    survival = np.exp(log_survival)
-    information: NDArray[np.float64] = binary_entropy(survival) - left_open + survival * read
-    return information
+    def _worth(
+        self,
+        log_survival: NDArray[np.float64],
+        left_open: NDArray[np.float64],
+        read: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return h(P0) - E_z[h(P(survive | z))] + P0 * read - loss_cost * (1 - P0), over fates."""
+        survival = np.exp(log_survival)
+        information = np.sum(self._chance * binary_entropy(survival), axis=0) - left_open
+        information += np.sum(self._chance * survival * read, axis=0)
+        returned = np.sum(self._chance * survival, axis=0)
+        worth: NDArray[np.float64] = information - self._loss_cost * (1.0 - returned)
+        return worth
 
 
 def scattered(cells: int) -> NDArray[np.uint64]:
