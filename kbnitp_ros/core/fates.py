@@ -94,7 +94,8 @@ def after_sending(
     split.sort(key=lambda fate: -fate.probability)
     if len(split) <= MOST_FATES:
         return tuple(split)
-    return (*split[: MOST_FATES - 1], _merged(split[MOST_FATES - 1 :]))
+    alone = MOST_FATES - 1
+    return (*split[:alone], _merged(split[alone:]))
 
 
 def _given(belief: Belief, visits: Visits, log_likelihood: NDArray[np.float64]) -> Belief:

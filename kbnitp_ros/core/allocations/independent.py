@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every robot as if it were alone."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core.objective import Objective
+from kbnitp_ros.core.planners import PathFinder
+import numpy as np
+from numpy.typing import NDArray
+
+
+def allocate(
+    finder: PathFinder, objective: Objective, agents: int
+) -> tuple[list[NDArray[np.intp]], None]:
+    """Return the same path for all: robots that believe the same plan the same."""
+    return [finder.paths(objective)[0].path] * agents, None
