@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole mission without ROS: plan, traverse, update, robot after robot."""
+"""A whole mission without ROS: plan, traverse, update, round after round."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from kbnitp_ros.core.check import whole_number
 from kbnitp_ros.core.estimator import Estimator
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.observation import Observation
-from kbnitp_ros.core.plan import Plan, plan
+from kbnitp_ros.core.plan import Plan
 from kbnitp_ros.core.sensor import SensorModel
+from kbnitp_ros.core.team import plan_team, team_size
 from kbnitp_ros.core.world import World
 import numpy as np
 
@@ -50,13 +51,18 @@ def run_mission(
     planner: str = 'beam',
     width: int = 16,
     max_visits: int = 3,
+    agents: int = 1,
+    allocation: str = 'greedy',
+    loss_cost: float = 0.0,
     world_model: SensorModel | None = None,
 ) -> list[Deployment]:
     """
-    Deploy robots one after another (arXiv:2305.06929, Algorithm 1).
+    Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
 
-    Robot k is traversed with the k-th child of `rng`, so that its fate does not depend on what
-    was drawn before, and missions that differ in their method share their random numbers.
+    The robots of a round are planned on the same belief, and their evidence is taken in in their
+    order. Robot k of the mission is traversed with the k-th child of `rng`, so that its fate does
+    not depend on what was drawn before, and missions that differ in their method or their teams
+    share their random numbers.
 
     Parameters
     ----------
@@ -74,8 +80,11 @@ def run_mission(
         The only source of randomness: ``rng.spawn(1)`` for each robot.
     method : str
         The estimator's, one of `METHODS`.
-    max_steps, planner, width, max_visits
-        As for `plan`.
+    max_steps, planner, width, max_visits, allocation, loss_cost
+        As for `plan_team`.
+    agents : int
+        How many leave together, from 1 to the number of free cells; fewer in the last round if
+        `robots` is no multiple of it.
     world_model : SensorModel, optional
         What the robots and their sensors are really like, if not as believed.
 
@@ -93,18 +102,23 @@ def run_mission(
     world.check(grid)
     estimator = Estimator(belief, model, method)
     truth = model if world_model is None else world_model
-    deployments = []
-    for _ in range(whole_number('robots', robots, 0)):
-        planned = plan(
+    deployments: list[Deployment] = []
+    robots, agents = whole_number('robots', robots, 0), team_size(grid, agents)
+    while len(deployments) < robots:
+        team = plan_team(
             grid,
             estimator.belief,
             model,
             max_steps,
+            min(agents, robots - len(deployments)),
+            allocation,
             planner,
             width=width,
             max_visits=max_visits,
+            loss_cost=loss_cost,
         )
-        observation = world.traverse(planned.path, truth, rng.spawn(1)[0])
-        estimator.assimilate(observation)
-        deployments.append(Deployment(planned, observation, estimator.belief))
+        for planned in team.plans:
+            observation = world.traverse(planned.path, truth, rng.spawn(1)[0])
+            estimator.assimilate(observation)
+            deployments.append(Deployment(planned, observation, estimator.belief))
     return deployments

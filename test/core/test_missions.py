@@ -2,11 +2,13 @@
 """Whole missions without ROS: plan, deploy, learn, again."""
 
 from kbnitp_ros.core import (
+    ALLOCATIONS,
     Belief,
     Estimator,
     Grid,
     METHODS,
     plan,
+    plan_team,
     run_mission,
     SensorModel,
     update,
@@ -105,6 +107,34 @@ def test_no_robots_no_deployments():
     assert fly(8, robots=0)[1] == []
 
 
+@pytest.mark.parametrize('allocation', ALLOCATIONS)
+@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
+def test_teams_of_one_are_robots_one_by_one(method, allocation):
+    alone = fly(9, method=method)[1]
+    teams = fly(9, method=method, agents=1, allocation=allocation, loss_cost=0.0)[1]
+    assert trace(teams) == trace(alone)
+
+
+@pytest.mark.parametrize('allocation', ALLOCATIONS)
+@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
+def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
+    options = {'agents': 3, 'allocation': allocation, 'loss_cost': 0.2}
+    world, deployments = fly(10, robots=8, method=method, **options)
+    rng = np.random.default_rng(10)
+    World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
+    estimator, held = Estimator(PRIOR, MODEL, method), iter(deployments)
+    for agents in (3, 3, 2):
+        team = plan_team(GRID, estimator.belief, MODEL, 8, **{**options, 'agents': agents})
+        for planned in team.plans:
+            deployment = next(held)
+            assert deployment.plan.path.tolist() == planned.path.tolist()
+            fate = world.traverse(planned.path, MODEL, rng.spawn(1)[0])
+            assert fate.survived == deployment.observation.survived
+            estimator.assimilate(fate)
+            assert deployment.belief.joint.tobytes() == estimator.belief.joint.tobytes()
+    assert next(held, None) is None
+
+
 @pytest.mark.parametrize(
     'options, message',
     [
@@ -113,6 +143,10 @@ def test_no_robots_no_deployments():
         ({'method': 'magic'}, 'method.*magic.*kappa_bnitp'),
         ({'planner': 'magic'}, 'planner.*magic.*beam'),
         ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+        ({'agents': 0}, 'agents is 0.*from 1 to 24'),
+        ({'agents': 25, 'robots': 3}, 'agents is 25.*24.*free cell'),
+        ({'allocation': 'auction'}, 'allocation.*auction.*voronoi'),
+        ({'loss_cost': -2.0}, 'loss_cost is -2.0.*at least 0'),
     ],
 )
 def test_bad_missions_are_refused(options, message):
