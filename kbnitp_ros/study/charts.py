@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a study: how the methods' beliefs get sure, how true they are, how calibrated."""
+"""Pictures of a study: how the contenders' beliefs get sure, how true, how calibrated."""
 
 from __future__ import annotations
 
@@ -34,6 +34,11 @@ def _chart(
     path: Path, results: Results, measures: tuple[str, ...], label: str, scale: str
 ) -> None:
     scenario = results.scenario
+    # Methods look the same in every study; where teams differ they need colours of their own.
+    colours = {
+        contender: f'C{place}' if len(scenario.teams) > 1 else COLOURS[contender.method]
+        for place, contender in enumerate(scenario.contenders)
+    }
     columns = min(3, len(scenario.lethalities))
     rows = -(-len(scenario.lethalities) // columns)
     figure = Figure(figsize=(4 * columns, 3 * rows + 0.6), layout='constrained')
@@ -42,10 +47,11 @@ def _chart(
     for axes in grid.flat[panels:]:
         axes.set_visible(False)
     for axes, lethality in zip(grid.flat, scenario.lethalities):
-        for method in scenario.methods:
-            mean, low, high = mean_of(results.series(lethality, method, *measures))
-            axes.plot(mean, color=COLOURS[method], label=method)
-            axes.fill_between(range(len(mean)), low, high, color=COLOURS[method], alpha=0.2, lw=0)
+        for contender, colour in colours.items():
+            method, team = contender
+            mean, low, high = mean_of(results.series(lethality, method, *measures, team=team))
+            axes.plot(mean, color=colour, label=str(contender))
+            axes.fill_between(range(len(mean)), low, high, color=colour, alpha=0.2, lw=0)
         axes.set_title(f'lethality {100 * lethality:.4g} %')
         axes.set_xlim(0, scenario.robots)
         axes.set_yscale(scale)
@@ -57,7 +63,7 @@ def _chart(
     figure.supxlabel(f'deployment (mean of {scenario.trials} trials, 95 % band)')
     figure.supylabel(label)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside upper center', ncols=len(labels))
+    figure.legend(handles, labels, loc='outside upper center', ncols=min(5, len(labels)))
     figure.savefig(path, dpi=80)
 
 
@@ -65,19 +71,19 @@ def reliability_chart(path: Path, results: Results) -> None:
     """
     Draw how often a thing is there against how likely it was held, after the last robot.
 
-    One panel a method and map, one line a lethality, over the cells of all trials. On the diagonal
-    a belief means what it says.
+    One panel a contender and map, one line a lethality, over the cells of all trials. On the
+    diagonal a belief means what it says.
     """
-    methods, lethalities = results.scenario.methods, results.scenario.lethalities
-    figure = Figure(figsize=(2.4 * len(methods) + 1, 5.6), layout='constrained')
-    grid = figure.subplots(2, len(methods), sharex=True, sharey=True, squeeze=False)
+    contenders, lethalities = results.scenario.contenders, results.scenario.lethalities
+    figure = Figure(figsize=(2.4 * len(contenders) + 1, 5.6), layout='constrained')
+    grid = figure.subplots(2, len(contenders), sharex=True, sharey=True, squeeze=False)
     colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(lethalities)))
-    for method, column in zip(methods, grid.T):
-        column[0].set_title(method, fontsize='medium')
+    for contender, column in zip(contenders, grid.T):
+        column[0].set_title(str(contender), fontsize='medium')
         for axes in column:
             axes.plot([0, 1], [0, 1], color='0.7', linewidth=1)
         for lethality, colour in zip(lethalities, colours):
-            believed, truth = results.final_maps(lethality, method)
+            believed, truth = results.final_maps(lethality, *contender)
             for axes, *cells in zip(column, believed.swapaxes(0, 1), truth.swapaxes(0, 1)):
                 axes.plot(
                     *reliability(*cells),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 import fcntl
 import os
 from pathlib import Path
@@ -75,7 +75,8 @@ class Folder:
         return outcomes
 
     def _file(self, trial: Trial) -> Path:
-        return self._trials / f'{trial.lethality}-{trial.method}-{trial.number}.npz'
+        team = '-'.join(map(str, astuple(trial.team)))
+        return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 
 
 def _check_same(path: Path, kept: dict[str, object], asked: dict[str, object]) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario import ALONE, Scenario, Team
 from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,9 @@ class Results:
         Returns
         -------
         pyarrow.Table
-            Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior)
-            and `MEASURES`, by lethality, method, trial and deployment in the scenario's order.
+            Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
+            ``agents``, ``allocation``, ``loss_cost`` and `MEASURES`, by lethality, method, team,
+            trial and deployment in the scenario's order.
 
         """
         trials = trials_of(self.scenario)
@@ -49,25 +50,30 @@ class Results:
             'method': np.repeat([trial.method for trial in trials], rows),
             'lethality': np.repeat([trial.lethality for trial in trials], rows),
             'deployment': np.tile(np.arange(rows), len(trials)),
+            'agents': np.repeat([trial.team.agents for trial in trials], rows),
+            'allocation': np.repeat([trial.team.allocation for trial in trials], rows),
+            'loss_cost': np.repeat([trial.team.loss_cost for trial in trials], rows),
             **dict(zip(MEASURES, measures.T)),
         }
         columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
         return pa.table(columns)
 
-    def series(self, lethality: float, method: str, *measures: str) -> NDArray[np.float64]:
+    def series(
+        self, lethality: float, method: str, *measures: str, team: Team = ALONE
+    ) -> NDArray[np.float64]:
         """Return the sum of some measures, shape (trials, robots + 1)."""
         places = [MEASURES.index(measure) for measure in measures]
-        outcomes = self._of(lethality, method)
+        outcomes = self._of(lethality, method, team)
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
 
     def final_maps(
-        self, lethality: float, method: str
+        self, lethality: float, method: str, team: Team = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
-        outcomes = self._of(lethality, method)
+        outcomes = self._of(lethality, method, team)
         believed = np.stack([outcome.believed for outcome in outcomes])
         return believed, np.stack([outcome.truth for outcome in outcomes])
 
-    def _of(self, lethality: float, method: str) -> list[Outcome]:
+    def _of(self, lethality: float, method: str, team: Team) -> list[Outcome]:
         numbers = range(self.scenario.trials)
-        return [self.outcomes[Trial(lethality, method, number)] for number in numbers]
+        return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]

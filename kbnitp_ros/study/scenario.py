@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass, MISSING
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
 
-from kbnitp_ros.core import Belief, Grid, METHODS, PLANNERS, SensorModel
+from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, METHODS, PLANNERS, SensorModel
+from kbnitp_ros.core.team import team_size
 import yaml
 
 # A value's type, and what is allowed: the lowest and the highest number, or the names known.
@@ -47,6 +48,47 @@ class Planning:
 
 
 @dataclass(frozen=True)
+class Team:
+    """
+    The robots that leave together, as for `run_mission`.
+
+    Attributes
+    ----------
+    agents : int
+        How many, at least 1.
+    allocation : str
+        Of `ALLOCATIONS`.
+    loss_cost : float
+        What a lost robot is worth, nats, 0 to 1000.
+
+    """
+
+    agents: Count = 1
+    allocation: Annotated[str, tuple(ALLOCATIONS)] = 'greedy'
+    loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
+
+    def __str__(self) -> str:
+        """Return what tells it from other teams; robots one by one share nothing out."""
+        name = 'one by one' if self.agents == 1 else f'{self.agents} {self.allocation}'
+        return f'{name}, loss cost {self.loss_cost:.4g}' if self.loss_cost else name
+
+
+# Robots one by one, whatever they cost.
+ALONE = Team()
+
+
+class Contender(NamedTuple):
+    """A way to do a mission: the method of its estimator and the team it sends."""
+
+    method: str
+    team: Team
+
+    def __str__(self) -> str:
+        """Return the method, and the team unless robots go one by one at no cost."""
+        return self.method if self.team == ALONE else f'{self.method}, {self.team}'
+
+
+@dataclass(frozen=True)
 class Densities:
     """How worlds are drawn, as for `World.random`."""
 
@@ -77,13 +119,13 @@ class Prior:
 @dataclass(frozen=True)
 class Scenario:
     """
-    A study: missions by every method, at every lethality, in the same worlds.
+    A study: missions by every method and team, at every lethality, in the same worlds.
 
     Attributes
     ----------
     seed : int
         At least 0. Trial t draws its world and its robots' fates from ``[seed, t]``, whatever the
-        method and the lethality.
+        method, the team and the lethality.
     trials : int
         Worlds, at least 1.
     robots : int
@@ -96,6 +138,8 @@ class Scenario:
         Sections of their own.
     believed_lethality : float, optional
         What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
+    teams : tuple of Team
+        Without them robots go one by one.
 
     """
 
@@ -110,6 +154,17 @@ class Scenario:
     sensor: Sensor
     prior: Prior
     believed_lethality: Probability | None = None
+    teams: tuple[Team, ...] = (ALONE,)
+
+    @property
+    def contenders(self) -> tuple[Contender, ...]:
+        """Every method with every team."""
+        return tuple(Contender(method, team) for method in self.methods for team in self.teams)
+
+    def check_teams(self) -> None:
+        """Refuse a team that has more robots than the grid has cells."""
+        for team in self.teams:
+            team_size(self.field(), team.agents)
 
     def field(self) -> Grid:
         """Return the grid, with cells of 1 m."""
@@ -139,9 +194,13 @@ def read_scenario(path: Path) -> Scenario:
     """
     try:
         scenario: Scenario = _read(Scenario, yaml.safe_load(path.read_bytes()), '')
-        for key, build in (('grid', scenario.field), ('prior', scenario.belief)):
+        for key, check in (
+            ('grid', scenario.field),
+            ('prior', scenario.belief),
+            ('teams', scenario.check_teams),
+        ):
             try:
-                build()
+                check()
             except ValueError as error:
                 raise ValueError(f'{key}: {error}') from error
     except yaml.YAMLError as error:

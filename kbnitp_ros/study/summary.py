@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import ALONE, Team
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,28 +65,29 @@ def summarise(results: Results) -> dict[str, Any]:
     -------
     dict
         ``trials``, ``robots``, ``reference`` (the scenario's last method) and ``rows``: one for
-        each lethality and method, with the mean and interval of each of `SUMMARISED`, of
+        each lethality, method and team, with the mean and interval of each of `SUMMARISED`, of
         ``false_targets``, how many targets are believed to be in cells with a hazard alone, and
-        of ``difference``, the reference's total log loss less this method's in the same trial:
-        negative where the reference is nearer to the truth.
+        of ``difference``, the reference's total log loss less this method's with the same team in
+        the same trial: negative where the reference is nearer to the truth.
 
     """
     scenario = results.scenario
     reference = scenario.methods[-1]
     rows = []
     for lethality in scenario.lethalities:
-        nearest = results.series(lethality, reference, *LOG_LOSS)[:, -1]
-        for method in scenario.methods:
-            row: dict[str, Any] = {'lethality': lethality, 'method': method}
+        for method, team in scenario.contenders:
+            row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
             for name, measures in SUMMARISED.items():
-                row[name] = _entry(results.series(lethality, method, *measures)[:, -1])
-            believed, truth = results.final_maps(lethality, method)
+                row[name] = _entry(results.series(lethality, method, *measures, team=team)[:, -1])
+            believed, truth = results.final_maps(lethality, method, team)
             hazard_alone = truth[:, 0] & ~truth[:, 1]
             row['false_targets'] = _entry((believed[:, 1] * hazard_alone).sum(axis=1))
             if method != reference:
-                row['difference'] = _entry(
-                    nearest - results.series(lethality, method, *LOG_LOSS)[:, -1]
+                nearest, this = (
+                    results.series(lethality, name, *LOG_LOSS, team=team)[:, -1]
+                    for name in (reference, method)
                 )
+                row['difference'] = _entry(nearest - this)
             rows.append(row)
     return {
         'trials': scenario.trials,
@@ -115,7 +117,9 @@ def markdown(summary: dict[str, Any]) -> str:
         '|---|---|' + '---|' * len(columns),
     ]
     for row in summary['rows']:
-        cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`']
+        team = Team(row['agents'], row['allocation'], row['loss_cost'])
+        method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
+        cells = [f'{row["lethality"]:.4g}', method]
         cells += [_shown(row[name]) if name in row else '' for name in columns]
         lines.append(f'| {" | ".join(cells)} |')
     return '\n'.join(lines) + '\n'

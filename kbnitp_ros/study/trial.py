@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from kbnitp_ros.core import brier_score, Estimator, log_loss, run_mission, World
 from kbnitp_ros.core.entropy import binary_entropy
-from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario import ALONE, Scenario, Team
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
@@ -40,12 +40,15 @@ class Trial(NamedTuple):
         Of the estimator.
     number : int
         Of the world, from 0.
+    team : Team
+        That leaves together.
 
     """
 
     lethality: float
     method: str
     number: int
+    team: Team = ALONE
 
 
 class Outcome(NamedTuple):
@@ -72,9 +75,9 @@ class Outcome(NamedTuple):
 def trials_of(scenario: Scenario) -> list[Trial]:
     """Return all missions of a scenario in the order of its table."""
     return [
-        Trial(lethality, method, number)
+        Trial(lethality, contender.method, number, contender.team)
         for lethality in scenario.lethalities
-        for method in scenario.methods
+        for contender in scenario.contenders
         for number in range(scenario.trials)
     ]
 
@@ -84,7 +87,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     Run one mission; the same arguments give the same bits.
 
     Trials of one number draw the same world and the same numbers for each robot's steps, so that
-    methods and lethalities are compared on equal luck.
+    methods, teams and lethalities are compared on equal luck.
 
     Raises
     ------
@@ -111,6 +114,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         rng,
         trial.method,
         **vars(scenario.planning),
+        **vars(trial.team),
         world_model=true_model,
     )
     start = Estimator(scenario.belief(), model, trial.method).belief

@@ -186,7 +186,9 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     assert process.returncode == 130
     kept = yaml.safe_load((tmp_path / 'out' / 'scenario.yaml').read_text())
     shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
-    assert kept == {**yaml.safe_load(shipped.read_text()), 'believed_lethality': None}
+    one_by_one = {'agents': 1, 'allocation': 'greedy', 'loss_cost': 0.0}
+    defaults = {'believed_lethality': None, 'teams': [one_by_one]}
+    assert kept == {**yaml.safe_load(shipped.read_text()), **defaults}
 
 
 @pytest.mark.parametrize(
@@ -233,7 +235,7 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2
     assert re.fullmatch(
-        'study: scenario magic is no file.*calibrated, mismatched, paper\n', done.stderr
+        'study: scenario magic is no file.*calibrated, mismatched, paper, teams\n', done.stderr
     )
 
 

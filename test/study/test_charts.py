@@ -6,6 +6,8 @@ from dataclasses import replace
 from kbnitp_ros.study.charts import reliability
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
 
@@ -38,3 +40,9 @@ def test_every_study_has_its_report(results, tmp_path, lethalities, trials):
     written = write_report(Results(scenario, results.outcomes), tmp_path)
     assert sorted(tmp_path.iterdir()) == sorted(written)
     assert all(path.stat().st_size for path in written)
+
+
+def test_a_study_of_teams_has_its_report(scenario, tmp_path):
+    scenario = replace(scenario, teams=(Team(), Team(3)), methods=('kappa_bnitp',), trials=1)
+    outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
+    assert all(path.stat().st_size for path in write_report(Results(scenario, outcomes), tmp_path))

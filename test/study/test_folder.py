@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from kbnitp_ros.study.folder import Folder
+from kbnitp_ros.study.scenario import Team
 from kbnitp_ros.study.trial import Trial
 import numpy as np
 import pytest
@@ -72,3 +73,12 @@ def test_a_file_is_no_folder(tmp_path, scenario):
     tmp_path.joinpath('file').write_text('')
     with pytest.raises(OSError, match='file'):
         Folder(tmp_path / 'file', scenario)
+
+
+def test_the_trials_of_teams_are_kept_apart(tmp_path, scenario, results):
+    scenario = replace(scenario, teams=(Team(), Team(2), Team(2, loss_cost=0.1)))
+    folder = Folder(tmp_path / 'teams', scenario)
+    done = [TRIAL, TRIAL._replace(team=Team(2))]
+    for trial in done:
+        folder.save(trial, results.outcomes[TRIAL])
+    assert list(folder.outcomes()) == done

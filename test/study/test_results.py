@@ -12,13 +12,17 @@ def test_the_table_is_tidy(results):
     assert types == {
         'trial': 'int64',
         'method': 'string',
+        'agents': 'int64',
+        'allocation': 'string',
+        'loss_cost': 'double',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),
         'robots_lost': 'int64',
     }
     assert table.num_rows == 2 * 3 * 3 * 5
-    keys = list(zip(*(table[name].to_pylist() for name in table.column_names[:4])))
+    columns = ('trial', 'method', 'lethality', 'deployment')
+    keys = list(zip(*(table[name].to_pylist() for name in columns)))
     assert len(set(keys)) == len(keys)
     assert keys[:6] == [
         *((0, 'relaxed_bnitp', 0.2, deployment) for deployment in range(5)),

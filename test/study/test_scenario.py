@@ -3,8 +3,8 @@
 
 from pathlib import Path
 
-from kbnitp_ros.core import METHODS
-from kbnitp_ros.study.scenario import read_scenario
+from kbnitp_ros.core import ALLOCATIONS, METHODS
+from kbnitp_ros.study.scenario import read_scenario, Team
 import pytest
 import small_study
 import yaml
@@ -50,6 +50,12 @@ def test_a_scenario_is_what_its_file_says(tmp_path):
         ('planning.planner', 'magic', 'planning.planner is .magic.*relaxed'),
         ('planning.max_steps', 0, 'planning.max_steps is 0.*from 1'),
         ('world.kappa', -0.1, r'world.kappa is -0\.1.*from 0\.0 to 1\.0'),
+        ('teams', [{'agents': 0}], 'teams.agents is 0.*from 1'),
+        ('teams', [{'allocation': 'auction'}], 'teams.allocation is .auction.*voronoi'),
+        ('teams', [{'loss_cost': -1}], r'teams.loss_cost is -1.*from 0\.0'),
+        ('teams', [{'robots': 2}], 'teams.robots is unknown: teams has agents'),
+        ('teams', [{'agents': 13}], 'teams: agents is 13.*from 1 to 12'),
+        ('teams', [{'agents': 2}, {'agents': 2}], 'teams.*twice'),
         ('believed_lethality', 2, 'believed_lethality is 2.*from 0'),
         ('grid.base', 12, 'grid: base is 12.*from 0 to 11'),
         ('prior.target', 0.1, r'prior: .*hazard 0\.3 and kappa 0\.8.*target.*0\.1'),
@@ -78,9 +84,32 @@ def test_what_is_no_scenario_is_refused(tmp_path, text, complaint):
     assert '\n' not in str(refusal.value)
 
 
+def test_teams_are_what_the_file_says_and_robots_go_one_by_one_without(tmp_path, scenario):
+    teams = [{'agents': 4, 'allocation': 'voronoi', 'loss_cost': 0.5}, {'agents': 2}, {}]
+    content = {**small_study.CONTENT, 'teams': teams}
+    read = read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
+    assert read.teams == (Team(4, 'voronoi', 0.5), Team(2, 'greedy', 0.0), Team(1))
+    assert len(read.contenders) == 3 * 3
+    names = [str(contender) for contender in read.contenders[:3]]
+    first = 'relaxed_bnitp'
+    assert names == [f'{first}, 4 voronoi, loss cost 0.5', f'{first}, 2 greedy', first]
+    assert [str(contender) for contender in scenario.contenders] == list(scenario.methods)
+
+
+def test_the_teams_shipped_send_the_same_robots():
+    scenario = read_scenario(SHIPPED / 'teams.yaml')
+    assert {team.agents for team in scenario.teams} == {1, 2, 4, 8}
+    assert {team.allocation for team in scenario.teams if team.agents > 1} == set(ALLOCATIONS)
+    calibrated = read_scenario(SHIPPED / 'calibrated.yaml')
+    for same in ('robots', 'trials', 'grid', 'planning', 'world', 'sensor', 'prior'):
+        assert getattr(scenario, same) == getattr(calibrated, same)
+
+
 def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
-    shipped = {path.stem: read_scenario(path) for path in SHIPPED.glob('*.yaml')}
-    assert sorted(shipped) == ['calibrated', 'mismatched', 'paper']
+    shipped = {
+        name: read_scenario(SHIPPED / f'{name}.yaml')
+        for name in ('calibrated', 'mismatched', 'paper')
+    }
     for scenario in shipped.values():
         assert (scenario.grid.width, scenario.grid.height) == (9, 9)
         assert (scenario.robots, scenario.trials) == (100, 25)

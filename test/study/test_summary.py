@@ -5,7 +5,9 @@ from dataclasses import replace
 import json
 
 from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Team
 from kbnitp_ros.study.summary import LOG_LOSS, markdown, mean_of, summarise
+from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
 
@@ -54,6 +56,30 @@ def test_differences_are_paired(results):
     assert row['robots_lost']['mean'] == results.series(0.9, 'relaxed_bnitp', 'robots_lost')[
         :, -1
     ].mean().round(6)
+
+
+def test_teams_have_rows_of_their_own(scenario):
+    teams = (Team(), Team(2), Team(2, 'independent', 0.25))
+    scenario = replace(scenario, teams=teams, lethalities=(0.9,), trials=2)
+    results = Results(
+        scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
+    )
+    summary = summarise(results)
+    rows = {(row['method'], row['agents'], row['loss_cost']): row for row in summary['rows']}
+    assert len(rows) == len(summary['rows']) == 3 * 3
+    reference, other = (
+        results.series(0.9, method, *LOG_LOSS, team=teams[2])[:, -1]
+        for method in ('kappa_bnitp_smoothed', 'relaxed_bnitp')
+    )
+    row = rows['relaxed_bnitp', 2, 0.25]
+    assert row['log_loss']['mean'] == pytest.approx(other.mean(), abs=1e-6)
+    assert row['difference']['mean'] == pytest.approx((reference - other).mean(), abs=1e-6)
+    assert '| `kappa_bnitp`, 2 independent, loss cost 0.25 |' in markdown(summary)
+    table = results.table().to_pylist()
+    assert len(table) == 9 * 2 * 5
+    assert {(r['agents'], r['allocation'], r['loss_cost']) for r in table} == {
+        (team.agents, team.allocation, team.loss_cost) for team in teams
+    }
 
 
 def test_a_single_trial_has_no_interval(results):

@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from kbnitp_ros.core import Belief, brier_score, log_loss, run_mission, SensorModel, World
+from kbnitp_ros.study.scenario import Team
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ def fly(scenario, trial, believed=None):
         max_steps=6,
         planner='relaxed',
         max_visits=2,
+        **vars(trial.team),
         world_model=model,
     )
     return world, prior, mission
@@ -88,6 +90,16 @@ def test_methods_share_the_fate_of_the_first_robot(results):
                 for method in ('kappa_bnitp', 'kappa_bnitp_smoothed')
             )
             assert one_pass == smoothed
+
+
+def test_a_team_leaves_together(scenario):
+    trial = Trial(0.2, 'kappa_bnitp', 1, Team(3, 'voronoi', 0.1))
+    outcome = run_trial(scenario, trial)
+    _, _, mission = fly(scenario, trial)
+    assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
+    alone = run_trial(scenario, Trial(0.2, 'kappa_bnitp', 1))
+    assert outcome.believed.tolist() != alone.believed.tolist()
+    assert outcome.truth.tolist() == alone.truth.tolist()
 
 
 def test_what_is_believed_of_the_lethality_may_be_wrong(scenario):
