@@ -235,7 +235,8 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2
     assert re.fullmatch(
-        'study: scenario magic is no file.*calibrated, mismatched, paper, teams\n', done.stderr
+        'study: scenario magic is no file.*calibrated, loss_cost, mismatched, paper, teams\n',
+        done.stderr,
     )
 
 

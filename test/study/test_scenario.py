@@ -100,7 +100,19 @@ def test_the_teams_shipped_send_the_same_robots():
     scenario = read_scenario(SHIPPED / 'teams.yaml')
     assert {team.agents for team in scenario.teams} == {1, 2, 4, 8}
     assert {team.allocation for team in scenario.teams if team.agents > 1} == set(ALLOCATIONS)
-    calibrated = read_scenario(SHIPPED / 'calibrated.yaml')
+
+
+def test_the_loss_costs_shipped_begin_with_none():
+    scenario = read_scenario(SHIPPED / 'loss_cost.yaml')
+    assert {team.agents for team in scenario.teams} == {1}
+    costs = [team.loss_cost for team in scenario.teams]
+    assert costs[0] == 0
+    assert costs == sorted(costs)
+
+
+@pytest.mark.parametrize('name', ['teams', 'loss_cost'])
+def test_studies_of_teams_are_of_the_calibrated_robots(name):
+    scenario, calibrated = (read_scenario(SHIPPED / f'{n}.yaml') for n in (name, 'calibrated'))
     for same in ('robots', 'trials', 'grid', 'planning', 'world', 'sensor', 'prior'):
         assert getattr(scenario, same) == getattr(calibrated, same)
 
