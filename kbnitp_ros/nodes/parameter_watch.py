@@ -51,6 +51,7 @@ class ParameterWatch:
         self._present: Counter[str] = Counter()
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}
+        self._over: set[str] = set()
         node.create_subscription(
             ParameterEvent, '/parameter_events', self._on_event, qos_profile_parameter_events
         )
@@ -58,7 +59,7 @@ class ParameterWatch:
     def look(self) -> None:
         """Ask those that are to be asked; to be called again and again."""
         present = Counter(
-            f'{namespace.rstrip("/")}/{name}'
+            full_name(namespace, name)
             for name, namespace in self._node.get_node_names_and_namespaces()
         )
         self._due |= (present - self._present).keys()
@@ -72,9 +73,23 @@ class ParameterWatch:
             inquiry.pursue()
             if inquiry.over:
                 self._inquiries.pop(name).destroy()
+                self._over.add(name)
+
+    def is_over(self, name: str) -> bool:
+        """Return whether a node has once told its parameters, will not or is not to be asked."""
+        if name in self._over or not name.startswith(self._namespace):
+            return True
+        if name not in self._inquiries:
+            self._due.add(name)
+        return False
 
     def _on_event(self, event: ParameterEvent) -> None:
         self._due.add(event.node)
+
+
+def full_name(namespace: str, name: str) -> str:
+    """Return what a node in a namespace is called."""
+    return f'{namespace.rstrip("/")}/{name}'
 
 
 class Inquiry:

@@ -15,7 +15,7 @@ from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameter_watch import ParameterWatch
+from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
 from kbnitp_ros.nodes.shell import run, Shell
 from kbnitp_ros.nodes.topic import message_class, time_received, Topic
 from rclpy.clock import Clock
@@ -93,9 +93,9 @@ class RecorderNode(Shell):
         found: dict[str, Any] = {}
         while found.keys() != (looked := self._unheard()).keys():
             found = looked
+        self._watch.look()
         for topic in sorted(found, reverse=True):
             self._hear(topic, found[topic])
-        self._watch.look()
 
     def _unheard(self) -> dict[str, Any]:
         """Return the publishers of each topic of which some may not be heard."""
@@ -116,6 +116,10 @@ class RecorderNode(Shell):
             type_name = publisher.topic_type
             if (name, type_name) in self._refused:
                 continue
+            # A mission begins when its evidence is heard, and its configuration comes first.
+            node = full_name(publisher.node_namespace, publisher.node_name)
+            if type_name in EVIDENCE and not self._watch.is_over(node):
+                return
             try:
                 topic = self._topic(name, type_name, publishers)
             except LookupError as error:
