@@ -14,7 +14,7 @@ PYTHON ?= python3
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
-  $(wildcard msg_defs/*.* msg_defs/msg/*.msg resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
+  $(wildcard msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
 
 build: install/.done
 
@@ -54,5 +54,5 @@ clean:
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)
-	. ./env.sh && colcon build
+	. ./env.sh && colcon build --base-paths . msg_defs wheels/*
 	touch $@

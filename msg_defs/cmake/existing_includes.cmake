@@ -1,0 +1,15 @@
+# The CMake targets of the ROS wheels on PyPI name the Python headers of the machine that built
+# them, and CMake refuses an include folder that does not exist. Under /opt/ros nothing matches.
+get_directory_property(imported_targets IMPORTED_TARGETS)
+foreach(target IN LISTS imported_targets)
+  get_target_property(include_dirs ${target} INTERFACE_INCLUDE_DIRECTORIES)
+  set(existing_dirs "")
+  foreach(dir IN LISTS include_dirs)
+    if(EXISTS "${dir}" OR NOT dir MATCHES "^/opt/python/")
+      list(APPEND existing_dirs "${dir}")
+    endif()
+  endforeach()
+  if(include_dirs AND NOT existing_dirs STREQUAL include_dirs)
+    set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${existing_dirs}")
+  endif()
+endforeach()
