@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.allocations import ALLOCATIONS
@@ -11,10 +12,12 @@ from kbnitp_ros.core.check import whole_number
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.information import team_information
 from kbnitp_ros.core.objective import Objective
+from kbnitp_ros.core.observation import as_path
 from kbnitp_ros.core.plan import Plan
 from kbnitp_ros.core.planners import PathFinder
 from kbnitp_ros.core.regions import Regions
 from kbnitp_ros.core.sensor import SensorModel
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +30,7 @@ class TeamPlan:
     plans : tuple of Plan
         One a robot, in their order; each says what is expected of that robot alone.
     information : float
-        What is expected of all together, `team_information`, nats.
+        What is expected of all together, beyond what robots that are out bring, nats.
     regions : Regions, optional
         How the field was divided among the robots; None where the allocation does not.
 
@@ -50,6 +53,7 @@ def plan_team(
     width: int = 16,
     max_visits: int = 3,
     loss_cost: float = 0.0,
+    out: Sequence[ArrayLike] = (),
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -65,6 +69,9 @@ def plan_team(
         'voronoi': the field is divided into regions of about equal entropy, one a robot.
         'greedy': robot after robot, for what each adds to what those before it are expected to
         bring, returned or lost.
+    out : sequence of array_like of int, each of shape (steps + 1,)
+        The paths of robots that have left before and are not back. All but 'independent' plan for
+        what is added to them.
 
     Returns
     -------
@@ -83,10 +90,14 @@ def plan_team(
     team_size(grid, agents)
     finder = PathFinder(grid, planner, max_steps, width, max_visits)
     objective = Objective.alone(grid, belief, model, loss_cost)
+    before = [as_path(path) for path in out]
+    for path in before:
+        objective = objective.after(path)
     paths, regions = ALLOCATIONS[allocation](finder, objective, agents)
     return TeamPlan(
         tuple(Plan.along(path, belief, model) for path in paths),
-        team_information(belief, model, paths),
+        team_information(belief, model, [*before, *paths])
+        - team_information(belief, model, before),
         regions,
     )
 

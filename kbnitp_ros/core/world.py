@@ -134,6 +134,23 @@ class World:
             If the path has no step, is not closed or leaves the world.
 
         """
+        cells, survived, readings = self._steps(path, model, rng)
+        returned = bool(survived.all())
+        return Observation(cells, returned, readings if returned else None)
+
+    def steps_made(self, path: ArrayLike, model: SensorModel, rng: np.random.Generator) -> int:
+        """
+        Return how many steps the robot survives that `traverse` sends out with the same numbers.
+
+        No base ever learns this: it is for those who watch a simulation.
+        """
+        _, survived, _ = self._steps(path, model, rng)
+        return int(survived.size if survived.all() else np.argmin(survived))
+
+    def _steps(
+        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the path's cells, and for each step whether it is survived and what is read."""
         cells = as_path(path)
         beyond = cells[(cells < 0) | (cells >= self.hazard.size)]
         if beyond.size:
@@ -143,6 +160,5 @@ class World:
             )
         entered = cells[1:]
         drawn = rng.random((2, entered.size))
-        survived = bool((drawn[0] < model.survival(self.hazard[entered])).all())
-        readings = drawn[1] < model.reading(self.target[entered])
-        return Observation(cells, survived, readings if survived else None)
+        survived = drawn[0] < model.survival(self.hazard[entered])
+        return cells, survived, drawn[1] < model.reading(self.target[entered])

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from kbnitp_ros.core.fates import nobody_sent
 from kbnitp_ros.core.objective import Objective
 from kbnitp_ros.core.planners import PathFinder
 import numpy as np
@@ -13,4 +16,5 @@ def allocate(
     finder: PathFinder, objective: Objective, agents: int
 ) -> tuple[list[NDArray[np.intp]], None]:
     """Return the same path for all: robots that believe the same plan the same."""
-    return [finder.paths(objective)[0].path] * agents, None
+    alone = replace(objective, fates=nobody_sent(objective.belief))
+    return [finder.paths(alone)[0].path] * agents, None
