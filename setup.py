@@ -35,6 +35,7 @@ setup(
             'recorder = kbnitp_ros.nodes.recorder:main',
             'replay = kbnitp_ros.cli.replay:main',
             'study = kbnitp_ros.cli.study:main',
+            'team = kbnitp_ros.nodes.team:main',
         ],
     },
 )

@@ -11,6 +11,7 @@ COMMANDS = {
     'replay': 'kbnitp_ros.cli.replay',
     'planner': 'kbnitp_ros.nodes.planner',
     'agent': 'kbnitp_ros.nodes.agent',
+    'team': 'kbnitp_ros.nodes.team',
     'estimator': 'kbnitp_ros.nodes.estimator',
     'recorder': 'kbnitp_ros.nodes.recorder',
 }

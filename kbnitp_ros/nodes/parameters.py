@@ -14,7 +14,7 @@ import json
 import re
 from typing import Any
 
-from kbnitp_ros.core import Grid, METHODS, PLANNERS, SensorModel
+from kbnitp_ros.core import ALLOCATIONS, Grid, METHODS, PLANNERS, SensorModel
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -24,7 +24,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 import rclpy.parameter
 
-NODES = ('planner', 'agent', 'estimator', 'recorder')
+NODES = ('planner', 'agent', 'team', 'estimator', 'recorder')
 
 # What rclpy gives every node.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -140,7 +140,8 @@ class Parameter:
 
 PROBABILITY = (0.0, 1.0)
 NAME = '[A-Za-z][A-Za-z0-9_]*'
-FIELD = ('planner', 'agent', 'estimator')
+AGENTS = ('agent', 'team')
+FIELD = ('planner', *AGENTS, 'estimator')
 
 TABLE = (
     Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, 1000)),
@@ -229,12 +230,12 @@ TABLE = (
     Parameter(
         'agents',
         ('scout_1',),
-        'Names of the agents; each has its topics under its name.',
-        ('planner', 'estimator'),
+        'Names of all agents of the team; each has its topics under its name.',
+        FIELD,
         element=str,
         pattern=NAME,
     ),
-    Parameter('agent', 'scout_1', 'Name of this agent, as in agents.', ('agent',), pattern=NAME),
+    Parameter('agent', 'scout_1', 'Name of this agent, one of agents.', ('agent',), pattern=NAME),
     Parameter(
         'robots',
         100,
@@ -268,6 +269,54 @@ TABLE = (
         read_only=False,
     ),
     Parameter(
+        'allocation',
+        'greedy',
+        'How the robots of a round share the field.',
+        ('planner',),
+        choices=tuple(ALLOCATIONS),
+        read_only=False,
+    ),
+    Parameter(
+        'loss_cost',
+        0.0,
+        'What a lost robot is worth, in nats of information.',
+        ('planner',),
+        limits=(0.0, 1e9),
+        read_only=False,
+    ),
+    Parameter(
+        'rolling',
+        False,
+        'Whether a robot leaves whenever its agent is free, and not with all others in rounds.',
+        ('planner',),
+    ),
+    Parameter(
+        'step_period',
+        0.0,
+        'Seconds a robot takes for a step; 0 for as fast as possible.',
+        ('planner', *AGENTS),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
+        'silent_loss',
+        False,
+        'Whether a robot that was destroyed is only known by not coming back.',
+        ('planner', *AGENTS),
+    ),
+    Parameter(
+        'return_deadline',
+        10.0,
+        'Seconds of ROS time after the expected return when a silent robot is given up as lost.',
+        ('planner',),
+        limits=(1e-3, 1e9),
+    ),
+    Parameter(
+        'publish_pose',
+        False,
+        'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
+        AGENTS,
+    ),
+    Parameter(
         'await_nodes',
         ('agent', 'estimator'),
         'Nodes that must listen to the paths before the first is sent.',
@@ -287,7 +336,7 @@ TABLE = (
         'await_nodes',
         ('planner', 'estimator'),
         'Nodes that must listen to the reports before the first robot leaves.',
-        ('agent',),
+        AGENTS,
         element=str,
         pattern=NAME,
     ),
@@ -295,53 +344,53 @@ TABLE = (
         'seed',
         0,
         'Seed of the hidden world and of what happens to the robots in it.',
-        ('agent',),
+        AGENTS,
         limits=(0, 2**63 - 1),
     ),
     Parameter(
         'world.file',
         '',
         'YAML file with the hidden world; empty to draw one from the seed.',
-        ('agent',),
+        AGENTS,
     ),
     Parameter(
         'world.hazard_density',
         0.15,
         'Probability of a hazard in each cell of a drawn world but the base.',
-        ('agent',),
+        AGENTS,
         limits=PROBABILITY,
     ),
     Parameter(
         'world.kappa',
         0.8,
         'Probability of a target in a cell of a drawn world that has a hazard.',
-        ('agent',),
+        AGENTS,
         limits=PROBABILITY,
     ),
     Parameter(
         'world.target_background',
         0.1,
         'Probability of a target in a cell of a drawn world that has no hazard.',
-        ('agent',),
+        AGENTS,
         limits=PROBABILITY,
     ),
     Parameter(
         'publish_truth',
         False,
         'Whether the hidden world is shown on truth/hazard and truth/target.',
-        ('agent',),
+        AGENTS,
     ),
     Parameter(
         'recorded',
         False,
         'Whether a robot leaves only when the recorder has its path on disk.',
-        ('agent',),
+        AGENTS,
     ),
     Parameter(
         'resume',
         '',
         'Log of the mission to go on with, its first file or its folder; empty for a new mission.',
-        ('planner', 'agent', 'recorder'),
+        ('planner', *AGENTS, 'recorder'),
     ),
     Parameter(
         'file',
@@ -493,13 +542,19 @@ def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If there is none, or two have one name.
+        If there is none, two have one name, or there are more than free cells.
 
     """
     agents: tuple[str, ...] = values['agents']
     if not agents or len(set(agents)) < len(agents):
         raise ValueError(
             f'parameter agents is {list(agents)}: it must be one or more names, no two alike'
+        )
+    free = int(grid_of(values).free.sum())
+    if len(agents) > free:
+        raise ValueError(
+            f'parameter agents has {len(agents)} names: there can be at most one for each of the '
+            f'{free} free cells'
         )
     return agents
 

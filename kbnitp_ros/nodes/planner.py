@@ -1,48 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner: sends robot after robot where the most is to be learnt."""
+"""The planner: sends the robots of its agents where the most is to be learnt."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import deployment_order, DeploymentKey, plan
+from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, plan_team
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import path_message, read_path, read_report
+from kbnitp_ros.messages.deployments import (
+    path_message,
+    read_path,
+    read_report,
+    report_message,
+)
+from kbnitp_ros.messages.headers import SECOND
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.shell import run, Shell
 from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class Flight:
+    """
+    A robot that is out.
+
+    Attributes
+    ----------
+    path : ndarray of int, shape (steps + 1,)
+        Its cells.
+    due : int or None
+        When it is given up, nanoseconds of ROS time; None until the clock runs.
+
+    """
+
+    path: NDArray[np.intp]
+    due: int | None = None
 
 
 class PlannerNode(Shell):
-    """Publish one path after another, each planned on the belief given all before it."""
+    """Publish paths, planned on the belief given all reports, for agents whose robots are home."""
 
     def __init__(self) -> None:
         super().__init__('planner')
         self._grid = grid_of(self.values)
         self._model = sensor_model_of(self.values)
+        self._agents = agents_of(self.values)
         self._paths = {
             agent: self.create_publisher(Path, f'{agent}/path', qos.EVIDENCE)
-            for agent in agents_of(self.values)
+            for agent in self._agents
+        }
+        self._losses = {
+            agent: self.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
+            for agent in self._agents
+            if self.values['silent_loss']
         }
         self._newest: Snapshot | None = None
-        self._out: set[DeploymentKey] = set()
-        # How many deployments the belief must hold before the next is planned on it.
-        self._made = 0
+        self._out: dict[DeploymentKey, Flight] = {}
+        # How many robots have left, those included that the first belief heard of holds.
+        self._left = 0
         self._last_stamp = 0
+        self._time = 0
         self._is_heard = False
+        self._answering: dict[str, int] = {}
         if self.values['resume']:
             self._restore(self.values['resume'])
         self.diagnostics.state = 'waiting for the belief'
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
-        for agent in self._paths:
+        for agent in self._agents:
             self.create_subscription(
-                DeploymentReport, f'{agent}/report', self._on_report, qos.EVIDENCE
+                DeploymentReport,
+                f'{agent}/report',
+                partial(self._on_report, agent),
+                qos.EVIDENCE,
             )
-        self.create_poll(self._deploy)
+        self.create_poll(self._look)
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
@@ -50,15 +89,20 @@ class PlannerNode(Shell):
             if key.agent not in self._paths:
                 raise ValueError(
                     f'{log} has deployments of {key.agent}: the parameter agents names only '
-                    f'{", ".join(self._paths)}'
+                    f'{", ".join(self._agents)}'
                 )
             _, cells = read_path(self._grid, key.agent, recorded.path.message)
-            self._grid.check_path(cells, self.values['max_steps'])
+            path = self._grid.check_path(cells, self.values['max_steps'])
             self._paths[key.agent].publish(recorded.path.data)
             if recorded.report is None:
-                self._out.add(key)
-            self._made += 1
+                self._out[key] = Flight(path)
+            self._left += 1
             self._last_stamp = key.stamp
+
+    def _look(self) -> None:
+        self._look_for_agents()
+        self._give_up()
+        self._deploy()
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
@@ -68,6 +112,8 @@ class PlannerNode(Shell):
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
+        if self._newest is None:
+            self._left = max(self._left, snapshot.deployments)
         # A restarted estimator goes through its earlier beliefs once more.
         if self._newest is None or snapshot.deployments >= self._newest.deployments:
             self._newest = snapshot
@@ -82,17 +128,59 @@ class PlannerNode(Shell):
                 f'{self.values["max_steps"]}, and the estimator would refuse such paths'
             )
 
-    def _on_report(self, message: DeploymentReport) -> None:
+    def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, _ = read_report(message)
+            if key.agent != agent:
+                raise ValueError(f'agent is {key.agent!r}: on this topic it must be {agent!r}')
         except ValueError as error:
-            self.diagnostics.refuse('report', error)
+            self.diagnostics.refuse(f'{agent}/report', error)
             return
-        self._out.discard(key)
+        self._out.pop(key, None)
         self._deploy()
 
+    def _look_for_agents(self) -> None:
+        """Notice which agents somebody answers for, and who answers for one that is taken."""
+        own = int(self.values['silent_loss'])
+        for agent in self._agents:
+            answering = self.count_publishers(f'{agent}/report') - own
+            before = self._answering.get(agent, 0)
+            self._answering[agent] = answering
+            if answering > max(before, 1):
+                self.diagnostics.refuse(
+                    f'{agent}/report',
+                    f'{answering} nodes answer for agent {agent}: unless one has just died, '
+                    'each needs a name of its own',
+                )
+            elif before and not answering:
+                self.diagnostics.refuse(
+                    f'{agent}/path',
+                    f'agent {agent} has left the graph: the others carry on, and so does '
+                    f'{agent} when it is back',
+                )
+
+    def _give_up(self) -> None:
+        """Report robots lost that should have been back for long."""
+        now = self.now()
+        jump, self._time = min(0, now - self._time), now
+        if not self.values['silent_loss'] or now <= 0:
+            return
+        for key, flight in list(self._out.items()):
+            # Robots do not come home sooner because the clock was set back.
+            flight.due = self._due(now, flight) if flight.due is None else flight.due + jump
+            if now > flight.due:
+                del self._out[key]
+                lost = Observation(flight.path, False)
+                self._losses[key.agent].publish(report_message(key, lost, now))
+
+    def _due(self, now: int, flight: Flight) -> int:
+        """Return when a robot that leaves now is given up, in nanoseconds."""
+        steps = flight.path.size - 1
+        wait = steps * self.values['step_period'] + self.values['return_deadline']
+        return now + round(wait * SECOND)
+
     def _deploy(self) -> None:
-        """Send the next robot, unless something must come first."""
+        """Send the next robots, unless something must come first."""
         newest = self._newest
         if newest is None:
             return
@@ -100,25 +188,38 @@ class PlannerNode(Shell):
         if reason_to_wait:
             self.diagnostics.state = reason_to_wait
             return
-        planned = plan(
+        agents = self._free_agents()[: self.values['robots'] - self._left]
+        team = plan_team(
             self._grid,
             newest.belief,
             self._model,
             self.values['max_steps'],
+            len(agents),
+            self.values['allocation'],
             self.values['planner'],
             width=self.values['beam_width'],
             max_visits=self.values['max_visits'],
+            loss_cost=self.values['loss_cost'],
+            out=[flight.path for flight in self._out.values()],
         )
-        agent = list(self._paths)[newest.deployments % len(self._paths)]
-        key = DeploymentKey(agent, self._next_stamp(newest))
-        self._out.add(key)
-        self._made = newest.deployments + 1
-        self._last_stamp = key.stamp
-        self._paths[agent].publish(path_message(self._grid, planned.path, key.stamp))
+        stamp = self._next_stamp(newest)
+        for agent, planned in zip(agents, team.plans):
+            self._out[DeploymentKey(agent, stamp)] = Flight(planned.path)
+            self._paths[agent].publish(path_message(self._grid, planned.path, stamp))
+            self._last_stamp = stamp
+            stamp += 1
+        self._left += len(agents)
+
+    def _free_agents(self) -> list[str]:
+        """Return the agents that somebody answers for and whose robots are home."""
+        busy = {key.agent for key in self._out}
+        return [
+            agent for agent in self._agents if self._answering.get(agent) and agent not in busy
+        ]
 
     def _next_stamp(self, newest: Snapshot) -> int:
         """
-        Return the stamp that names the deployment to be planned on a belief.
+        Return the stamp that names the first deployment to be planned on a belief.
 
         It is the belief's own, so that a planner which was restarted, and no longer knows what it
         sent, sends the very same message again, which changes nothing. None is used twice, even
@@ -129,17 +230,22 @@ class PlannerNode(Shell):
 
     def _reason_to_wait(self, held: int) -> str:
         """Return what must come before the next deployment; empty when nothing."""
-        if self._out:
-            return f'waiting for {min(self._out, key=deployment_order)} to be reported'
-        if held < self._made:
-            return f'waiting for a belief that holds {self._made} deployments'
+        # An agent that has left the graph does not keep the others from their next round.
+        awaited = [key for key in self._out if self._answering.get(key.agent)]
+        if awaited and not self.values['rolling']:
+            return f'waiting for {min(awaited, key=deployment_order)} to be reported'
+        reported = self._left - len(self._out)
+        if held < reported:
+            return f'waiting for a belief that holds {reported} deployments'
         robots = self.values['robots']
         if held >= robots:
             return f'done: {held} of {robots} robots deployed'
         if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
         self._is_heard = True
-        return ''
+        if self._left >= robots:
+            return f'waiting for {len(self._out)} robots that are out'
+        return '' if self._free_agents() else 'waiting for an agent whose robot is home'
 
 
 def main(args: Sequence[str] | None = None) -> int:

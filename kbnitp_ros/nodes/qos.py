@@ -25,6 +25,9 @@ LATCHED = QoSProfile(
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
+# Poses for viewers, as tf2 has them.
+POSES = QoSProfile(depth=100)
+
 
 def lossless(offered: QoSProfile) -> QoSProfile:
     """

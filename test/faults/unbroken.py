@@ -62,6 +62,9 @@ def core_mission(parameters):
         planner=values['planner'],
         width=values['beam_width'],
         max_visits=values['max_visits'],
+        agents=len(values['agents']),
+        allocation=values['allocation'],
+        loss_cost=values['loss_cost'],
     )
 
 

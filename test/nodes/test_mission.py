@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import Belief, run_mission, World
 from kbnitp_ros.log.reader import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes.parameters import grid_of, sensor_model_of, TABLE
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
@@ -19,6 +17,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 import rosgraph_msgs.msg
+from unbroken import core_mission
 
 MAPS = ('hazard', 'target', 'kappa')
 
@@ -54,37 +53,6 @@ def wait_for_end(field, parameters, heard):
     robots = parameters['robots']
     field.until(
         lambda: min(len(paths), len(reports), len(beliefs) - 1) >= robots, 'end', patience=60
-    )
-
-
-def core_mission(parameters):
-    """Return the deployments of the mission with these parameters, made by core alone."""
-    values = {parameter.name: parameter.default for parameter in TABLE} | parameters
-    grid = grid_of(values)
-    model = sensor_model_of(values)
-    rng = np.random.default_rng(values['seed'])
-    world = World.random(
-        grid,
-        rng,
-        values['world.hazard_density'],
-        values['world.kappa'],
-        values['world.target_background'],
-    )
-    prior = Belief.prior(
-        grid, values['prior.hazard'], values['prior.target'], values['prior.kappa']
-    )
-    return run_mission(
-        grid,
-        prior,
-        model,
-        world,
-        values['robots'],
-        rng,
-        values['method'],
-        max_steps=values['max_steps'],
-        planner=values['planner'],
-        width=values['beam_width'],
-        max_visits=values['max_visits'],
     )
 
 

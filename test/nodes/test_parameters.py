@@ -92,10 +92,21 @@ def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
     assert told in str(refusal.value)
 
 
+DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
+
+
 @pytest.mark.parametrize('agents', [(), ('a', 'b', 'a')])
 def test_agents_have_names_of_their_own(agents):
     with pytest.raises(ValueError, match='no two alike'):
-        agents_of({'agents': agents})
+        agents_of(DEFAULTS | {'agents': agents})
+
+
+def test_a_team_has_a_free_cell_for_each():
+    small = {'grid.width': 3, 'grid.height': 2, 'grid.blocked': [4]}
+    five = tuple('abcde')
+    assert agents_of(DEFAULTS | small | {'agents': five}) == five
+    with pytest.raises(ValueError, match='has 6 names.*5 free cells'):
+        agents_of(DEFAULTS | small | {'agents': (*five, 'f')})
 
 
 def test_whole_numbers_are_numbers(make_node):

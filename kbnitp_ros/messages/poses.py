@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a robot is, for people to look at: no base knows that of a robot that is out."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.headers import header
+from tf2_msgs.msg import TFMessage
+
+
+def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
+    """
+    Return the transform from the grid's frame to AGENT/base_link.
+
+    Parameters
+    ----------
+    grid : Grid
+        Where the cell's centre is.
+    agent : str
+        Whose robot it is.
+    cell : int
+        Where the robot is.
+    stamp : int
+        When, in nanoseconds.
+
+    """
+    ((x, y),) = grid.centers([cell]).tolist()
+    transform = Transform(translation=Vector3(x=x, y=y), rotation=Quaternion(w=1.0))
+    return TFMessage(
+        transforms=[
+            TransformStamped(
+                header=header(stamp), child_frame_id=f'{agent}/base_link', transform=transform
+            )
+        ]
+    )

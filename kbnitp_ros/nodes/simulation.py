@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A hidden world and the agents that send simulated robots into it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from builtin_interfaces.msg import Time
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.core import DeploymentKey, Observation, World
+from kbnitp_ros.log.deployments import RecordedDeployment
+from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.messages.poses import pose_message
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.shell import Shell
+from kbnitp_ros.nodes.world_file import read_world
+from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
+
+
+class Simulation:
+    """
+    The field as it really is, the same for all agents of a team.
+
+    Parameters
+    ----------
+    node : Shell
+        An agent node: its parameters, its clock and its topics.
+
+    """
+
+    def __init__(self, node: Shell) -> None:
+        self.node = node
+        self.grid = grid_of(node.values)
+        self.model = sensor_model_of(node.values)
+        self.agents = agents_of(node.values)
+        self._seeds = np.random.SeedSequence(node.values['seed'])
+        self.world = self._hidden_world()
+        if node.values['publish_truth']:
+            self._publish_truth()
+
+    def _hidden_world(self) -> World:
+        values = self.node.values
+        if values['world.file']:
+            return read_world(values['world.file'], self.grid)
+        return World.random(
+            self.grid,
+            np.random.default_rng(self._seeds),
+            values['world.hazard_density'],
+            values['world.kappa'],
+            values['world.target_background'],
+        )
+
+    def _publish_truth(self) -> None:
+        for name in ('hazard', 'target'):
+            truth = occupancy_grid(self.grid, getattr(self.world, name), self.node.now())
+            publisher = self.node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
+            publisher.publish(truth)
+
+    def generator(self, agent: str, robot: int) -> np.random.Generator:
+        """
+        Return the randomness of an agent's robot, counted from 0.
+
+        Robots leave in rounds, the agents in their order, and the n-th of all robots has the n-th
+        child of the seed, as in core's run_mission.
+        """
+        child = robot * len(self.agents) + self.agents.index(agent)
+        return np.random.default_rng(
+            np.random.SeedSequence(self._seeds.entropy, spawn_key=(child,))
+        )
+
+
+class SimulatedAgent:
+    """
+    Sends a simulated robot along each path that one agent is given, and reports how it ended.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Where the robots go.
+    name : str
+        The agent's.
+    recorded : dict
+        The deployments on record of the mission that is gone on with.
+
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        name: str,
+        recorded: dict[DeploymentKey, RecordedDeployment],
+    ) -> None:
+        self._simulation = simulation
+        self._node = simulation.node
+        self.name = name
+        # An agent with a namespace of its own has its topics there, and not once more below it.
+        own = self._node.get_namespace().endswith(f'/{name}')
+        self._prefix = '' if own else f'{name}/'
+        self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._waiting: list[DeploymentKey] = []
+        self._recorded: set[int] = set()
+        self._robots = 0
+        self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
+        self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        if self._node.values['publish_pose']:
+            self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
+        for key, deployment in recorded.items():
+            if key.agent == name and deployment.report is not None:
+                self._restore(key, deployment)
+
+    def _publisher(self, kind: type, topic: str, profile: QoSProfile) -> Publisher:
+        return self._node.create_publisher(kind, self._prefix + topic, profile)
+
+    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
+        """Publish a report on record again, and do not make that deployment once more."""
+        _, self._known[key] = read_path(self._simulation.grid, self.name, deployment.path.message)
+        self._robots += 1
+        self.reports.publish(deployment.report.data)
+
+    def listen(self) -> None:
+        """Take paths from now on."""
+        self._node.create_subscription(Path, f'{self._prefix}path', self._on_path, qos.EVIDENCE)
+        if self._node.values['recorded']:
+            self._node.create_subscription(
+                Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE
+            )
+
+    def _on_path(self, message: Path) -> None:
+        grid = self._simulation.grid
+        try:
+            key, cells = read_path(grid, self.name, message)
+            path = grid.check_path(cells, self._node.values['max_steps'])
+            if self._is_known(key, path):
+                return
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{self.name}/path', error)
+            return
+        self._node.diagnostics.accept()
+        self._known[key] = path
+        self._waiting.append(key)
+        self._node.diagnostics.waiting += 1
+        self._send_out()
+
+    def _is_known(self, key: DeploymentKey, path: NDArray[np.intp]) -> bool:
+        known = self._known.get(key)
+        if known is not None and not np.array_equal(known, path):
+            raise ValueError(f'deployment {key} is known along another path: the first holds')
+        return known is not None
+
+    def _on_recorded(self, message: Time) -> None:
+        self._recorded.add(from_stamp(message))
+        self._send_out()
+
+    def _send_out(self) -> None:
+        """Have the robots leave whose paths no crash can take from the base any more."""
+        for key in self._waiting.copy():
+            if not self._node.values['recorded'] or key.stamp in self._recorded:
+                self._waiting.remove(key)
+                self._node.diagnostics.waiting -= 1
+                self._leave(key)
+
+    def _leave(self, key: DeploymentKey) -> None:
+        simulation, path = self._simulation, self._known[key]
+        rng = simulation.generator(self.name, self._robots)
+        self._robots += 1
+        observation = simulation.world.traverse(path, simulation.model, rng)
+        period = self._node.values['step_period']
+        if period == 0.0:
+            self._return(key, observation)
+            return
+        self._after(period * (len(path) - 1), partial(self._return, key, observation))
+        if self._node.values['publish_pose']:
+            again = simulation.generator(self.name, self._robots - 1)
+            steps = simulation.world.steps_made(path, simulation.model, again)
+            for step, cell in enumerate(path[: steps + 1].tolist()):
+                self._after(period * step, partial(self._show, cell))
+
+    def _after(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call back once, after a time on the ROS clock."""
+
+        def once() -> None:
+            self._node.destroy_timer(timer)
+            callback()
+
+        timer = self._node.create_timer(seconds, once)
+
+    def _show(self, cell: int) -> None:
+        pose = pose_message(self._simulation.grid, self.name, cell, self._node.now())
+        self._poses.publish(pose)
+
+    def _return(self, key: DeploymentKey, observation: Observation) -> None:
+        """Report what came of a robot, now that it is back or would have been."""
+        if not observation.survived and self._node.values['silent_loss']:
+            return
+        stamp = self._node.now()
+        self.reports.publish(report_message(key, observation, stamp))
+        if observation.survived:
+            self._readings.publish(readings_marker(self._simulation.grid, observation, stamp))

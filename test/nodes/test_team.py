@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several agents, one planner and one estimator."""
+
+from __future__ import annotations
+
+from collections import Counter
+import signal
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import Ledger
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_path, read_report
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameters import grid_of
+from nav_msgs.msg import Path
+import pytest
+from tf2_msgs.msg import TFMessage
+from unbroken import core_mission, prior, with_defaults
+
+FIELD = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed', 'seed': 2}
+
+
+class Team:
+    """A planner, an estimator and agents, and what is heard of them."""
+
+    def __init__(self, field, agents, parameters, *, processes=False, own=None, namespace='/m'):
+        self.field = field
+        self.agents = [f'scout_{number}' for number in range(1, agents + 1)]
+        self.parameters = {**FIELD, **parameters, 'agents': self.agents}
+        self.namespace = namespace
+        self.beliefs = field.listen(BeliefMaps, f'{namespace}/belief')
+        self.paths = {
+            agent: field.listen(Path, f'{namespace}/{agent}/path') for agent in self.agents
+        }
+        self.reports = {
+            agent: field.listen(DeploymentReport, f'{namespace}/{agent}/report')
+            for agent in self.agents
+        }
+        player = 'agent' if processes else 'team'
+        given = {
+            'planner': {'await_nodes': [player, 'estimator']},
+            'estimator': {'await_nodes': ['planner']},
+            player: {'await_nodes': ['planner', 'estimator']},
+        }
+        for node in ('estimator', 'planner'):
+            field.start(node, self.parameters | given[node], namespace)
+        playing = self.parameters | given[player] | (own or {})
+        if processes:
+            for agent in self.agents:
+                field.start('agent', playing | {'agent': agent}, f'{namespace}/{agent}')
+        else:
+            field.start('team', playing, namespace)
+
+    def until_done(self, patience=60):
+        """Wait until the planner says that all robots are deployed."""
+        planner = f'{self.namespace}/planner'
+        self.field.until(lambda: 'done' in self.field.state(planner), 'end', patience)
+        held = self.parameters['robots']
+        self.field.until(lambda: self.beliefs[-1].deployments == held, 'last belief')
+
+    @property
+    def told(self):
+        """Return all that was reported, in the order of the deployments."""
+        reports = [read_report(report) for each in self.reports.values() for report in each]
+        return sorted(reports, key=lambda item: (item[0].stamp, item[0].agent))
+
+    def assert_is_the_fold_of_its_reports(self, reports=None):
+        """See that the last belief is what core makes of the same paths and reports."""
+        values = with_defaults(self.parameters)
+        grid = grid_of(values)
+        ledger = Ledger(grid, values['max_steps'], prior(self.parameters))
+        for agent, paths in self.paths.items():
+            for path in paths:
+                ledger.record_path(*read_path(grid, agent, path))
+        for key, report in self.told if reports is None else reports:
+            ledger.record_report(key, report)
+        assert len(ledger.deployments) == values['robots']
+        joint = read_belief_maps(self.beliefs[-1]).belief.joint
+        assert joint.tobytes() == ledger.belief.joint.tobytes()
+
+
+def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
+    team = Team(field, 8, {'robots': 20}, processes=True)
+    team.until_done()
+    expected = core_mission(team.parameters)
+    assert [report.survived for _, report in team.told] == [
+        deployment.observation.survived for deployment in expected
+    ]
+    joint = read_belief_maps(team.beliefs[-1]).belief.joint
+    assert joint.tobytes() == expected[-1].belief.joint.tobytes()
+    assert Counter(key.agent for key, _ in team.told) == {
+        agent: 3 if number < 4 else 2 for number, agent in enumerate(team.agents)
+    }
+    team.assert_is_the_fold_of_its_reports()
+
+
+def test_sixty_four_agents_in_one_process(field):
+    size = {'grid.width': 9, 'grid.height': 9, 'allocation': 'independent'}
+    team = Team(field, 64, {**size, 'robots': 150})
+    team.until_done()
+    assert len({key for key, _ in team.told}) == 150
+    team.assert_is_the_fold_of_its_reports()
+
+
+def test_robots_leave_whenever_their_agent_is_free(field):
+    rolling = {'rolling': True, 'step_period': 0.02, 'robots': 30}
+    team = Team(field, 3, {**rolling, 'method': 'kappa_bnitp_smoothed'})
+    team.until_done()
+    assert len(team.told) == len({key for key, _ in team.told}) == 30
+    team.assert_is_the_fold_of_its_reports()
+    # In rounds each would have ten.
+    made = Counter(key.agent for key, _ in team.told)
+    assert sum(made.values()) == 30
+    assert min(made.values()) >= 5
+
+
+SILENT = {'silent_loss': True, 'method': 'kappa_bnitp_smoothed', 'sensor.lethality': 0.9}
+
+
+def test_every_silent_loss_is_declared_once_and_no_return_ever(field):
+    team = Team(field, 4, {**SILENT, 'robots': 24, 'return_deadline': 1.0})
+    team.until_done()
+    expected = core_mission(team.parameters)
+    assert Counter(key for key, _ in team.told).most_common(1)[0][1] == 1
+    survived = [report.survived for _, report in team.told]
+    assert survived == [deployment.observation.survived for deployment in expected]
+    assert not all(survived)
+    assert any(survived)
+    joint = read_belief_maps(team.beliefs[-1]).belief.joint
+    assert joint.tobytes() == expected[-1].belief.joint.tobytes()
+
+
+def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field):
+    late = {'return_deadline': 0.05, 'sensor.lethality': 0.2, 'robots': 8}
+    team = Team(field, 2, {**SILENT, **late}, own={'step_period': 0.1})
+    returned = lambda: {key for key, report in team.told if report.survived}  # noqa: E731
+    team.until_done()
+    field.until(lambda: len(returned()) >= 3, 'late returns')
+    given_up = {key for key, report in team.told if not report.survived}
+    assert returned() <= given_up
+    field.until(lambda: field.state('/m/estimator').startswith('8 deployments'), 'belief')
+    kept = [(key, r) for key, r in team.told if r.survived or key not in returned()]
+    stamps = len(team.beliefs)
+    field.until(lambda: len(team.beliefs) >= stamps, 'belief')
+    team.assert_is_the_fold_of_its_reports(kept)
+
+
+def test_a_team_carries_on_when_an_agent_leaves(field):
+    team = Team(field, 3, {'robots': 10**6, 'step_period': 0.01}, processes=True)
+    field.until(lambda: all(len(each) > 2 for each in team.reports.values()), 'reports')
+    gone = field.processes.started.pop('/m/scout_2/agent')
+    gone.send_signal(signal.SIGINT)
+    assert gone.wait(timeout=10) == 0
+    field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of the agent gone')
+    assert 'agent scout_2 has left' in field.diagnosed('/m/planner').message
+    before = {agent: len(each) for agent, each in team.reports.items()}
+    field.until(
+        lambda: all(len(team.reports[a]) > before[a] + 3 for a in ('scout_1', 'scout_3')),
+        'reports of the others',
+    )
+    assert len(team.reports['scout_2']) <= before['scout_2'] + 1
+
+
+@pytest.mark.parametrize(
+    'node, parameters, told',
+    [
+        ('planner', {'agents': ['a', 'b', 'a']}, "agents is ['a', 'b', 'a']"),
+        ('team', {'agents': [f's{n}' for n in range(21)]}, 'one for each of the 20 free cells'),
+        ('agent', {'agent': 'scout_2'}, 'agent is scout_2: it must be one of agents, scout_1'),
+        ('planner', {'return_deadline': 0.0}, 'return_deadline is 0.0'),
+        ('planner', {'return_deadline': -1.0}, 'return_deadline is -1.0'),
+        ('planner', {'loss_cost': -1.0}, 'loss_cost is -1.0'),
+        ('planner', {'allocation': 'magic'}, "allocation is 'magic'"),
+    ],
+)
+def test_teams_that_cannot_be_are_refused(field, node, parameters, told):
+    process = field.start(node, {**FIELD, **parameters})
+    assert process.wait(timeout=20) == 2
+    assert told in field.said(f'/{node}')
+
+
+def test_an_agent_that_answers_for_another_is_refused(field):
+    team = Team(field, 2, {'robots': 4})
+    team.until_done()
+    imposter = field.node.create_publisher(DeploymentReport, '/m/scout_2/report', qos.EVIDENCE)
+    field.until(lambda: imposter.get_subscription_count() > 1, 'listeners')
+    field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of two nodes')
+    assert '2 nodes answer for agent scout_2' in field.diagnosed('/m/planner').message
+    for name in ('scout_1', 'scout_9'):
+        report = DeploymentReport(agent=name)
+        report.header.frame_id = 'map'
+        imposter.publish(report)
+    field.until(lambda: field.count('/m/estimator', 'refused') == 2, 'refusals')
+    assert "agent is 'scout_9': on this topic it must be 'scout_2'" in (
+        field.diagnosed('/m/estimator').message
+    )
+    team.assert_is_the_fold_of_its_reports()
+
+
+def test_two_teams_do_not_meet(field):
+    teams = [
+        Team(field, agents, {'robots': 9, 'seed': agents}, namespace=f'/team_{agents}')
+        for agents in (2, 3)
+    ]
+    for team in teams:
+        team.until_done()
+        expected = core_mission(team.parameters)
+        joint = read_belief_maps(team.beliefs[-1]).belief.joint
+        assert joint.tobytes() == expected[-1].belief.joint.tobytes()
+
+
+def test_robots_that_are_out_are_shown_only_on_request(field):
+    shown = field.listen(TFMessage, '/tf', volatile=True)
+    parameters = {'robots': 4, 'step_period': 0.02, 'sensor.malfunction': 0.0}
+    hidden = Team(field, 2, parameters)
+    hidden.until_done()
+    assert not shown
+    seen = Team(field, 2, parameters, own={'publish_pose': True}, namespace='/seen')
+    seen.until_done()
+    poses = [pose for message in shown for pose in message.transforms]
+    assert {pose.header.frame_id for pose in poses} == {'map'}
+    assert {pose.child_frame_id for pose in poses} == {
+        'scout_1/base_link',
+        'scout_2/base_link',
+    }
+    first = poses[0].transform.translation
+    assert (first.x, first.y) == (0.5, 0.5)
+    on_paths = {
+        (pose.pose.position.x, pose.pose.position.y)
+        for paths in seen.paths.values()
+        for path in paths
+        for pose in path.poses
+    }
+    walked = {(each.transform.translation.x, each.transform.translation.y) for each in poses}
+    assert walked <= on_paths
+    assert len(walked) > 2
