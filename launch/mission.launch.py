@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch a mission, recorded unless told not to, and in RViz if told to."""
+"""Launch a mission of one agent or a team, recorded unless told not to, in RViz if told to."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, SetEnvironmentVariable, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+    Shutdown,
+)
 from launch.conditions import IfCondition
 from launch.substitutions import (
     EnvironmentVariable,
@@ -26,6 +32,11 @@ def generate_launch_description():
     arguments = [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
+        ),
+        DeclareLaunchArgument(
+            'agents',
+            default_value='1',
+            description='How many agents, called scout_1 and so on, each a process of its own.',
         ),
         DeclareLaunchArgument(
             'params_file',
@@ -57,36 +68,57 @@ def generate_launch_description():
             PROFILES, default_value=PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
         ),
     )
-    nodes = [
+    mission = GroupAction(
+        [PushROSNamespace(LaunchConfiguration('namespace')), OpaqueFunction(function=nodes)]
+    )
+    return LaunchDescription([*arguments, discovery, mission])
+
+
+def nodes(context):
+    """Return the nodes, which depend on how many agents there are."""
+    count = int(LaunchConfiguration('agents').perform(context))
+    names = [f'scout_{number}' for number in range(1, count + 1)]
+    team = {'agents': names}
+    view = 'team.rviz' if count > 1 else 'mission.rviz'
+    return [
         # First, so that nothing runs yet when it turns out not to be installed.
         Node(
             package='rviz2',
             executable='rviz2',
-            arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', 'mission.rviz'])],
+            arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', view])],
             condition=IfCondition(LaunchConfiguration('rviz')),
         ),
         mission_node('recorder', RESUME, condition=IfCondition(LaunchConfiguration('record'))),
-        mission_node('estimator', awaits=['planner']),
-        mission_node('agent', RESUME | RECORDED, awaits=['planner', 'estimator']),
-        mission_node('planner', RESUME, awaits=['agent', 'estimator']),
+        mission_node('estimator', team, awaits=['planner']),
+        mission_node('planner', team | RESUME, awaits=['agent', 'estimator']),
+        *(
+            mission_node(
+                'agent',
+                team | RESUME | RECORDED | {'agent': name},
+                awaits=['planner', 'estimator'],
+                namespace=name,
+                # The others of a team carry on.
+                ends_mission=count == 1,
+            )
+            for name in names
+        ),
     ]
-    mission = GroupAction([PushROSNamespace(LaunchConfiguration('namespace')), *nodes])
-    return LaunchDescription([*arguments, discovery, mission])
 
 
-def mission_node(name, own=None, awaits=(), condition=None):
-    """Return a node that the mission cannot go on without; it also awaits the recorder, if any."""
-    own = dict(own or {})
+def mission_node(name, own, awaits=(), condition=None, namespace='', ends_mission=True):
+    """Return a node with these parameters of its own; it also awaits the recorder, if any."""
+    own = dict(own)
     if awaits:
         recorded, alone = str([*awaits, 'recorder']), str(awaits)
-        nodes = IfElseSubstitution(LaunchConfiguration('record'), recorded, alone)
-        own['await_nodes'] = ParameterValue(nodes, value_type=list[str])
+        listeners = IfElseSubstitution(LaunchConfiguration('record'), recorded, alone)
+        own['await_nodes'] = ParameterValue(listeners, value_type=list[str])
     return Node(
         package='kbnitp_ros',
         executable=name,
         name=name,
+        namespace=namespace,
         parameters=[LaunchConfiguration('params_file'), own],
         condition=condition,
         output='screen',
-        on_exit=Shutdown(),
+        on_exit=Shutdown() if ends_mission else None,
     )

@@ -54,16 +54,20 @@ def test_the_configuration_has_every_parameter_with_its_default(node):
     }
 
 
-def test_rviz_shows_the_three_beliefs_the_path_and_the_readings_to_a_late_joiner():
-    view = yaml.safe_load((ROOT / 'rviz' / 'mission.rviz').read_text())['Visualization Manager']
+@pytest.mark.parametrize('name, agents', [('mission', 1), ('team', 8)])
+def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
+    view = yaml.safe_load((ROOT / 'rviz' / f'{name}.rviz').read_text())['Visualization Manager']
     assert view['Global Options']['Fixed Frame'] == 'map'
-    topics = {display['Topic']['Value']: display for display in view['Displays']}
+    displays = [each for each in view['Displays'] if not each['Class'].endswith('/TF')]
+    assert len(view['Displays']) == len(displays) + (agents > 1)
+    topics = {display['Topic']['Value']: display for display in displays}
+    scouts = [f'scout_{number}' for number in range(1, agents + 1)]
     assert {topic: display['Class'].split('/')[1] for topic, display in topics.items()} == {
         'belief/hazard': 'Map',
         'belief/target': 'Map',
         'belief/kappa': 'Map',
-        'scout_1/path': 'Path',
-        'scout_1/readings': 'Marker',
+        **{f'{scout}/path': 'Path' for scout in scouts},
+        **{f'{scout}/readings': 'Marker' for scout in scouts},
     }
     for display in topics.values():
         assert display['Enabled']
@@ -108,3 +112,12 @@ def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_p
     launch(tmp_path, *arguments, until=3)
     config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 5'))
     launch(tmp_path, *arguments, 'resume:=mission.mcap', until=5)
+
+
+def test_the_launch_file_runs_a_team(tmp_path):
+    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
+    config = tmp_path / 'short.yaml'
+    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 6'))
+    launch(tmp_path, f'params_file:={config}', 'namespace:=north', 'agents:=3', until=6)
+    topics = {logged.topic for logged in read_log(tmp_path / 'mission.mcap', [REPORT])}
+    assert topics == {f'/north/scout_{number}/report' for number in (1, 2, 3)}

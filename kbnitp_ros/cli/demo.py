@@ -17,14 +17,15 @@ from typing import Any
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.core import Belief
+from kbnitp_ros.core import Belief, DeploymentKey
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.parts import parts_of
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import parameters_of
+from kbnitp_ros.nodes.parameters import agents_of, parameters_of
 from kbnitp_ros.study.figures import mission_maps, mission_progress
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -32,15 +33,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
-NODES = ('recorder', 'estimator', 'agent', 'planner')
-AGENT = 'scout_1'
+NODES = ('recorder', 'estimator', 'team', 'planner')
 
 # Nothing is published for good before all of these hear it.
 AWAITED = {
     'estimator': ['planner', 'recorder', 'observer'],
-    'agent': ['planner', 'estimator', 'recorder', 'observer'],
-    'planner': ['agent', 'estimator', 'recorder'],
+    'team': ['planner', 'estimator', 'recorder', 'observer'],
+    'planner': ['team', 'estimator', 'recorder'],
 }
+
+# How long after its expected return a silent robot is given up, in seconds: those of the demo
+# need no time for their way, but their processes may be kept waiting by others.
+RETURN_DEADLINE = 1.0
 
 # Options that set one parameter of that name in every node that has it.
 OPTIONS = {
@@ -49,6 +53,8 @@ OPTIONS = {
     'max_steps': 'max_steps',
     'method': 'method',
     'planner': 'planner',
+    'allocation': 'allocation',
+    'silent_loss': 'silent_loss',
     'seed': 'seed',
 }
 
@@ -100,17 +106,22 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         If there are others beside --resume, which says everything.
 
     """
-    table = {**parameters_of('agent'), **parameters_of('estimator'), **parameters_of('planner')}
+    table = {**parameters_of('team'), **parameters_of('estimator'), **parameters_of('planner')}
     parser = argparse.ArgumentParser(prog='demo', description=__doc__)
     for option, name in OPTIONS.items():
         parameter = table[name]
-        parser.add_argument(
-            f'--{option.replace("_", "-")}',
-            type=type(parameter.default),
-            default=parameter.default,
-            help=f'{parameter.description} {parameter.allowed}; default {parameter.default}',
-        )
+        words = f'{parameter.description} {parameter.allowed}; default {parameter.default}'
+        flag = f'--{option.replace("_", "-")}'
+        if parameter.default is False:
+            parser.add_argument(flag, action='store_true', help=parameter.description)
+        else:
+            parser.add_argument(
+                flag, type=type(parameter.default), default=parameter.default, help=words
+            )
     parser.add_argument('--size', default='9', help='cells a side, N or WIDTHxHEIGHT; default 9')
+    parser.add_argument(
+        '--agents', type=int, default=1, help='agents whose robots leave together; default 1'
+    )
     parser.add_argument('--out', type=Path, help='folder for the results; default runs/<time>')
     parser.add_argument(
         '--resume',
@@ -141,16 +152,20 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
     size = {'grid.width': int(sides[1]), 'grid.height': int(sides[2] or sides[1])}
     given = {name: getattr(options, option) for option, name in OPTIONS.items()} | size
-    own = {
-        'estimator': {'agents': [AGENT]},
-        'agent': {'publish_truth': True, 'recorded': True, 'agent': AGENT},
-        'planner': {'agents': [AGENT]},
+    agents = [f'scout_{number}' for number in range(1, options.agents + 1)]
+    own: dict[str, dict[str, Any]] = {
+        'estimator': {},
+        'team': {'publish_truth': True, 'recorded': True},
+        'planner': {'return_deadline': RETURN_DEADLINE},
     }
     for node, values in own.items():
+        values['agents'] = agents
         table = parameters_of(node)
         values.update(
             {name: table[name].check(value) for name, value in given.items() if name in table}
         )
+        defaults = {name: parameter.default for name, parameter in table.items()}
+        agents_of(defaults | values)
     return own
 
 
@@ -220,7 +235,7 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
             processes.start(node, {**parameters[node], **awaited})
-        with observed(domain) as observer:
+        with observed(domain, parameters['planner']['agents']) as observer:
             observer.watch(parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
@@ -228,11 +243,11 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def observed(domain: int) -> Iterator[Observer]:
-    """Yield an observer on the domain."""
+def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
+    """Yield an observer of these agents on the domain."""
     os.environ.update(environment(domain))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    observer = Observer()
+    observer = Observer(agents)
     try:
         yield observer
     finally:
@@ -243,22 +258,24 @@ def observed(domain: int) -> Iterator[Observer]:
 class Observer(Node):
     """Show a mission's progress."""
 
-    def __init__(self) -> None:
+    def __init__(self, agents: Sequence[str]) -> None:
         super().__init__('observer')
         self._held = 0
-        self._lost = 0
+        self._survived: dict[DeploymentKey, bool] = {}
         self._belief: Belief | None = None
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
-        self.create_subscription(
-            DeploymentReport, f'{AGENT}/report', self._on_report, qos.EVIDENCE
-        )
+        for agent in agents:
+            self.create_subscription(
+                DeploymentReport, f'{agent}/report', self._on_report, qos.EVIDENCE
+            )
 
     def _on_belief(self, message: BeliefMaps) -> None:
         snapshot = read_belief_maps(message)
         self._held, self._belief = snapshot.deployments, snapshot.belief
 
     def _on_report(self, message: DeploymentReport) -> None:
-        self._lost += not message.survived
+        key, report = read_report(message)
+        self._survived[key] = report.survived or self._survived.get(key, False)
 
     def watch(self, robots: int, processes: Processes) -> None:
         """
@@ -279,7 +296,8 @@ class Observer(Node):
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
                 if self._belief is not None:
                     entropy = f'{self._belief.entropy():.1f} nats'
-                    bar.set_postfix(entropy=entropy, lost=self._lost, refresh=False)
+                    lost = len(self._survived) - sum(self._survived.values())
+                    bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
                 bar.update(self._held - bar.n)
 
 

@@ -129,6 +129,24 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     assert run_demo('--resume', tmp_path / 'none.mcap').returncode == 2
 
 
+def test_a_team_that_loses_robots_in_silence(tmp_path):
+    options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
+    small = ['--size', '4', '--max-steps', '6', '--planner', 'relaxed', '--lethality', '0.9']
+    done = run_demo(*options, *small, '--out', tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    history = read_history(tmp_path)
+    grid, model = Grid(4, 4), SensorModel(0.9)
+    rng = np.random.default_rng(0)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
+    expected = run_mission(
+        grid, prior, model, world, 8, rng,
+        max_steps=6, planner='relaxed', agents=3, allocation='voronoi',
+    )  # fmt: skip
+    assert 0 < sum(d.observation.survived for d in expected) < 8
+    assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
+
+
 def reports_in(log):
     """Return how many deployments are reported on disk; 0 before the recorder has begun."""
     try:
@@ -146,6 +164,9 @@ def reports_in(log):
     (['--method', 'magic'], 'method.*magic.*relaxed_itp.*kappa_bnitp_smoothed'),
     (['--planner', 'magic'], 'planner.*magic.*relaxed.*beam'),
     (['--max-steps', '0'], 'max_steps.*0.*from 1'),
+    (['--agents', '0'], r'agents is \[\]'),
+    (['--agents', '17', '--size', '4'], '17 names.*16 free cells'),
+    (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
     (['--out', '/proc/here'], '/proc/here'),
 ])  # fmt: skip
 def test_demo_refuses_what_cannot_be_before_it_starts_anything(tmp_path, options, complaint):
@@ -169,7 +190,7 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
     assert 'unfinished' not in replayed.stdout
 
 
-@pytest.mark.parametrize('node', ['planner', 'agent', 'estimator', 'recorder'])
+@pytest.mark.parametrize('node', ['planner', 'team', 'estimator', 'recorder'])
 def test_demo_fails_when_a_node_dies(running, node):
     process, _ = running
     nodes = nodes_of(process)
