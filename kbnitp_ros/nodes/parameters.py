@@ -407,8 +407,9 @@ TABLE = (
     ),
     Parameter(
         'max_file_size',
-        0,
-        'Bytes after which the log goes on in another file beside the first; 0 for one file.',
+        2**24,
+        'Bytes after which the log goes on in another file beside the first, which frees the '
+        'memory that its index takes; 0 for one file.',
         ('recorder',),
         limits=(0, 2**62),
     ),
