@@ -23,7 +23,7 @@ demo: build
 
 # The studies that docs/results.md shows; what is done of them in runs/study is not done again.
 results: build
-	. ./env.sh && for scenario in paper calibrated mismatched; do \
+	. ./env.sh && for scenario in paper calibrated mismatched teams loss_cost; do \
 	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \
 	done && python3 -m kbnitp_ros.study.page runs/study docs
 
@@ -50,6 +50,7 @@ clean:
 
 .venv/.dev: requirements-dev.txt test/log/package-lock.json .venv/.run
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements-dev.txt
+	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
 	npm ci --silent --prefix test/log
 	touch $@
 

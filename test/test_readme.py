@@ -33,7 +33,7 @@ def start(command, folder):
 
 def test_the_demo_and_its_replay(tmp_path):
     typed = commands('demo', 'replay')
-    assert [words[2] for words in typed] == ['demo', 'replay', 'demo', 'replay']
+    assert [words[2] for words in typed] == ['demo', 'replay', 'demo', 'demo', 'replay']
     for command in typed:
         assert start(command, tmp_path).wait(timeout=120) == 0
 

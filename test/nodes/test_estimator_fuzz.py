@@ -2,7 +2,7 @@
 """
 Whatever is sent to the estimator, it counts each message once and believes the sound ones alone.
 
-The environment variable KBNITP_FUZZ says how many messages are sent.
+With KBNITP_TESTS=full in the environment it is sent 20,000 messages, else 1,000.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 MESSAGES = 50  # sent to one node
-NODES = int(os.environ.get('KBNITP_FUZZ', '1000')) // MESSAGES
+NODES = (20_000 if os.environ.get('KBNITP_TESTS') == 'full' else 1_000) // MESSAGES
 SECOND = 10**9
 GRID = Grid(4, 3, blocked=[5], resolution=0.5)
 AGENTS = ('scout_1', 'scout_2')

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Teams are compared by the robots they send and by the rounds it takes."""
+
+from dataclasses import replace
+
+from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.teams import after_rounds, differ_in_size, summarise_teams, teams_markdown
+from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+import numpy as np
+import pytest
+
+TEAMS = (Team(), Team(3, 'independent'), Team(2, 'voronoi'))
+
+
+@pytest.fixture(scope='module')
+def teams(scenario):
+    """Return the results of missions of four robots: in four rounds, and twice in two."""
+    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
+    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+
+
+@pytest.mark.parametrize(
+    'robots, agents, expected',
+    [
+        (4, 1, [0, 1, 2, 3, 4]),
+        (4, 2, [0, 2, 4]),
+        (4, 3, [0, 3, 4]),
+        (4, 4, [0, 4]),
+        (4, 8, [0, 4]),
+    ],
+)
+def test_a_round_is_over_when_its_last_robot_is(robots, agents, expected):
+    series = np.arange(3.0)[:, None] + np.arange(robots + 1.0)
+    assert after_rounds(series, agents)[0].tolist() == expected
+    assert after_rounds(series, agents)[2].tolist() == [2 + value for value in expected]
+
+
+def test_teams_differ_in_size(scenario):
+    for differ, teams in (
+        (True, TEAMS),
+        (False, TEAMS[:1]),
+        (False, (Team(2, 'voronoi'), Team(2, 'greedy'))),
+        (False, (Team(1), Team(2, loss_cost=0.1))),
+    ):
+        assert differ_in_size(replace(scenario, teams=teams)) is differ
+
+
+def test_what_a_robot_and_a_round_bring(teams):
+    """With three at a time one full round can be made: what it brings is compared with others."""
+    summary = summarise_teams(teams)
+    assert (summary['robots'], summary['rounds']) == (4, 1)
+    assert [row['rounds'] for row in summary['rows']] == [4, 2, 2]
+
+    def mean(team, robots, *names):
+        """Return the sum of some measures after some robots, the mean over trials."""
+        outcomes = [teams.outcomes[Trial(0.9, 'kappa_bnitp', t, team)] for t in range(3)]
+        values = [[o.measures[robots, MEASURES.index(name)] for name in names] for o in outcomes]
+        return np.sum(values) / 3
+
+    loss = ('hazard_log_loss', 'target_log_loss')
+    for row, team in zip(summary['rows'], TEAMS, strict=True):
+        assert Team(row['agents'], row['allocation'], row['loss_cost']) == team
+        prior = mean(team, 0, 'joint_entropy')
+        gained = prior - mean(team, 4, 'joint_entropy')
+        first = {1: 1, 2: 2, 3: 3}[team.agents]
+        for name, expected in {
+            'information_a_robot': gained / 4,
+            'information_a_round': gained / row['rounds'],
+            'log_loss': mean(team, 4, *loss),
+            'difference': mean(team, 4, *loss) - mean(Team(), 4, *loss),
+            'early_information': prior - mean(team, first, 'joint_entropy'),
+            'early_log_loss': mean(team, first, *loss),
+            'early_robots_lost': mean(team, first, 'robots_lost'),
+        }.items():
+            assert row[name]['mean'] == pytest.approx(expected, abs=1e-6), name
+            assert row[name]['low'] <= row[name]['mean'] <= row[name]['high']
+    assert summary['rows'][0]['difference'] == {'mean': 0.0, 'low': 0.0, 'high': 0.0}
+    # A robot's information is what its own update took, robot after robot.
+    realised = teams.series(0.9, 'kappa_bnitp', 'realised_information', team=TEAMS[1])
+    gained = summary['rows'][1]['information_a_robot']['mean']
+    assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
+
+
+def test_the_table_for_people_says_what_the_summary_says(teams):
+    summary = summarise_teams(teams)
+    header, _, *lines = teams_markdown(summary).splitlines()[2:]
+    assert 'log loss after 1 rounds' in header
+    cells = [line.strip('| ').split(' | ') for line in lines]
+    assert [row[2] for row in cells] == ['one by one', '3 independent', '2 voronoi']
+    for row, (lethality, method, _, rounds, information, *_) in zip(
+        summary['rows'], cells, strict=True
+    ):
+        assert (lethality, method, rounds) == ('0.9', '`kappa_bnitp`', str(row['rounds']))
+        mean, low, high = row['information_a_robot'].values()
+        assert information == f'{mean:.3f} [{low:.3f}, {high:.3f}]'
+
+
+def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
+    names = set()
+    for study in (results, teams):
+        folder = tmp_path / str(len(study.scenario.teams))
+        folder.mkdir()
+        written = write_report(study, folder)
+        assert sorted(folder.iterdir()) == sorted(written)
+        assert all(path.stat().st_size for path in written)
+        names ^= {path.name for path in written}
+        as_markdown = (folder / 'summary.md').read_text()
+        assert ('a round' in as_markdown) == (study is teams)
+    assert names == {'by_round.png'}
