@@ -27,7 +27,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from samples import key, lost, path
-from std_msgs.msg import String, UInt8MultiArray, UInt32
+from std_msgs.msg import Int32, String, UInt8MultiArray
 import yaml
 
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -73,11 +73,11 @@ def test_no_message_is_lost_whatever_the_publisher_offers(field):
     latched = field.node.create_publisher(String, '/m/latched', LAST_OF_FIVE)
     for number in range(9):
         latched.publish(String(data=str(number)))
-    burst = field.talk(UInt32, '/m/burst', QoSProfile(depth=2000))
-    unreliable = field.talk(UInt32, '/m/unreliable', BEST_EFFORT)
+    burst = field.talk(Int32, '/m/burst', QoSProfile(depth=2000))
+    unreliable = field.talk(Int32, '/m/unreliable', BEST_EFFORT)
     for number in range(2000):
-        burst.publish(UInt32(data=number))
-    unreliable.publish(UInt32(data=7))
+        burst.publish(Int32(data=number))
+    unreliable.publish(Int32(data=7))
     field.until(lambda: field.count('/m/recorder', 'accepted') > 2006, 'last message')
     field.processes.stop()
     messages = recorded(log)
@@ -200,14 +200,14 @@ def test_a_publisher_may_come_back_with_other_quality_of_service(field):
     promised = set()
     for profile in (RELIABLE, BEST_EFFORT, qos.EVIDENCE, RELIABLE, qos.EVIDENCE, BEST_EFFORT):
         first = number
-        publisher = field.node.create_publisher(UInt32, '/m/number', profile)
+        publisher = field.node.create_publisher(Int32, '/m/number', profile)
         if profile is qos.EVIDENCE:
-            publisher.publish(UInt32(data=number))
+            publisher.publish(Int32(data=number))
             number += 1
         field.until(lambda p=publisher: p.get_subscription_count() > 0, 'listener')
         # Some of what is sent with best effort may be lost, whoever listens.
         while number < first + 20 or max(values(log, '/m/number'), default=-1) < first:
-            publisher.publish(UInt32(data=number))
+            publisher.publish(Int32(data=number))
             number += 1
             field.executor.spin_once(timeout_sec=0.01)
         if profile is not BEST_EFFORT:
@@ -221,14 +221,14 @@ def test_a_publisher_may_come_back_with_other_quality_of_service(field):
 
 def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(field):
     log = record(field)
-    kept = field.node.create_publisher(UInt32, '/m/number', qos.EVIDENCE)
+    kept = field.node.create_publisher(Int32, '/m/number', qos.EVIDENCE)
     for number in range(3):
-        kept.publish(UInt32(data=number))
-    publishers = [kept, field.talk(UInt32, '/m/number', RELIABLE)]
+        kept.publish(Int32(data=number))
+    publishers = [kept, field.talk(Int32, '/m/number', RELIABLE)]
     field.until(lambda: len(recorded(log)['/m/number']) == 3, 'history')
-    publishers.append(field.talk(UInt32, '/m/number', BEST_EFFORT))
+    publishers.append(field.talk(Int32, '/m/number', BEST_EFFORT))
     for number in range(3, 300):
-        publishers[number % 3].publish(UInt32(data=number))
+        publishers[number % 3].publish(Int32(data=number))
         field.executor.spin_once(timeout_sec=0.001)
     # Some of what is sent with best effort may be lost, whoever listens.
     promised = {number for number in range(300) if number < 3 or number % 3 < 2}
@@ -241,12 +241,12 @@ def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(fi
 def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_on(field):
     log = record(field)
     expected = []
-    for kind, value in ((String, 'first'), (UInt32, 1), (String, 'second')):
+    for kind, value in ((String, 'first'), (Int32, 1), (String, 'second')):
         publisher = field.node.create_publisher(kind, '/m/topic', qos.LATCHED)
         publisher.publish(kind(data=value))
-        if kind is UInt32:
+        if kind is Int32:
             refusal = field.until_refused('/m/recorder', 1)
-            assert 'type is std_msgs/msg/UInt32: it is on record as std_msgs/msg/' in refusal
+            assert 'type is std_msgs/msg/Int32: it is on record as std_msgs/msg/' in refusal
         else:
             expected.append(value)
             field.until(lambda: values(log, '/m/topic') == expected, f'the {value} message')
@@ -267,9 +267,9 @@ def test_a_message_larger_than_a_chunk_is_recorded(field):
 def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
     log = record(field)
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
-    chatter = field.talk(UInt32, '/m/chatter', QoSProfile(depth=5000))
+    chatter = field.talk(Int32, '/m/chatter', QoSProfile(depth=5000))
     sent = [
-        (serialize_message(lost(number)), serialize_message(UInt32(data=number)))
+        (serialize_message(lost(number)), serialize_message(Int32(data=number)))
         for number in range(2000)
     ]
     for report, number in sent:
