@@ -64,7 +64,7 @@ class PlannerNode(Shell):
         }
         self._newest: Snapshot | None = None
         self._out: dict[DeploymentKey, Flight] = {}
-        # How many robots have left, those included that the first belief heard of holds.
+        # How many robots have left, those included that only the belief knows of.
         self._left = 0
         self._last_stamp = 0
         self._time = 0
@@ -112,8 +112,7 @@ class PlannerNode(Shell):
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        if self._newest is None:
-            self._left = max(self._left, snapshot.deployments)
+        self._left = max(self._left, snapshot.deployments)
         # A restarted estimator goes through its earlier beliefs once more.
         if self._newest is None or snapshot.deployments >= self._newest.deployments:
             self._newest = snapshot
