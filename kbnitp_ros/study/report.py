@@ -7,8 +7,15 @@ import json
 from pathlib import Path
 
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
+from kbnitp_ros.study.loss_cost import (
+    differ_in_loss_cost,
+    loss_cost_chart,
+    loss_cost_markdown,
+    summarise_loss_cost,
+)
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.summary import markdown, summarise
+from kbnitp_ros.study.teams import differ_in_size, summarise_teams, teams_chart, teams_markdown
 from pyarrow import parquet
 
 
@@ -16,21 +23,33 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     """
     Write the table, the figures and the summary of a study; the same results, the same table.
 
+    Teams of several sizes, or loss costs, are compared in a figure and a section of their own.
+
     Returns
     -------
     list of Path
         What was written.
 
     """
-    names = 'table.parquet entropy.png log_loss.png reliability.png summary.json summary.md'
-    table, entropy, log_loss, reliability, as_json, as_markdown = files = [
-        folder / name for name in names.split()
-    ]
-    parquet.write_table(results.table(), table)
-    entropy_chart(entropy, results)
-    log_loss_chart(log_loss, results)
-    reliability_chart(reliability, results)
+    charts = {'entropy': entropy_chart, 'log_loss': log_loss_chart}
+    charts['reliability'] = reliability_chart
     summary = summarise(results)
+    tables = [markdown(summary)]
+    if differ_in_size(results.scenario):
+        charts['by_round'] = teams_chart
+        summary['teams'] = summarise_teams(results)
+        tables.append(teams_markdown(summary['teams']))
+    if differ_in_loss_cost(results.scenario):
+        charts['robots_lost'] = loss_cost_chart
+        summary['loss_cost'] = summarise_loss_cost(results)
+        tables.append(loss_cost_markdown(summary['loss_cost']))
+    files = {name: folder / f'{name}.png' for name in charts}
+    for name, draw in charts.items():
+        draw(files[name], results)
+    table, as_json, as_markdown = (
+        folder / name for name in ('table.parquet', 'summary.json', 'summary.md')
+    )
+    parquet.write_table(results.table(), table)
     as_json.write_text(json.dumps(summary, indent=1) + '\n')
-    as_markdown.write_text(markdown(summary))
-    return files
+    as_markdown.write_text('\n'.join(tables))
+    return [table, *files.values(), as_json, as_markdown]

@@ -48,12 +48,45 @@ def mean_of(samples: NDArray[np.float64]) -> Mean:
         One value, or one series, a trial.
 
     """
+    return interval(samples.mean(axis=0), resampled_means(samples))
+
+
+def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return the means over trials that are drawn again and again, with replacement.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (trials, ...)
+        One value, or one series, a trial.
+
+    Returns
+    -------
+    ndarray, shape (resamples, ...)
+        The trials drawn are the same in every call. A single trial has no resamples.
+
+    """
     trials = len(samples)
-    mean = samples.mean(axis=0)
-    if trials == 1:
+    resamples = RESAMPLES if trials > 1 else 0
+    drawn = np.random.default_rng(0).multinomial(trials, np.full(trials, 1 / trials), resamples)
+    return np.asarray(np.tensordot(drawn / trials, samples, 1), dtype=np.float64)
+
+
+def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
+    """
+    Return what was found with the 95 % interval of what the resamples give.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (...)
+        Of the trials as they are.
+    resampled : ndarray, shape (resamples, ...)
+        The same of each resample; without any the interval is NaN.
+
+    """
+    if not len(resampled):
         return Mean(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
-    drawn = np.random.default_rng(0).multinomial(trials, np.full(trials, 1 / trials), RESAMPLES)
-    low, high = np.quantile(np.tensordot(drawn / trials, samples, 1), (0.025, 0.975), axis=0)
+    low, high = np.quantile(resampled, (0.025, 0.975), axis=0)
     return Mean(mean, low, high)
 
 
@@ -78,16 +111,17 @@ def summarise(results: Results) -> dict[str, Any]:
         for method, team in scenario.contenders:
             row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
             for name, measures in SUMMARISED.items():
-                row[name] = _entry(results.series(lethality, method, *measures, team=team)[:, -1])
+                final = results.series(lethality, method, *measures, team=team)[:, -1]
+                row[name] = as_json(mean_of(final))
             believed, truth = results.final_maps(lethality, method, team)
             hazard_alone = truth[:, 0] & ~truth[:, 1]
-            row['false_targets'] = _entry((believed[:, 1] * hazard_alone).sum(axis=1))
+            row['false_targets'] = as_json(mean_of((believed[:, 1] * hazard_alone).sum(axis=1)))
             if method != reference:
                 nearest, this = (
                     results.series(lethality, name, *LOG_LOSS, team=team)[:, -1]
                     for name in (reference, method)
                 )
-                row['difference'] = _entry(nearest - this)
+                row['difference'] = as_json(mean_of(nearest - this))
             rows.append(row)
     return {
         'trials': scenario.trials,
@@ -97,21 +131,30 @@ def summarise(results: Results) -> dict[str, Any]:
     }
 
 
-def _entry(samples: NDArray[np.float64]) -> dict[str, float | None]:
+def as_json(mean: Mean) -> dict[str, float | None]:
+    """Return the mean of one value and its interval, if it has one, as JSON can hold them."""
     return {
         name: None if np.isnan(value) else round(float(value), DECIMALS)
-        for name, value in mean_of(samples)._asdict().items()
+        for name, value in mean._asdict().items()
     }
 
 
 def markdown(summary: dict[str, Any]) -> str:
     """Return a summary as a table for people."""
-    columns = [*SUMMARISED, 'false_targets', 'difference']
-    lines = [
+    columns = [*SUMMARISED, 'false_targets']
+    caption = (
         f'After {summary["robots"]} robots: means of {summary["trials"]} trials with 95 % '
         'bootstrap intervals. Losses and entropy are in nats, summed over the cells. '
-        'False targets: the number believed to be in cells with a hazard alone. Difference: the '
-        f'log loss of `{summary["reference"]}` less that of the method, trial by trial.',
+        'False targets: the number believed to be in cells with a hazard alone.'
+    )
+    if any('difference' in row for row in summary['rows']):
+        columns.append('difference')
+        caption += (
+            f' Difference: the log loss of `{summary["reference"]}` less that of the method, '
+            'trial by trial.'
+        )
+    lines = [
+        caption,
         '',
         f'| lethality | method | {" | ".join(name.replace("_", " ") for name in columns)} |',
         '|---|---|' + '---|' * len(columns),
@@ -120,12 +163,12 @@ def markdown(summary: dict[str, Any]) -> str:
         team = Team(row['agents'], row['allocation'], row['loss_cost'])
         method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
         cells = [f'{row["lethality"]:.4g}', method]
-        cells += [_shown(row[name]) if name in row else '' for name in columns]
+        cells += [shown(row[name]) if name in row else '' for name in columns]
         lines.append(f'| {" | ".join(cells)} |')
     return '\n'.join(lines) + '\n'
 
 
-def _shown(entry: dict[str, float | None]) -> str:
-    if entry['low'] is None:
-        return f'{entry["mean"]:.1f}'
-    return f'{entry["mean"]:.1f} [{entry["low"]:.1f}, {entry["high"]:.1f}]'
+def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
+    """Return a mean and its interval, if it has one, for people."""
+    mean, *ends = (f'{value:.{decimals}f}' for value in entry.values() if value is not None)
+    return f'{mean} [{", ".join(ends)}]' if ends else mean

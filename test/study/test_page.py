@@ -8,10 +8,12 @@ import re
 
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.study import page
+from kbnitp_ros.study.scenario import read_scenario
 import numpy as np
 import pytest
 
 DOCS = Path(__file__).parents[2] / 'docs'
+SCENARIOS = DOCS.parent / 'scenarios'
 PAPER = METHODS[:3]
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
 
@@ -20,31 +22,58 @@ def cells_of(line):
     return [cell.strip() for cell in line.strip('|\n ').split('|')]
 
 
-def table(scenario):
-    """Return {(lethality, method): {column: (mean, low, high)}}."""
+def rows_of(scenario, place=0):
+    """Return the rows of a scenario's first or second table, [{column: text}]."""
     text = (DOCS / 'results.md').read_text()
     (block,) = re.findall(f'<!-- table {scenario} -->\n(.*?)<!-- end -->', text, re.DOTALL)
-    header, _, *lines = [cells_of(line) for line in block.splitlines() if line.startswith('|')]
-    rows = {}
-    for lethality, method, *entries in lines:
-        values = [tuple(map(float, re.findall(r'-?\d+\.\d+', entry))) for entry in entries]
-        rows[float(lethality), method.strip('`')] = dict(zip(header[2:], values))
-    return rows
+    tables = re.findall(r'(?:^\|.*\n)+', block, re.MULTILINE)
+    header, _, *lines = map(cells_of, tables[place].splitlines())
+    return [dict(zip(header, line)) for line in lines]
+
+
+def numbers(cell):
+    """Return (mean, low, high), or what there is of it."""
+    return tuple(map(float, re.findall(r'-?\d+\.\d+', cell)))
+
+
+def table(scenario):
+    """Return {(lethality, method): {column: (mean, low, high)}}."""
+    return {
+        (float(row['lethality']), row['method'].strip('`')): {
+            column: numbers(cell) for column, cell in row.items()
+        }
+        for row in rows_of(scenario)
+    }
 
 
 @pytest.mark.parametrize('scenario', ['paper', 'calibrated', 'mismatched'])
 def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, METHODS))
-    for figure in page.FIGURES:
-        assert (DOCS / 'images' / f'{scenario}_{figure}.png').exists()
+
+
+@pytest.mark.parametrize('name', ['teams', 'loss_cost'])
+def test_the_page_shows_full_studies_of_teams(name):
+    scenario = read_scenario(SCENARIOS / f'{name}.yaml')
+    rows, compared = rows_of(name), rows_of(name, 1)
+    assert len(rows) == len(scenario.lethalities) * len(scenario.contenders)
+    least = name == 'loss_cost'  # has no row: the others are compared with it
+    assert len(compared) == len(rows) - least * len(scenario.lethalities)
+    text = (DOCS / 'results.md').read_text()
+    (said,) = re.findall(
+        rf'<!-- table {name} -->\nAfter (\d+) robots: means of (\d+) trials', text
+    )
+    assert said == (str(scenario.robots), str(scenario.trials))
 
 
 def test_every_figure_is_shown():
-    shown = set(re.findall(r'\]\(images/(\w+\.png)\)', (DOCS / 'results.md').read_text()))
-    assert shown == {
+    text = (DOCS / 'results.md').read_text()
+    shown = re.findall(r'\]\(images/(\w+\.png)\)', text)
+    assert len(shown) == len(set(shown))
+    assert all((DOCS / 'images' / name).exists() for name in shown)
+    assert set(shown) == {'teams_by_round.png', 'loss_cost_robots_lost.png'} | {
         f'{scenario}_{figure}.png'
         for scenario in ('paper', 'calibrated', 'mismatched')
-        for figure in page.FIGURES
+        for figure in ('entropy', 'log_loss', 'reliability')
     }
 
 
@@ -127,6 +156,119 @@ def test_what_a_wrong_lethality_costs():
         assert 1.5 < cost < 8.5
 
 
+def teams(place):
+    """Return {(lethality, team): {column: (mean, low, high)}} of either table."""
+    scenario = read_scenario(SCENARIOS / 'teams.yaml')
+    keys = product(scenario.lethalities, map(str, scenario.teams))
+    return {
+        key: {column: numbers(cell) for column, cell in row.items()}
+        for key, row in zip(keys, rows_of('teams', place), strict=True)
+    }
+
+
+SHARED = [f'{agents} {allocation}' for agents in (2, 4, 8) for allocation in ('voronoi', 'greedy')]
+
+
+def span(rows, column, *names):
+    """Return the least and the largest mean of some teams at any lethality."""
+    means = [row[column][0] for (_, team), row in rows.items() if team in names]
+    return min(means), max(means)
+
+
+def test_what_teams_know_after_the_same_rounds():
+    rows = teams(1)
+    eight, alone = SHARED[-2:], ['one by one']
+    of = 'information after 12 rounds'
+    for lethality in (0.1, 0.5, 0.9):
+        for team in eight:
+            times = rows[lethality, team][of][0] / rows[lethality, 'one by one'][of][0]
+            assert 2.9 < times < 4.1
+    for column, of_eight, of_one in (
+        (of, (34, 42), (8.5, 14)),
+        ('log loss after 12 rounds', (22, 35), (55, 63)),
+        ('robots lost after 12 rounds', (60, 77), (7, 9)),
+    ):
+        assert span(rows, column, *eight) == pytest.approx(of_eight, abs=0.5)
+        assert span(rows, column, *alone) == pytest.approx(of_one, abs=0.5)
+
+
+def test_what_teams_know_with_the_same_robots():
+    rows = teams(1)
+    difference = {key: row['difference'] for key, row in rows.items()}
+    for team in SHARED:
+        _, low, high = difference[0.1, team]
+        assert low <= 0 <= high
+    higher = {key: d for key, d in difference.items() if key[0] > 0.1 and key[1] in SHARED}
+    assert min(mean for mean, _, _ in higher.values()) == 0.2
+    assert max(mean for mean, _, _ in higher.values()) == 4.8
+    assert (len(higher), sum(low > 0 for _, low, _ in higher.values())) == (12, 5)
+    for lethality in (0.5, 0.9):
+        for allocation in ('voronoi', 'greedy'):
+            two, eight = (difference[lethality, f'{agents} {allocation}'] for agents in (2, 8))
+            assert eight[0] < two[0]
+    apart = [
+        rows[lethality, f'{agents} greedy']['log loss'][0]
+        - rows[lethality, f'{agents} voronoi']['log loss'][0]
+        for lethality in (0.1, 0.5, 0.9)
+        for agents in (2, 4, 8)
+    ]
+    assert -3 < min(apart) < 0 < max(apart) < 3.05
+
+
+def test_what_it_costs_to_share_nothing():
+    rows = teams(1)
+    independent = [rows[lethality, '8 independent'] for lethality in (0.1, 0.5, 0.9)]
+    assert [round(row['difference'][0]) for row in independent] == [5, 9, 22]
+    assert all(row['difference'][1] > 0 for row in independent)
+    a_robot = [
+        rows[0.9, team]['information a robot'][0] for team in ('8 independent', 'one by one')
+    ]
+    assert a_robot == [0.182, 0.365]
+    lost = [teams(0)[0.9, team]['robots lost'][0] for team in ('8 independent', 'one by one')]
+    assert [round(mean) for mean in lost] == [66, 79]
+
+
+def loss_costs(place):
+    """Return {(lethality, loss cost): {column: (mean, low, high)}} of either table."""
+    scenario = read_scenario(SCENARIOS / 'loss_cost.yaml')
+    costs = [team.loss_cost for team in scenario.teams][place:]  # none is compared with itself
+    return {
+        key: {column: numbers(cell) for column, cell in row.items()}
+        for key, row in zip(
+            product(scenario.lethalities, costs), rows_of('loss_cost', place), strict=True
+        )
+    }
+
+
+def test_what_a_loss_cost_spares_and_leaves_unknown():
+    rows = loss_costs(0)
+    lost = {key: row['robots lost'][0] for key, row in rows.items()}
+    log_loss = {key: row['log loss'][0] for key, row in rows.items()}
+    assert (round(lost[0.1, 0.2]), round(lost[0.1, 0.0])) == (40, 66)
+    assert log_loss[0.1, 0.2] - log_loss[0.1, 0.0] == pytest.approx(1.4)
+    assert [round(lost[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [27, 23, 14]
+    assert [round(log_loss[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [31, 46, 60]
+    assert lost[0.1, 0.0] - lost[0.1, 0.05] == pytest.approx(11)
+    assert lost[0.5, 0.0] - lost[0.5, 0.05] < 0.5
+
+
+def test_where_a_loss_cost_spares_robots_at_equal_log_loss():
+    rows = loss_costs(1)
+    difference = {key: row['difference'] for key, row in rows.items()}
+    assert len(difference) == 15
+    for (lethality, _), (mean, _, _) in difference.items():
+        assert mean < 0 or lethality == 0.5
+    assert round(min(mean for mean, _, _ in difference.values())) == -18
+    assert [key for key, (_, _, high) in difference.items() if high < 0] == [
+        (0.3, 0.1),
+        (0.3, 0.4),
+    ]
+    assert [key for key, (_, low, _) in difference.items() if low > 0] == [(0.5, 0.05)]
+    assert round(difference[0.5, 0.05][0]) == 14
+    for (lethality, _), row in rows.items():
+        assert row['robots sent'] > row['robots sent at 0'] or lethality == 0.3
+
+
 # The example
 
 
@@ -168,16 +310,19 @@ def test_the_example_is_right():
     assert len(lines) == 6
 
 
-def test_tables_and_figures_are_brought_between_their_marks(tmp_path):
+def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_path):
     runs, docs = tmp_path / 'runs', tmp_path / 'docs'
     (runs / 'paper').mkdir(parents=True)
     (docs / 'images').mkdir(parents=True)
-    for figure in page.FIGURES:
+    for figure in ('entropy', 'log_loss', 'reliability'):
         (runs / 'paper' / f'{figure}.png').write_text(figure)
     (runs / 'paper' / 'summary.md').write_text('new\n')
-    before = 'Words.\n<!-- table paper -->\nold\nold\n<!-- end -->\nMore words.\n'
+    before = (
+        '![Words](images/paper_entropy.png)\n![Words](images/other_log_loss.png)\n'
+        '<!-- table paper -->\nold\nold\n<!-- end -->\n![Words](images/paper_log_loss.png)\n'
+    )
     (docs / 'results.md').write_text(before)
     page.main(runs, docs)
-    after = 'Words.\n<!-- table paper -->\nnew\n<!-- end -->\nMore words.\n'
-    assert (docs / 'results.md').read_text() == after
-    assert (docs / 'images' / 'paper_entropy.png').read_text() == 'entropy'
+    assert (docs / 'results.md').read_text() == before.replace('old\nold\n', 'new\n')
+    brought = {path.name: path.read_text() for path in (docs / 'images').iterdir()}
+    assert brought == {'paper_entropy.png': 'entropy', 'paper_log_loss.png': 'log_loss'}

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot is worth: the robots lost, and the log loss that is reached with them."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Scenario, Team
+from kbnitp_ros.study.summary import (
+    as_json,
+    interval,
+    LOG_LOSS,
+    Mean,
+    mean_of,
+    resampled_means,
+    shown,
+)
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+# What is compared where two missions know as much.
+EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference')
+
+
+def differ_in_loss_cost(scenario: Scenario) -> bool:
+    """Return whether its teams differ in what a robot is worth, and in nothing else."""
+    teams = scenario.teams
+    return len(teams) > 1 and len({(team.agents, team.allocation) for team in teams}) == 1
+
+
+def trade(results: Results, lethality: float, method: str, team: Team) -> NDArray[np.float64]:
+    """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
+    lost = results.series(lethality, method, 'robots_lost', team=team)
+    return np.stack([lost, results.series(lethality, method, *LOG_LOSS, team=team)], axis=1)
+
+
+def at_equal_log_loss(
+    least: NDArray[np.float64], this: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """
+    Compare two missions at the lowest log loss that both reach.
+
+    Each counts up to where it first got there, since it could have been ended then; between two
+    robots as the log loss is between theirs.
+
+    Parameters
+    ----------
+    least, this : ndarray, shape (2, robots + 1)
+        The robots lost and the log loss of a mission where a robot costs least and of this one,
+        before the first robot and after each; both begin with the same log loss.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        `EQUAL`: that log loss, the robots sent until then by each, those lost, and how many more
+        this one lost.
+
+    """
+    lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
+    level = max(log_loss[-1] for log_loss in lowest)
+    # From the last robot back, so that the first of several with the same log loss is taken.
+    sent = [np.interp(level, low[::-1], np.arange(low.size)[::-1]) for low in lowest]
+    lost = [np.interp(n, np.arange(of.size), of) for n, (of, _) in zip(sent, (least, this))]
+    return np.array([level, *sent, *lost, lost[1] - lost[0]])
+
+
+def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> Mean:
+    """
+    Compare the mean missions of two sets of trials, paired by their worlds.
+
+    Parameters
+    ----------
+    least, this : ndarray, shape (trials, 2, robots + 1)
+        As `trade` gives them.
+
+    Returns
+    -------
+    Mean
+        Of `EQUAL`, each shape (6,).
+
+    """
+    resampled = [
+        at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))
+    ]
+    found = at_equal_log_loss(least.mean(axis=0), this.mean(axis=0))
+    return interval(found, np.reshape(resampled, (-1, len(EQUAL))))
+
+
+def summarise_loss_cost(results: Results) -> dict[str, Any]:
+    """
+    Return what the least loss cost and each other come to at equal log loss, as JSON can hold it.
+
+    Returns
+    -------
+    dict
+        ``least`` (the lowest loss cost) and ``rows``: one for each lethality, method and other
+        loss cost, with the mean and interval of each of `EQUAL`.
+
+    """
+    scenario = results.scenario
+    least, *others = sorted(scenario.teams, key=lambda team: team.loss_cost)
+    rows = []
+    for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
+        compared = compare(*(trade(results, lethality, method, of) for of in (least, team)))
+        row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
+        for name, *values in zip(EQUAL, *compared):
+            row[name] = as_json(Mean(*values))
+        rows.append(row)
+    return {'least': least.loss_cost, 'rows': rows}
+
+
+def loss_cost_markdown(summary: dict[str, Any]) -> str:
+    """Return a summary of loss costs as a table for people."""
+    least = f'{summary["least"]:.4g}'
+    columns = {
+        'log_loss': 'log loss',
+        'sent_at_least': f'robots sent at {least}',
+        'sent': 'robots sent',
+        'lost_at_least': f'robots lost at {least}',
+        'lost': 'robots lost',
+        'difference': 'difference',
+    }
+    lines = [
+        f'At equal log loss: the lowest mean log loss that is reached both with a loss cost of '
+        f'{least} and with that of the row, and the robots that were sent and lost when it was '
+        f'reached. Difference: how many more are lost than with {least}, in the same worlds.',
+        '',
+        f'| lethality | method | loss cost | {" | ".join(columns.values())} |',
+        '|---|---|---|' + '---|' * len(columns),
+    ]
+    for row in summary['rows']:
+        cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', f'{row["loss_cost"]:.4g}']
+        cells += [shown(row[name]) for name in columns]
+        lines.append(f'| {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def loss_cost_chart(path: Path, results: Results) -> None:
+    """
+    Draw robots lost against log loss: where missions end, and how they get there.
+
+    The first panel has a line a lethality and method, with a point a loss cost; the others, one
+    each for these lines, have a line a loss cost, from the prior on.
+    """
+    scenario = results.scenario
+    groups = list(product(scenario.lethalities, scenario.methods))
+    teams = sorted(scenario.teams, key=lambda team: team.loss_cost)
+    rows = -(-(1 + len(groups)) // 2)
+    figure = Figure(figsize=(10, 4.2 * rows), layout='constrained')
+    ends, *panels = figure.subplots(rows, 2, squeeze=False).flat
+    for axes in panels[len(groups) :]:
+        axes.set_visible(False)
+    colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(teams)))
+    for (lethality, method), axes in zip(groups, panels):
+        name = f'lethality {100 * lethality:.4g} %, {method}'
+        trades = [trade(results, lethality, method, team) for team in teams]
+        last = [mean_of(missions[:, :, -1]) for missions in trades]
+        _draw_ends(ends, last, [f'{team.loss_cost:.4g}' for team in teams], name)
+        for team, missions, colour in zip(teams, trades, colours):
+            (lost, log_loss), (_, low), (_, high) = mean_of(missions)
+            axes.plot(lost, log_loss, color=colour, label=f'loss cost {team.loss_cost:.4g}')
+            axes.fill_between(lost, low, high, color=colour, alpha=0.12, lw=0)
+        axes.set_title(name)
+        axes.legend()
+    ends.set_title(f'after {scenario.robots} robots, by loss cost')
+    ends.legend()
+    for axes in (ends, *panels):
+        axes.grid(alpha=0.3)
+    figure.supxlabel(f'robots lost (mean of {scenario.trials} trials, 95 % intervals)')
+    figure.supylabel('log loss of hazard and target (nats)')
+    figure.savefig(path, dpi=80)
+
+
+def _draw_ends(axes: Axes, ends: list[Mean], labels: list[str], name: str) -> None:
+    """Draw one line with a point a loss cost and its intervals in both directions."""
+    mean, low, high = (np.array(values).T for values in zip(*ends))
+    (lost, log_loss), (x_error, y_error) = mean, np.stack([mean - low, high - mean], axis=1)
+    axes.errorbar(lost, log_loss, y_error, x_error, marker='o', lw=1, elinewidth=0.6, label=name)
+    for label, point in zip(labels, zip(lost, log_loss)):
+        axes.annotate(label, point, xytext=(4, 4), textcoords='offset points', fontsize='small')

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Teams of several sizes: what they learn by the robots sent, and by the rounds it takes."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.core import ALLOCATIONS
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Scenario, Team
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+LINES = dict(zip(ALLOCATIONS, ('dotted', 'dashed', 'solid')))
+
+
+def differ_in_size(scenario: Scenario) -> bool:
+    """Return whether its teams are of several sizes, and alike in what a robot is worth."""
+    sizes, costs = ({getattr(t, n) for t in scenario.teams} for n in ('agents', 'loss_cost'))
+    return len(sizes) > 1 and len(costs) == 1
+
+
+def information_gained(
+    results: Results, lethality: float, method: str, team: Team
+) -> NDArray[np.float64]:
+    """Return the joint entropy of the prior less that of the belief, (trials, robots + 1)."""
+    entropy = results.series(lethality, method, 'joint_entropy', team=team)
+    return entropy[:, :1] - entropy
+
+
+def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
+    """
+    Return what a series is before the first round and after each.
+
+    Parameters
+    ----------
+    series : ndarray, shape (trials, robots + 1)
+        Before the first robot and after each.
+    agents : int
+        That leave together; fewer in the last round if the robots do not come out even.
+
+    Returns
+    -------
+    ndarray, shape (trials, rounds + 1)
+
+    """
+    robots = series.shape[1] - 1
+    return series[:, [*range(0, robots, agents), robots]]
+
+
+def summarise_teams(results: Results) -> dict[str, Any]:
+    """
+    Return what the teams learn with the same robots and in the same rounds, as JSON can hold it.
+
+    Returns
+    -------
+    dict
+        ``robots``, ``rounds`` (as many as the largest team can do in full) and ``rows``: one for
+        each lethality, method and team, with how many rounds it takes (``rounds``) and the mean
+        and interval of: the information gained a robot and a round, nats, over the whole mission;
+        the total log loss at its end; ``difference``, that less the smallest team's in the same
+        trial; and what is reached after the common ``rounds``.
+
+    """
+    scenario = results.scenario
+    smallest = min(scenario.teams, key=lambda team: team.agents)
+    common = scenario.robots // max(team.agents for team in scenario.teams)
+    rows = []
+    for lethality, (method, team) in product(scenario.lethalities, scenario.contenders):
+        information = information_gained(results, lethality, method, team)
+        log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
+        lost = results.series(lethality, method, 'robots_lost', team=team)
+        rounds = after_rounds(information, team.agents).shape[1] - 1
+        of_smallest = results.series(lethality, method, *LOG_LOSS, team=smallest)
+        measured = {
+            'information_a_robot': information[:, -1] / scenario.robots,
+            'information_a_round': information[:, -1] / rounds,
+            'log_loss': log_loss[:, -1],
+            'difference': log_loss[:, -1] - of_smallest[:, -1],
+            'early_information': after_rounds(information, team.agents)[:, common],
+            'early_log_loss': after_rounds(log_loss, team.agents)[:, common],
+            'early_robots_lost': after_rounds(lost, team.agents)[:, common],
+        }
+        row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
+        row['rounds'] = rounds
+        rows.append(row | {name: as_json(mean_of(values)) for name, values in measured.items()})
+    return {'robots': scenario.robots, 'rounds': common, 'rows': rows}
+
+
+def teams_markdown(summary: dict[str, Any]) -> str:
+    """Return a summary of teams as a table for people."""
+    rounds = summary['rounds']
+    columns = {
+        'information_a_robot': ('information a robot', 3),
+        'information_a_round': ('information a round', 2),
+        'log_loss': ('log loss', 1),
+        'difference': ('difference', 1),
+        'early_information': (f'information after {rounds} rounds', 1),
+        'early_log_loss': (f'log loss after {rounds} rounds', 1),
+        'early_robots_lost': (f'robots lost after {rounds} rounds', 1),
+    }
+    lines = [
+        f'What the {summary["robots"]} robots bring, and what {rounds} rounds bring. Information: '
+        'the joint entropy of hazards and targets that a mission takes from the prior, in nats. '
+        'Difference: the log loss less that of the smallest team, trial by trial.',
+        '',
+        '| lethality | method | team | rounds | '
+        + ' | '.join(name for name, _ in columns.values())
+        + ' |',
+        '|---|---|---|---|' + '---|' * len(columns),
+    ]
+    for row in summary['rows']:
+        team = Team(row['agents'], row['allocation'], row['loss_cost'])
+        cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', str(team), str(row['rounds'])]
+        cells += [shown(row[name], decimals) for name, (_, decimals) in columns.items()]
+        lines.append(f'| {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def teams_chart(path: Path, results: Results) -> None:
+    """
+    Draw information gained and log loss by robots sent and by rounds.
+
+    Two rows of panels a lethality and method; colours are sizes, lines allocations.
+    """
+    scenario = results.scenario
+    groups = list(product(scenario.lethalities, scenario.methods))
+    sizes = sorted({team.agents for team in scenario.teams})
+    colours = {agents: f'C{place}' for place, agents in enumerate(sizes)}
+    figure = Figure(figsize=(9, 5.5 * len(groups) + 0.6), layout='constrained')
+    grid = figure.subplots(2 * len(groups), 2, sharex='col', sharey='row', squeeze=False)
+    for (lethality, method), rows in zip(groups, grid.reshape(-1, 2, 2)):
+        for team in scenario.teams:
+            information = information_gained(results, lethality, method, team)
+            log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
+            for (by_robots, by_rounds), series in zip(rows, (information, log_loss)):
+                for axes, agents in ((by_robots, 1), (by_rounds, team.agents)):
+                    mean, low, high = mean_of(after_rounds(series, agents))
+                    look = {'color': colours[team.agents], 'ls': LINES[team.allocation]}
+                    axes.plot(mean, **look, label=str(team))
+                    axes.fill_between(
+                        range(len(mean)), low, high, color=look['color'], alpha=0.08, lw=0
+                    )
+                    axes.grid(alpha=0.3)
+        rows[0, 0].set_title(f'lethality {100 * lethality:.4g} %, {method}', loc='left')
+        rows[0, 0].set_ylabel('information gained (nats)')
+        rows[1, 0].set_ylabel('log loss (nats)')
+    for axes, label in zip(grid[-1], ('robots sent', 'rounds')):
+        axes.set_xlim(left=0)
+        axes.set_xlabel(f'{label} (mean of {scenario.trials} trials, 95 % band)')
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
+    figure.savefig(path, dpi=80)
