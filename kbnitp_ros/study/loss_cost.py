@@ -154,7 +154,8 @@ def loss_cost_chart(path: Path, results: Results) -> None:
     rows = -(-(1 + len(groups)) // 2)
     figure = Figure(figsize=(10, 4.2 * rows), layout='constrained')
     ends, *panels = figure.subplots(rows, 2, squeeze=False).flat
-    for axes in panels[len(groups) :]:
+    unused = len(groups)
+    for axes in panels[unused:]:
         axes.set_visible(False)
     colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(teams)))
     for (lethality, method), axes in zip(groups, panels):
