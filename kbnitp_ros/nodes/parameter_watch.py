@@ -22,6 +22,10 @@ ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
+# What ROS calls a node whose publishers are known already, but not its name; and for good what is
+# no ROS node.
+NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
+
 # Called with the full name of a node and its parameters.
 Tell = Callable[[str, dict[str, Any]], None]
 
@@ -52,6 +56,7 @@ class ParameterWatch:
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}
         self._over: set[str] = set()
+        self._nameless_since = 0.0
         node.create_subscription(
             ParameterEvent, '/parameter_events', self._on_event, qos_profile_parameter_events
         )
@@ -77,6 +82,9 @@ class ParameterWatch:
 
     def is_over(self, name: str) -> bool:
         """Return whether a node has once told its parameters, will not or is not to be asked."""
+        if name == NAMELESS:
+            self._nameless_since = self._nameless_since or time.monotonic()
+            return time.monotonic() > self._nameless_since + GIVE_UP
         if name in self._over or not name.startswith(self._namespace):
             return True
         if name not in self._inquiries:

@@ -33,6 +33,9 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 PATH = 'nav_msgs/msg/Path'
 EVIDENCE = (PATH, 'kbnitp_msgs/msg/DeploymentReport')
 
+# No mission begins before these are heard, and they are when their nodes' configuration is known.
+AFTER_CONFIGURATION = (*EVIDENCE, 'kbnitp_msgs/msg/BeliefMaps')
+
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
 
@@ -64,6 +67,7 @@ class RecorderNode(Shell):
         self._settled: set[str] = set()
         self._refused: set[tuple[str, str]] = set()
         self._watch = ParameterWatch(self, self._namespace, self._on_parameters)
+        self._on_parameters(self.get_fully_qualified_name(), self.values)
         self.create_poll(self._discover)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SYNC_PERIOD, self._sync, clock=steady)
@@ -116,9 +120,8 @@ class RecorderNode(Shell):
             type_name = publisher.topic_type
             if (name, type_name) in self._refused:
                 continue
-            # A mission begins when its evidence is heard, and its configuration comes first.
             node = full_name(publisher.node_namespace, publisher.node_name)
-            if type_name in EVIDENCE and not self._watch.is_over(node):
+            if type_name in AFTER_CONFIGURATION and not self._watch.is_over(node):
                 return
             try:
                 topic = self._topic(name, type_name, publishers)
