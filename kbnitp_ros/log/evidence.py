@@ -147,7 +147,7 @@ class Evidence:
             if key not in known:
                 raise ValueError(f'{what} of deployment {key} is not on record')
         said = self._reports[key]
-        made_again = replace(said[-1], stamp=min(stamp, said[-1].stamp))
+        made_again = replace(said[-1], stamp=stamp)
         return next((report for report in said if report.stamp == stamp), made_again)
 
     @property
