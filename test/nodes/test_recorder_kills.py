@@ -73,7 +73,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     log = field.folder / 'mission.mcap'
     told = field.listen(Time, '/m/scout_1/recorded', volatile=True)
     load = Load(field)
-    recorder = field.start('recorder', {'file': str(log)}, '/m')
+    recorder = field.start('recorder', {'file': str(log), 'max_file_size': 0}, '/m')
     load.send(100, 0.1)
     field.until(lambda: told, 'word of the first path')
     kills = 0
@@ -92,7 +92,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
             on_disk = set().union(*(stamps(part, PATH) for part in parts[-2:]))
             assert on_disk >= {stamp for stamp in sent if stamp <= newest}
         told.clear()
-        recorder = field.start('recorder', {'resume': str(log)}, '/m')
+        recorder = field.start('recorder', {'resume': str(log), 'max_file_size': 0}, '/m')
     # Word from the one before may still come.
     field.until(lambda: len(parts_of(log)) > len(parts), 'file of the last recorder')
     last = key(load.sent).stamp
