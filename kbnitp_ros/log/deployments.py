@@ -9,6 +9,7 @@ from pathlib import Path
 from kbnitp_ros.core import deployment_order, DeploymentKey
 from kbnitp_ros.log.reader import LoggedMessage, read_log
 from kbnitp_ros.log.replay import PATH, REPORT
+from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
 
 
@@ -53,9 +54,8 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
             key = DeploymentKey(message.agent, from_stamp(message.deployment))
             if key not in reports or message.survived > reports[key].message.survived:
                 reports[key] = logged
-        elif logged.topic.endswith('/path'):
-            key = DeploymentKey(logged.topic.split('/')[-2], from_stamp(message.header.stamp))
-            paths.setdefault(key, logged)
+        elif sent := key_of_path(logged.topic, message):
+            paths.setdefault(sent, logged)
     return {
         key: RecordedDeployment(paths[key], reports.get(key))
         for key in sorted(paths, key=deployment_order)

@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Report
-from kbnitp_ros.messages.deployments import read_path, read_report
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.deployments import key_of_path, read_path, read_report
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,10 +38,9 @@ class Evidence:
 
     def take_path(self, topic: str, message: Any) -> None:
         """Keep a nav_msgs/Path if it came on AGENT/path; it is read when its grid is known."""
-        parent, _, name = topic.rpartition('/')
-        if name != 'path':
+        key = key_of_path(topic, message)
+        if key is None:
             return
-        key = DeploymentKey(parent.rpartition('/')[2], from_stamp(message.header.stamp))
         known = self._paths.setdefault(key, [])
         if message not in known:
             if known:

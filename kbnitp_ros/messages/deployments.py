@@ -13,7 +13,7 @@ from typing import Any
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from kbnitp_msgs.msg import DeploymentReport, TargetReading
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
-from kbnitp_ros.messages.headers import check_frame, header, read_stamp, to_stamp
+from kbnitp_ros.messages.headers import check_frame, from_stamp, header, read_stamp, to_stamp
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,6 +80,29 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
         )
     stamp = read_stamp('header.stamp', message.header.stamp)
     return DeploymentKey(agent, stamp), grid.cells_at(points)
+
+
+def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
+    """
+    Return which deployment a nav_msgs/Path names, whatever its poses are.
+
+    Parameters
+    ----------
+    topic : str
+        The full name of its topic.
+    message : nav_msgs/Path
+        As received, or as decoded from a log.
+
+    Returns
+    -------
+    DeploymentKey or None
+        None if the topic is not AGENT/path.
+
+    """
+    parent, _, name = topic.rpartition('/')
+    if name != 'path':
+        return None
+    return DeploymentKey(parent.rpartition('/')[2], from_stamp(message.header.stamp))
 
 
 def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> DeploymentReport:

@@ -11,6 +11,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
+from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
@@ -30,11 +31,10 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-PATH = 'nav_msgs/msg/Path'
-EVIDENCE = (PATH, 'kbnitp_msgs/msg/DeploymentReport')
+EVIDENCE = (PATH, REPORT)
 
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
-AFTER_CONFIGURATION = (*EVIDENCE, 'kbnitp_msgs/msg/BeliefMaps')
+AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5

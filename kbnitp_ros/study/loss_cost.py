@@ -17,6 +17,7 @@ from kbnitp_ros.study.summary import (
     mean_of,
     resampled_means,
     shown,
+    table,
 )
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -126,19 +127,17 @@ def loss_cost_markdown(summary: dict[str, Any]) -> str:
         'lost': 'robots lost',
         'difference': 'difference',
     }
-    lines = [
+    caption = (
         f'At equal log loss: the lowest mean log loss that is reached both with a loss cost of '
         f'{least} and with that of the row, and the robots that were sent and lost when it was '
-        f'reached. Difference: how many more are lost than with {least}, in the same worlds.',
-        '',
-        f'| lethality | method | loss cost | {" | ".join(columns.values())} |',
-        '|---|---|---|' + '---|' * len(columns),
-    ]
+        f'reached. Difference: how many more are lost than with {least}, in the same worlds.'
+    )
+    rows = []
     for row in summary['rows']:
         cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', f'{row["loss_cost"]:.4g}']
         cells += [shown(row[name]) for name in columns]
-        lines.append(f'| {" | ".join(cells)} |')
-    return '\n'.join(lines) + '\n'
+        rows.append(cells)
+    return table(caption, ['lethality', 'method', 'loss cost', *columns.values()], rows)
 
 
 def loss_cost_chart(path: Path, results: Results) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
@@ -153,18 +154,20 @@ def markdown(summary: dict[str, Any]) -> str:
             f' Difference: the log loss of `{summary["reference"]}` less that of the method, '
             'trial by trial.'
         )
-    lines = [
-        caption,
-        '',
-        f'| lethality | method | {" | ".join(name.replace("_", " ") for name in columns)} |',
-        '|---|---|' + '---|' * len(columns),
-    ]
+    rows = []
     for row in summary['rows']:
         team = Team(row['agents'], row['allocation'], row['loss_cost'])
         method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
-        cells = [f'{row["lethality"]:.4g}', method]
-        cells += [shown(row[name]) if name in row else '' for name in columns]
-        lines.append(f'| {" | ".join(cells)} |')
+        cells = [shown(row[name]) if name in row else '' for name in columns]
+        rows.append([f'{row["lethality"]:.4g}', method, *cells])
+    heads = ['lethality', 'method', *(name.replace('_', ' ') for name in columns)]
+    return table(caption, heads, rows)
+
+
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a caption and a table under it, in Markdown."""
+    lines = [caption, '', f'| {" | ".join(heads)} |', '|' + '---|' * len(heads)]
+    lines += [f'| {" | ".join(cells)} |' for cells in rows]
     return '\n'.join(lines) + '\n'
 
 

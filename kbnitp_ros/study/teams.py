@@ -10,7 +10,7 @@ from typing import Any
 from kbnitp_ros.core import ALLOCATIONS
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Scenario, Team
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
@@ -103,22 +103,19 @@ def teams_markdown(summary: dict[str, Any]) -> str:
         'early_log_loss': (f'log loss after {rounds} rounds', 1),
         'early_robots_lost': (f'robots lost after {rounds} rounds', 1),
     }
-    lines = [
+    caption = (
         f'What the {summary["robots"]} robots bring, and what {rounds} rounds bring. Information: '
         'the joint entropy of hazards and targets that a mission takes from the prior, in nats. '
-        'Difference: the log loss less that of the smallest team, trial by trial.',
-        '',
-        '| lethality | method | team | rounds | '
-        + ' | '.join(name for name, _ in columns.values())
-        + ' |',
-        '|---|---|---|---|' + '---|' * len(columns),
-    ]
+        'Difference: the log loss less that of the smallest team, trial by trial.'
+    )
+    rows = []
     for row in summary['rows']:
         team = Team(row['agents'], row['allocation'], row['loss_cost'])
         cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', str(team), str(row['rounds'])]
         cells += [shown(row[name], decimals) for name, (_, decimals) in columns.items()]
-        lines.append(f'| {" | ".join(cells)} |')
-    return '\n'.join(lines) + '\n'
+        rows.append(cells)
+    heads = ['lethality', 'method', 'team', 'rounds', *(head for head, _ in columns.values())]
+    return table(caption, heads, rows)
 
 
 def teams_chart(path: Path, results: Results) -> None:
