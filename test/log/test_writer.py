@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the writer promises of the file, as far as its own project can tell."""
 
+import contextlib
 import os
 from pathlib import Path
 import resource
@@ -319,19 +320,24 @@ def test_an_unknown_compression_is_refused(tmp_path):
         LogWriter(tmp_path / 'mission.mcap', compression='lz5')
 
 
-@pytest.fixture
-def limited():
-    """Return a function that has every file end at so many bytes, as if the disk were full."""
+@contextlib.contextmanager
+def room_for(size):
+    """
+    Have every file of this process end at `size` bytes, as if the disk were full.
+
+    The file that the tests' own output may go to is one of them: nothing may be told meanwhile.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize('compression, room', [('none', 30_000), ('zstd', 10_000)])
 @pytest.mark.parametrize('batch', [1, 7])
-def test_a_full_disk_leaves_what_was_synced(
-    tmp_path, whole_mission, limited, batch, compression, room
-):
+def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, compression, room):
     path = tmp_path / 'mission.mcap'
     log = LogWriter(path, compression=compression)
     synced = 0
@@ -344,11 +350,11 @@ def test_a_full_disk_leaves_what_was_synced(
             log.sync()
             synced = end
 
-    limited(room)
-    with pytest.raises(OSError, match='File too large'):
-        fill_the_disk()
-    left = path.read_bytes()
-    log.close()
+    with room_for(room):
+        with pytest.raises(OSError, match='File too large'):
+            fill_the_disk()
+        left = path.read_bytes()
+        log.close()
     assert path.read_bytes() == left
     with pytest.raises(ValueError, match=r'mission.mcap is closed'):
         log.sync()
@@ -356,21 +362,18 @@ def test_a_full_disk_leaves_what_was_synced(
     assert read == [each.data for each in whole_mission.sent[:synced]]
     assert synced
     assert not is_finished(path)
-    limited(resource.RLIM_INFINITY)
     with LogWriter(path, resume=True) as log:
         record_to(log, whole_mission.sent[synced:])
     assert [each.data for each in read_log(path)] == [each.data for each in whole_mission.sent]
 
 
-def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(
-    tmp_path, whole_mission, limited
-):
+def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(tmp_path, whole_mission):
     log = LogWriter(tmp_path / 'mission.mcap')
     record_to(log, whole_mission.sent, synced=True)
-    limited(log.path.stat().st_size + 10)
-    with pytest.raises(OSError, match='File too large'):
+    with room_for(log.path.stat().st_size + 10):
+        with pytest.raises(OSError, match='File too large'):
+            log.close()
         log.close()
-    log.close()
     assert [each.data for each in read_log(log.path)] == [each.data for each in whole_mission.sent]
     assert not is_finished(log.path)
 
