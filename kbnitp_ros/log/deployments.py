@@ -8,7 +8,8 @@ from pathlib import Path
 
 from kbnitp_ros.core import deployment_order, DeploymentKey
 from kbnitp_ros.log.reader import LoggedMessage, read_log
-from kbnitp_ros.log.replay import PATH, REPORT
+from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
+from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
 
@@ -60,3 +61,43 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
         key: RecordedDeployment(paths[key], reports.get(key))
         for key in sorted(paths, key=deployment_order)
     }
+
+
+def read_newest_round(
+    log: str | Path, deployments: dict[DeploymentKey, RecordedDeployment]
+) -> tuple[Snapshot, list[DeploymentKey]] | None:
+    """
+    Return the belief that the newest deployments on record were planned on, and which these are.
+
+    A round's first path, which need not be on record, has the stamp of the belief that it was
+    planned on. A belief in some of the round's robots is younger than the round.
+
+    Parameters
+    ----------
+    log : str or Path
+        The log of one mission, finished or not.
+    deployments : dict
+        Those of the log, in the order they were made.
+
+    Returns
+    -------
+    tuple or None
+        None if that belief is not on record.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is damaged.
+    ValueError
+        If that belief is not one.
+
+    """
+    keys = list(deployments)
+    planned_on = None
+    for logged in read_log(log, (BELIEF,)):
+        held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
+        if held < len(keys) and stamp <= keys[held].stamp:
+            planned_on = logged.message
+    if planned_on is None:
+        return None
+    return read_belief_maps(planned_on), keys[planned_on.deployments :]

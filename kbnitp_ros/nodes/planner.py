@@ -10,7 +10,7 @@ import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, plan_team
-from kbnitp_ros.log.deployments import read_deployments
+from kbnitp_ros.log.deployments import read_deployments, read_newest_round
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import (
     path_message,
@@ -85,19 +85,41 @@ class PlannerNode(Shell):
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        for key, recorded in read_deployments(log).items():
+        deployments = read_deployments(log)
+        paths = {}
+        for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
                     f'{log} has deployments of {key.agent}: the parameter agents names only '
                     f'{", ".join(self._agents)}'
                 )
             _, cells = read_path(self._grid, key.agent, recorded.path.message)
-            path = self._grid.check_path(cells, self.values['max_steps'])
+            paths[key] = self._grid.check_path(cells, self.values['max_steps'])
             self._paths[key.agent].publish(recorded.path.data)
             if recorded.report is None:
-                self._out[key] = Flight(path)
+                self._out[key] = Flight(paths[key])
             self._left += 1
             self._last_stamp = key.stamp
+        newest_round = read_newest_round(log, deployments)
+        if newest_round and not self.values['rolling']:
+            planned_on, keys = newest_round
+            self._complete_round(planned_on, {key: paths[key] for key in keys})
+
+    def _complete_round(
+        self, planned_on: Snapshot, recorded: dict[DeploymentKey, NDArray[np.intp]]
+    ) -> None:
+        """
+        Send the robots of a round that died with the mission before all its paths were on record.
+
+        Some of the others may have reported, so nobody could plan these paths later.
+        """
+        agents = self._agents[: max(0, self.values['robots'] - planned_on.deployments)]
+        if len(recorded) >= len(agents):
+            return
+        planned = self._plan_round(planned_on, agents, [], planned_on.stamp)
+        # Otherwise it was a round of other agents, or the parameters are others now.
+        if all(np.array_equal(path, planned.get(key, ())) for key, path in recorded.items()):
+            self._send({key: path for key, path in planned.items() if key not in recorded})
 
     def _look(self) -> None:
         self._look_for_agents()
@@ -188,9 +210,16 @@ class PlannerNode(Shell):
             self.diagnostics.state = reason_to_wait
             return
         agents = self._free_agents()[: self.values['robots'] - self._left]
+        out = [flight.path for flight in self._out.values()]
+        self._send(self._plan_round(newest, agents, out, self._next_stamp(newest)))
+
+    def _plan_round(
+        self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
+    ) -> dict[DeploymentKey, NDArray[np.intp]]:
+        """Return the paths of robots that leave together, the first of them named by `stamp`."""
         team = plan_team(
             self._grid,
-            newest.belief,
+            known.belief,
             self._model,
             self.values['max_steps'],
             len(agents),
@@ -199,15 +228,20 @@ class PlannerNode(Shell):
             width=self.values['beam_width'],
             max_visits=self.values['max_visits'],
             loss_cost=self.values['loss_cost'],
-            out=[flight.path for flight in self._out.values()],
+            out=out,
         )
-        stamp = self._next_stamp(newest)
-        for agent, planned in zip(agents, team.plans):
-            self._out[DeploymentKey(agent, stamp)] = Flight(planned.path)
-            self._paths[agent].publish(path_message(self._grid, planned.path, stamp))
-            self._last_stamp = stamp
-            stamp += 1
-        self._left += len(agents)
+        return {
+            DeploymentKey(agent, stamp + number): planned.path
+            for number, (agent, planned) in enumerate(zip(agents, team.plans))
+        }
+
+    def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]]) -> None:
+        """Publish the paths of robots that leave now."""
+        for key, path in paths.items():
+            self._out[key] = Flight(path)
+            self._paths[key.agent].publish(path_message(self._grid, path, key.stamp))
+            self._last_stamp = max(self._last_stamp, key.stamp)
+        self._left += len(paths)
 
     def _free_agents(self) -> list[str]:
         """Return the agents that somebody answers for and whose robots are home."""

@@ -73,7 +73,11 @@ class RecorderNode(Shell):
         self.create_timer(SYNC_PERIOD, self._sync, clock=steady)
 
     def finish(self) -> None:
-        """Record what has arrived, in the order it came."""
+        """Record what has arrived."""
+        self._write_arrived()
+
+    def _write_arrived(self) -> None:
+        """Write what has arrived, in the order it came."""
         arrived = [topic.arrived() for topic in self._topics.values()]
         for message in heapq.merge(*arrived, key=time_received):
             self._write(*message)
@@ -179,14 +183,11 @@ class RecorderNode(Shell):
     def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
         self._write(topic, data, info)
         if topic.type_name in EVIDENCE:
-            # One sync serves all that waits: a restarted recorder gets a whole history at once.
-            for message in topic.arrived():
-                self._write(*message)
+            # One sync serves all that waits: the paths of a round come together, and so does a
+            # whole history. What was published before this is then on the disk before it counts.
+            self._write_arrived()
             self._sync()
-        if topic.recorded:
-            for stamp in topic.untold:
-                topic.recorded.publish(to_stamp(stamp))
-            topic.untold.clear()
+            self._tell_recorded()
 
     def _write(self, topic: Topic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
@@ -203,6 +204,13 @@ class RecorderNode(Shell):
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()
+
+    def _tell_recorded(self) -> None:
+        """Tell the agents which of their paths are on the disk."""
+        for topic in self._topics.values():
+            for stamp in topic.untold:
+                topic.recorded.publish(to_stamp(stamp))
+            topic.untold.clear()
 
     def _sync(self) -> None:
         if self._unsynced:

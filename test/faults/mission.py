@@ -10,13 +10,14 @@ import time
 from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.log.reader import LogError, read_log
 from kbnitp_ros.log.replay import PATH, replay, REPORT
+from kbnitp_ros.messages.deployments import key_of_path
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from schedule import NODES
-from unbroken import core_mission, folded
+from unbroken import core_mission, folded, with_defaults
 
 # How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
 PATIENCE = 60.0
@@ -27,8 +28,8 @@ NAMESPACE = '/mission'
 AWAITED = {
     'recorder': [],
     'estimator': ['planner', 'recorder'],
-    'agent': ['planner', 'estimator', 'recorder'],
-    'planner': ['agent', 'estimator', 'recorder'],
+    'team': ['planner', 'estimator', 'recorder'],
+    'planner': ['team', 'estimator', 'recorder'],
 }
 
 
@@ -71,7 +72,8 @@ class Mission:
             stack.callback(context.try_shutdown)
             self.node = rclpy.create_node('onlooker', context=context)
             stack.callback(self.node.destroy_node)
-            self.onlooker = Onlooker(self.node, NAMESPACE)
+            agents = with_defaults(parameters)['agents']
+            self.onlooker = Onlooker(self.node, NAMESPACE, agents)
             self._executor = SingleThreadedExecutor(context=context)
             self._executor.add_node(self.node)
             self.processes = stack.enter_context(Processes(domain))
@@ -193,7 +195,7 @@ class Mission:
             if message.type_name == REPORT:
                 evidence.take_report(message.message)
             else:
-                evidence.take_path(message.message)
+                evidence.take_path(key_of_path(message.topic, message.message), message.message)
         return evidence
 
     @property

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
@@ -14,6 +15,7 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from nav_msgs.msg import Path
 
+# The agent of a mission whose parameters name none.
 AGENT = 'scout_1'
 
 
@@ -32,10 +34,9 @@ class Evidence:
     paths: dict[DeploymentKey, set[tuple[tuple[float, float], ...]]] = field(default_factory=dict)
     reports: dict[DeploymentKey, set[Report]] = field(default_factory=dict)
 
-    def take_path(self, message):
+    def take_path(self, key, message):
         """Keep the positions of a nav_msgs/Path, as received or as decoded from a log."""
         positions = (pose.pose.position for pose in message.poses)
-        key = DeploymentKey(AGENT, from_stamp(message.header.stamp))
         self.paths.setdefault(key, set()).add(tuple((each.x, each.y) for each in positions))
 
     def take_report(self, message):
@@ -54,30 +55,39 @@ class Onlooker:
         All that was published.
     belief : BeliefMaps or None
         The newest.
-    recorded : int
-        The newest path on disk, by its stamp.
+    recorded : set of DeploymentKey
+        Whose paths are on disk.
     states : dict
         What each node says it does, by its full name.
 
     """
 
-    def __init__(self, node, namespace):
+    def __init__(self, node, namespace, agents):
         self.node = node
         self.evidence = Evidence()
         self.belief = None
-        self.recorded = 0
+        self.recorded = set()
         self.states = {}
+        for agent in agents:
+            for kind, topic, callback in (
+                (Path, 'path', partial(self._on_path, agent)),
+                (DeploymentReport, 'report', self.evidence.take_report),
+                (Time, 'recorded', partial(self._on_recorded, agent)),
+            ):
+                node.create_subscription(
+                    kind, f'{namespace}/{agent}/{topic}', callback, qos.EVIDENCE
+                )
         for kind, topic, callback, profile in (
-            (Path, f'{AGENT}/path', self.evidence.take_path, qos.EVIDENCE),
-            (DeploymentReport, f'{AGENT}/report', self.evidence.take_report, qos.EVIDENCE),
-            (Time, f'{AGENT}/recorded', self._on_recorded, qos.LATCHED),
             (BeliefMaps, 'belief', self._on_belief, qos.LATCHED),
             (DiagnosticArray, 'diagnostics', self._on_diagnostics, qos.DIAGNOSTICS),
         ):
             node.create_subscription(kind, f'{namespace}/{topic}', callback, profile)
 
-    def _on_recorded(self, message):
-        self.recorded = from_stamp(message)
+    def _on_path(self, agent, message):
+        self.evidence.take_path(DeploymentKey(agent, from_stamp(message.header.stamp)), message)
+
+    def _on_recorded(self, agent, message):
+        self.recorded.add(DeploymentKey(agent, from_stamp(message)))
 
     def _on_belief(self, message):
         self.belief = message
@@ -102,7 +112,7 @@ class Onlooker:
         """Return what a mission of so many robots is doing, in a few words."""
         paths, reports = self.evidence.paths, self.evidence.reports
         if len(paths) > len(reports):
-            on_disk = max(paths).stamp <= self.recorded
+            on_disk = paths.keys() - reports.keys() <= self.recorded
             return 'robot out' if on_disk else 'path being recorded'
         if len(reports) > self.held:
             return 'report being believed'

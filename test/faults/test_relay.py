@@ -48,8 +48,8 @@ def test_an_estimator_behind_a_relay(set_out, method):
     mission = set_out(
         parameters,
         awaited={
-            'planner': ['agent', 'recorder', 'relay'],
-            'agent': ['planner', 'recorder', 'relay'],
+            'planner': ['team', 'recorder', 'relay'],
+            'team': ['planner', 'recorder', 'relay'],
         },
         remaps={'estimator': renamed(TOPICS, '/late')},
     )
@@ -76,10 +76,10 @@ def test_an_estimator_behind_a_relay(set_out, method):
 def test_everybody_behind_a_relay(set_out):
     mission = set_out(
         PARAMETERS,
-        awaited={'planner': ['relay'], 'agent': ['relay']},
+        awaited={'planner': ['relay'], 'team': ['relay']},
         remaps={
             'planner': renamed(['path'], '/early'),
-            'agent': renamed(['report'], '/early'),
+            'team': renamed(['report'], '/early'),
         },
     )
     reports = mission.onlooker.evidence.reports

@@ -9,7 +9,7 @@ import numpy as np
 
 
 def draw_parameters(rng):
-    """Draw the parameters of a small mission that takes a second or two."""
+    """Draw the parameters of a small mission of one or more agents that takes some seconds."""
     side = int(rng.integers(5, 6, endpoint=True))
     return {
         'grid.width': side,
@@ -20,6 +20,7 @@ def draw_parameters(rng):
         'planner': str(rng.choice(['relaxed', 'beam'])),
         'beam_width': 4,
         'seed': int(rng.integers(2**31)),
+        'agents': [f'scout_{number + 1}' for number in range(rng.integers(1, 4, endpoint=True))],
     }
 
 

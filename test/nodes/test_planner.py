@@ -12,6 +12,7 @@ from kbnitp_ros.core import (
     Ledger,
     Observation,
     plan,
+    plan_team,
     SensorModel,
 )
 from kbnitp_ros.log.writer import LogWriter
@@ -25,6 +26,7 @@ from kbnitp_ros.messages.deployments import (
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from nav_msgs.msg import Path
+import pytest
 import rclpy
 from rclpy.serialization import serialize_message
 from samples import changed, in_frame
@@ -203,6 +205,58 @@ def test_a_resumed_planner_knows_what_is_on_record(field):
     mission.until_state('waiting for a belief that holds 2 deployments')
     mission.show_belief()
     assert mission.until_sent(4) == mission.planned()
+
+
+TEAM = ['scout_1', 'scout_2', 'scout_3']
+
+
+def paths_of_a_torn_round(field, log, fates, robots):
+    """
+    Resume a mission that died in its first round, and return the paths that are then sent.
+
+    On record is the prior, and for each robot in `fates` its path and, if it is True, a loss.
+    """
+    ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
+    planned = plan_team(GRID, ledger.belief, MODEL, 4, len(TEAM)).plans
+    with LogWriter(log) as writer:
+        writer.add_topic('/belief', 'kbnitp_msgs/msg/BeliefMaps', '[]')
+        writer.write('/belief', serialize_message(belief_maps(ledger, 7)), 1, 1)
+        for number, reported in fates.items():
+            path, agent = planned[number].path, TEAM[number]
+            key = DeploymentKey(agent, 7 + number)
+            for topic, kind, message in (
+                ('path', 'nav_msgs/msg/Path', path_message(GRID, path, key.stamp)),
+                (
+                    'report',
+                    'kbnitp_msgs/msg/DeploymentReport',
+                    report_message(key, Observation(path, False), 20),
+                ),
+            ):
+                if topic == 'path' or reported:
+                    writer.add_topic(f'/{agent}/{topic}', kind, '[]')
+                    writer.write(f'/{agent}/{topic}', serialize_message(message), 1, 1)
+    heard = [field.listen(Path, f'/{agent}/path') for agent in TEAM]
+    field.start('planner', {**PARAMETERS, 'agents': TEAM, 'robots': robots, 'resume': str(log)})
+    field.until(lambda: field.state('/planner'), 'word of the planner')
+    field.until(lambda: all(heard[number] for number in fates), 'paths on record')
+    expected = [path_message(GRID, each.path, 7 + number) for number, each in enumerate(planned)]
+    return heard, expected
+
+
+@pytest.mark.parametrize('fates', [{0: False}, {0: True}, {2: True}, {1: False, 2: True}])
+def test_a_torn_round_is_completed_as_it_was_planned(field, fates):
+    heard, expected = paths_of_a_torn_round(field, field.folder / 'mission.mcap', fates, 6)
+    field.until(lambda: all(heard), 'paths of the whole round')
+    assert heard == [[path] for path in expected]
+
+
+def test_a_round_that_was_whole_is_left_as_it_is(field):
+    # Of four robots two were left for the last round.
+    heard, expected = paths_of_a_torn_round(
+        field, field.folder / 'mission.mcap', {0: False, 1: True}, 2
+    )
+    field.until(lambda: 'waiting for' in field.state('/planner'), 'planner that waits')
+    assert heard == [[expected[0]], [expected[1]], []]
 
 
 def test_a_log_of_another_mission_is_not_resumed(field):
