@@ -134,7 +134,13 @@ class PlannerNode(Shell):
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        self._left = max(self._left, snapshot.deployments)
+        if snapshot.deployments > self._left:
+            self.get_logger().warning(
+                f'the belief holds {snapshot.deployments - self._left} deployments more than are '
+                'known here: their paths died with the planner before this one, and a restarted '
+                'estimator will lack them, unless the parameter resume names the log'
+            )
+            self._left = snapshot.deployments
         # A restarted estimator goes through its earlier beliefs once more.
         if self._newest is None or snapshot.deployments >= self._newest.deployments:
             self._newest = snapshot

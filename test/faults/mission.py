@@ -236,15 +236,14 @@ class Mission:
         found += contradictions('heard', heard) + contradictions('logged', logged)
         if not reproduced:
             found.append(('replay', f'{self.log} does not replay'))
-        expected = core_mission(self._parameters)[-1].belief.joint.tobytes()
-        beliefs = {'published last': self.onlooker.belief.joint}
         if logged.reports.keys() <= logged.paths.keys():
-            beliefs['given by the log'] = folded(self._parameters, logged).joint
-        found += [
-            ('belief', f'the belief {which} is not that of core')
-            for which, joint in beliefs.items()
-            if np.asarray(joint).tobytes() != expected
-        ]
+            given = folded(self._parameters, logged).joint.tobytes()
+            if np.asarray(self.onlooker.belief.joint).tobytes() != given:
+                found.append(('belief', 'the belief published last is not that of the log'))
+            unbroken = core_mission(self._parameters)[-1].belief.joint.tobytes()
+            # What a rolling team plans depends on which of its robots happens to be back first.
+            if given != unbroken and not with_defaults(self._parameters)['rolling']:
+                found.append(('belief', 'the belief given by the log is not that of core'))
         return found
 
 

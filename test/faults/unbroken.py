@@ -21,6 +21,7 @@ def draw_parameters(rng):
         'beam_width': 4,
         'seed': int(rng.integers(2**31)),
         'agents': [f'scout_{number + 1}' for number in range(rng.integers(1, 4, endpoint=True))],
+        'rolling': bool(rng.random() < 0.25),
     }
 
 
