@@ -19,6 +19,8 @@ from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Belief, DeploymentKey
 from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.deployments import read_deployments
+from kbnitp_ros.log.errors import LogError
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.parts import parts_of
 from kbnitp_ros.log.replay import replay
@@ -87,13 +89,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         deploy(parameters)
+        return conclude(log)
     except KeyboardInterrupt:
         print(f'demo: interrupted; {log} holds the mission so far', file=sys.stderr)
         return 130
-    except (RuntimeError, OSError) as error:
+    except (RuntimeError, LogError, OSError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 1
-    return conclude(log)
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -196,9 +198,12 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
     Raises
     ------
     ValueError
-        If the log cannot be read, or does not say how each of the nodes was configured.
+        If the log cannot be read, no robot had left, or it does not say how each of the nodes
+        was configured.
 
     """
+    if not read_deployments(log):
+        raise ValueError(f'{log} ends before the first robot left: begin anew in another folder')
     recorded = read_parameters(log)
     parameters = {}
     for node in NODES:
@@ -213,6 +218,8 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
         }
         if 'resume' in known:
             parameters[node]['resume'] = str(log)
+    # What the mission came to is shown beside the truth, which the log may lack so far.
+    parameters['team']['publish_truth'] = True
     return parameters
 
 

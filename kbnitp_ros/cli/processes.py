@@ -22,6 +22,9 @@ from ament_index_python.packages import get_package_share_directory
 # Domains beyond 101 use ports that Linux hands out to others.
 DOMAINS = range(1, 102)
 
+# Has the system end a node as Ctrl-C does when the process that started it is killed.
+END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
+
 # launch, too, gives a node this long after a signal, in seconds.
 PATIENCE = 5.0
 
@@ -128,7 +131,7 @@ class Processes:
             Where its stdout and stderr go; to those of this process when None.
 
         """
-        command = [sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
+        command = [*END_WITH_PARENT, sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
             command += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():

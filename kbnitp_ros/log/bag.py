@@ -91,11 +91,11 @@ def span(first: int, last: int, messages: int) -> dict[str, Any]:
 
 def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
     """Yield the topics of all files, those of one name twice if they differ, as in their QoS."""
-    topics = [topic for file in files for topic in file.topics]
-    for topic in topics:
-        same = [other for other in topics if other.metadata == topic.metadata]
-        if topic is same[0]:
-            yield BagTopic(topic.metadata, sum(other.messages for other in same))
+    topics: dict[str, BagTopic] = {}
+    for topic in (topic for file in files for topic in file.topics):
+        same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
+        same.messages += topic.messages
+    yield from topics.values()
 
 
 def file_of(bag: Mapping[str, Any]) -> BagFile:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.core import deployment_order, DeploymentKey
+from kbnitp_ros.log.errors import same_types
 from kbnitp_ros.log.reader import LoggedMessage, read_log
 from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
@@ -49,14 +50,15 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
     """
     paths: dict[DeploymentKey, LoggedMessage] = {}
     reports: dict[DeploymentKey, LoggedMessage] = {}
-    for logged in read_log(log, (PATH, REPORT)):
-        message = logged.message
-        if logged.type_name == REPORT:
-            key = DeploymentKey(message.agent, from_stamp(message.deployment))
-            if key not in reports or message.survived > reports[key].message.survived:
-                reports[key] = logged
-        elif sent := key_of_path(logged.topic, message):
-            paths.setdefault(sent, logged)
+    with same_types(log):
+        for logged in read_log(log, (PATH, REPORT)):
+            message = logged.message
+            if logged.type_name == REPORT:
+                key = DeploymentKey(message.agent, from_stamp(message.deployment))
+                if key not in reports or message.survived > reports[key].message.survived:
+                    reports[key] = logged
+            elif sent := key_of_path(logged.topic, message):
+                paths.setdefault(sent, logged)
     return {
         key: RecordedDeployment(paths[key], reports.get(key))
         for key in sorted(paths, key=deployment_order)
@@ -94,10 +96,11 @@ def read_newest_round(
     """
     keys = list(deployments)
     planned_on = None
-    for logged in read_log(log, (BELIEF,)):
-        held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
-        if held < len(keys) and stamp <= keys[held].stamp:
-            planned_on = logged.message
-    if planned_on is None:
-        return None
-    return read_belief_maps(planned_on), keys[planned_on.deployments :]
+    with same_types(log):
+        for logged in read_log(log, (BELIEF,)):
+            held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
+            if held < len(keys) and stamp <= keys[held].stamp:
+                planned_on = logged.message
+        if planned_on is None:
+            return None
+        return read_belief_maps(planned_on), keys[planned_on.deployments :]

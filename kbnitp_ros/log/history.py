@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.core import Belief, deployment_order, Grid, Observation, World
+from kbnitp_ros.log.errors import same_types
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.reader import LogError, read_log
 from kbnitp_ros.log.replay import BELIEF, GRID, PATH, REPORT
@@ -59,15 +60,16 @@ def read_history(path: str | Path) -> History:
     snapshots = []
     evidence = Evidence()
     truth = {}
-    for logged in read_log(path, (BELIEF, GRID, PATH, REPORT)):
-        if logged.type_name == BELIEF:
-            snapshots.append(read_belief_maps(logged.message))
-        elif logged.type_name == PATH:
-            evidence.take_path(logged.topic, logged.message)
-        elif logged.type_name == REPORT:
-            evidence.take_report(logged.topic, logged.message)
-        elif '/truth/' in logged.topic:
-            truth[logged.topic.rpartition('/')[2]] = read_occupancy_grid(logged.message) > 0.0
+    with same_types(path):
+        for logged in read_log(path, (BELIEF, GRID, PATH, REPORT)):
+            if logged.type_name == BELIEF:
+                snapshots.append(read_belief_maps(logged.message))
+            elif logged.type_name == PATH:
+                evidence.take_path(logged.topic, logged.message)
+            elif logged.type_name == REPORT:
+                evidence.take_report(logged.topic, logged.message)
+            elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
+                truth[logged.topic.rpartition('/')[2]] = read_occupancy_grid(logged.message) > 0.0
     if not snapshots:
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     grid = snapshots[0].grid

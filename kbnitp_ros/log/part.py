@@ -54,8 +54,8 @@ class PartWriter:
     Raises
     ------
     OSError
-        If there is such a file already, its folder is missing, or the disk refuses; also from all
-        methods that write. Then the file must be abandoned.
+        If there is such a file already, its folder is missing, or the disk refuses: then none is
+        made. Also from all methods that write: then the file must be abandoned.
 
     """
 
@@ -81,6 +81,7 @@ class PartWriter:
             sync_folder(path.parent)
         except OSError:
             self.abandon()
+            path.unlink(missing_ok=True)
             raise
 
     @property

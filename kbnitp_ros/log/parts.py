@@ -115,7 +115,8 @@ def listed_parts(folder: Path) -> list[str]:
 
     """
     information = read_information(folder)
-    if mode := information.get('compression_mode'):
+    mode = str(information.get('compression_mode') or 'none')
+    if mode.lower() != 'none':
         raise LogError(f'{folder} is compressed, mode {mode}: decompress it with ros2 bag convert')
     listed = information.get('relative_file_paths')
     return [PurePath(str(name)).name for name in listed] if isinstance(listed, list) else []
@@ -136,10 +137,14 @@ def check_is_new(first: Path) -> None:
 
     Raises
     ------
+    LogError
+        If it is not named as an MCAP file.
     FileExistsError
         If it would be taken for a part of another log, or there are files for parts of this one.
 
     """
+    if first.suffix != '.mcap':
+        raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
     if is_later_part(first):
         raise FileExistsError(
             f'{first} would be taken for a part of the log beside it: give it another name'

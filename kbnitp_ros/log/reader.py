@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,12 +137,18 @@ def size_of(part: Path) -> int:
 
 def read_recorded(path: str | Path, on_damage: OnDamage = refuse) -> Iterator[Recorded]:
     """
-    Yield what is in all parts of a log, not decoded, with positions in the whole.
+    Return what is in all parts of a log, not decoded, with positions in the whole.
 
+    The parts are those there are now, whatever is written beside them while they are read.
     Parameters and errors are as for `read_part`, the path as for `read_log`.
     """
+    return read_parts(parts_of(path), on_damage)
+
+
+def read_parts(parts: Sequence[Path], on_damage: OnDamage) -> Iterator[Recorded]:
+    """Yield what is in some files, as `read_recorded`."""
     before = 0
-    for part in parts_of(path):
+    for part in parts:
         for item in read_part(part, on_damage):
             yield item._replace(position=before + item.position)
         before += size_of(part)

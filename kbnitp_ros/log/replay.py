@@ -19,6 +19,7 @@ from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
 from kbnitp_ros.log.compare import Difference, differences
+from kbnitp_ros.log.errors import same_types
 from kbnitp_ros.log.evidence import Evidence, Reported
 from kbnitp_ros.log.reader import is_finished, LogError, LoggedMessage, read_log
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
@@ -135,12 +136,10 @@ def replay(
 
     """
     fold = Fold()
-    try:
+    with same_types(path):
         for logged in progress(read_log(path, (BELIEF, GRID, PATH, REPORT))):
             fold.take(logged)
         fold.finish()
-    except AttributeError as error:
-        raise LogError(f'{path} has messages of another version of their type: {error}') from error
     if not fold.topic:
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     return ReplayReport(

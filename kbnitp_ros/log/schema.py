@@ -49,24 +49,32 @@ def describe(type_name: str) -> TypeDescription:
         If it is not installed.
 
     """
-    try:
-        description = json.loads(interface_file(type_name, 'json').read_text())
-    except OSError as error:
-        raise LookupError(f'type {type_name} is not installed: {error}') from error
+    description = json.loads(installed_text(type_name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
     message = description['type_description_msg']
-    sections = [interface_file(type_name, 'msg').read_text()]
+    sections = [installed_text(type_name, 'msg')]
     for referenced in message['referenced_type_descriptions']:
-        text = interface_file(referenced['type_name'], 'msg').read_text()
+        text = installed_text(referenced['type_name'], 'msg')
         short_name = referenced['type_name'].replace('/msg/', '/')
         sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
     return TypeDescription('\n'.join(sections), hashes[type_name])
 
 
-def interface_file(type_name: str, suffix: str) -> Path:
-    """Return where the description of `type_name` is installed, as 'msg' or as 'json'."""
+def installed_text(type_name: str, suffix: str) -> str:
+    """
+    Return what is installed of a message type, as 'msg' or as 'json'.
+
+    Raises
+    ------
+    LookupError
+        If it is not there: a type may be defined in IDL alone.
+
+    """
     package, kind, name = type_name.split('/')
-    return Path(get_package_share_directory(package), kind, f'{name}.{suffix}')
+    try:
+        return Path(get_package_share_directory(package), kind, f'{name}.{suffix}').read_text()
+    except OSError as error:
+        raise LookupError(f'type {type_name} is not installed: {error}') from error
 
 
 def qos_profiles_yaml(profiles: Iterable[Any]) -> str:

@@ -65,7 +65,10 @@ def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema
     rows = database.execute('SELECT * FROM message_definitions') if has_definitions else ()
     schemas = {
         row['topic_type']: Schema(
-            number, row['encoded_message_definition'].encode(), row['encoding'], row['topic_type']
+            number,
+            row['encoded_message_definition'].encode(),
+            str(row['encoding']),
+            row['topic_type'],
         )
         for number, row in enumerate(rows, 1)
     }
@@ -77,9 +80,11 @@ def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema
         schema = schemas[type_name]
         said = {QOS: 'offered_qos_profiles', TYPE_HASH: 'type_description_hash'}
         columns = row.keys()
-        metadata = {key: row[column] for key, column in said.items() if column in columns}
-        channel = Channel(row['id'], row['name'], row['serialization_format'], metadata, schema.id)
-        topics[row['id']] = channel, schema
+        metadata = {key: row[column] or '' for key, column in said.items() if column in columns}
+        name, encoding = row['name'], row['serialization_format']
+        if not all(isinstance(text, str) for text in (name, encoding, *metadata.values())):
+            raise ValueError(f'topic {row["id"]} has {tuple(row)} where texts should be')
+        topics[row['id']] = Channel(row['id'], name, encoding, metadata, schema.id), schema
     return topics
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 import heapq
+from itertools import chain
 import sys
 from typing import Any
 
@@ -22,7 +23,7 @@ from kbnitp_ros.nodes.topic import message_class, time_received, Topic
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -79,7 +80,7 @@ class RecorderNode(Shell):
     def _write_arrived(self) -> None:
         """Write what has arrived, in the order it came."""
         arrived = [topic.arrived() for topic in self._topics.values()]
-        for message in heapq.merge(*arrived, key=time_received):
+        for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
 
     def close(self) -> None:
@@ -125,7 +126,9 @@ class RecorderNode(Shell):
             if (name, type_name) in self._refused:
                 continue
             node = full_name(publisher.node_namespace, publisher.node_name)
-            if type_name in AFTER_CONFIGURATION and not self._watch.is_over(node):
+            # What is volatile would be lost meanwhile.
+            is_kept = publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            if is_kept and type_name in AFTER_CONFIGURATION and not self._watch.is_over(node):
                 return
             try:
                 topic = self._topic(name, type_name, publishers)
@@ -136,6 +139,8 @@ class RecorderNode(Shell):
             profile = qos.lossless(publisher.qos_profile)
             kind = profile.reliability, profile.durability
             if kind not in topic.subscriptions:
+                if topic.subscriptions:
+                    self._log.add_topic(name, type_name, offered_by(publishers, type_name))
                 topic.subscriptions[kind] = self._subscribe(topic, profile)
             self._settled.add(name)
 
@@ -155,9 +160,7 @@ class RecorderNode(Shell):
                 raise LookupError(f'type is {type_name}: it is on record as {topic.type_name}')
             return topic
         message_class(type_name)
-        # A bag has one list of QoS for each topic: that of its first publishers.
-        offered = [each.qos_profile for each in publishers if each.topic_type == type_name]
-        self._log.add_topic(name, type_name, qos_profiles_yaml(offered))
+        self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = Topic(name, type_name)
         if type_name == PATH and name.endswith('/path'):
             recorded = f'{name.removesuffix("path")}recorded'
@@ -222,6 +225,13 @@ class RecorderNode(Shell):
             self._configuration[node] = values
             self._log.add_metadata(f'{PARAMETERS}{node}', parameters_record(values))
             self._unsynced = True
+
+
+def offered_by(publishers: Sequence[Any], type_name: str) -> str:
+    """Return the QoS of a topic's publishers of this type, as a log keeps it."""
+    return qos_profiles_yaml(
+        each.qos_profile for each in publishers if each.topic_type == type_name
+    )
 
 
 def main(args: Sequence[str] | None = None) -> int:

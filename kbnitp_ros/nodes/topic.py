@@ -58,17 +58,20 @@ class Topic:
             del self.recent[next(iter(self.recent))]
         return True
 
-    def arrived(self) -> Iterator[Message]:
-        """Take the messages that wait to be read, but none that comes from now on."""
+    def arrived(self) -> list[Iterator[Message]]:
+        """Return, by subscription, the messages that wait to be read, but none from now on."""
         now = time.time_ns()
-        for subscription in self.subscriptions.values():
-            handle, kind = subscription.handle, subscription.msg_type
-            received = 0
-            with handle:
-                while received < now and (taken := handle.take_message(kind, True)):
-                    message = self, *taken
-                    received = time_received(message)
-                    yield message
+        return [self._taken(each, now) for each in self.subscriptions.values()]
+
+    def _taken(self, subscription: Subscription, end: int) -> Iterator[Message]:
+        """Take the messages that came by a subscription until a time, in nanoseconds."""
+        handle, kind = subscription.handle, subscription.msg_type
+        received = 0
+        with handle:
+            while received < end and (taken := handle.take_message(kind, True)):
+                message = self, *taken
+                received = time_received(message)
+                yield message
 
 
 def time_received(message: Message) -> int:
