@@ -36,7 +36,8 @@ def generate_launch_description():
         DeclareLaunchArgument(
             'agents',
             default_value='1',
-            description='How many agents, called scout_1 and so on, each a process of its own.',
+            description='How many agents, each a process of its own: scout_1 and so on, whatever '
+            'the parameters name.',
         ),
         DeclareLaunchArgument(
             'params_file',
@@ -47,7 +48,12 @@ def generate_launch_description():
             'record',
             default_value='true',
             choices=SWITCH,
-            description='Whether to record the mission, to the file that the parameters name.',
+            description='Whether to record the mission.',
+        ),
+        DeclareLaunchArgument(
+            'file',
+            default_value='',
+            description='The log to write; empty for the one that the parameters name.',
         ),
         DeclareLaunchArgument(
             'resume',
@@ -76,7 +82,14 @@ def generate_launch_description():
 
 def nodes(context):
     """Return the nodes, which depend on how many agents there are."""
-    count = int(LaunchConfiguration('agents').perform(context))
+    agents, namespace, file = (
+        LaunchConfiguration(name).perform(context) for name in ('agents', 'namespace', 'file')
+    )
+    if not agents.isdecimal() or not int(agents):
+        raise ValueError(f'agents is {agents!r}: it must be a whole number, at least 1')
+    count = int(agents)
+    # Robots of one name in two teams are not the same one.
+    poses = [('/tf', f'/{namespace.strip("/")}/tf')] if namespace else []
     names = [f'scout_{number}' for number in range(1, count + 1)]
     team = {'agents': names}
     view = 'team.rviz' if count > 1 else 'mission.rviz'
@@ -87,16 +100,22 @@ def nodes(context):
             executable='rviz2',
             arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', view])],
             condition=IfCondition(LaunchConfiguration('rviz')),
+            remappings=poses,
         ),
-        mission_node('recorder', RESUME, condition=IfCondition(LaunchConfiguration('record'))),
+        mission_node(
+            'recorder',
+            RESUME | ({'file': file} if file else {}),
+            condition=IfCondition(LaunchConfiguration('record')),
+        ),
         mission_node('estimator', team, awaits=['planner']),
-        mission_node('planner', team | RESUME, awaits=['agent', 'estimator']),
+        mission_node('planner', team | RESUME | RECORDED, awaits=['agent', 'estimator']),
         *(
             mission_node(
                 'agent',
                 team | RESUME | RECORDED | {'agent': name},
                 awaits=['planner', 'estimator'],
                 namespace=name,
+                remappings=poses,
                 # The others of a team carry on.
                 ends_mission=count == 1,
             )
@@ -105,7 +124,9 @@ def nodes(context):
     ]
 
 
-def mission_node(name, own, awaits=(), condition=None, namespace='', ends_mission=True):
+def mission_node(
+    name, own, awaits=(), condition=None, namespace='', remappings=(), ends_mission=True
+):
     """Return a node with these parameters of its own; it also awaits the recorder, if any."""
     own = dict(own)
     if awaits:
@@ -119,6 +140,7 @@ def mission_node(name, own, awaits=(), condition=None, namespace='', ends_missio
         namespace=namespace,
         parameters=[LaunchConfiguration('params_file'), own],
         condition=condition,
+        remappings=remappings,
         output='screen',
         on_exit=Shutdown() if ends_mission else None,
     )

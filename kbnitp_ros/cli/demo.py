@@ -17,7 +17,8 @@ from typing import Any
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.core import Belief, DeploymentKey
+from kbnitp_ros.core import Belief, DeploymentKey, Grid
+from kbnitp_ros.core.team import team_size
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.errors import LogError
@@ -27,7 +28,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, parameters_of
+from kbnitp_ros.nodes.parameters import parameters_of
 from kbnitp_ros.study.figures import mission_maps, mission_progress
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -154,11 +155,12 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
     size = {'grid.width': int(sides[1]), 'grid.height': int(sides[2] or sides[1])}
     given = {name: getattr(options, option) for option, name in OPTIONS.items()} | size
-    agents = [f'scout_{number}' for number in range(1, options.agents + 1)]
+    field = Grid(size['grid.width'], size['grid.height'])
+    agents = [f'scout_{number + 1}' for number in range(team_size(field, options.agents))]
     own: dict[str, dict[str, Any]] = {
         'estimator': {},
         'team': {'publish_truth': True, 'recorded': True},
-        'planner': {'return_deadline': RETURN_DEADLINE},
+        'planner': {'return_deadline': RETURN_DEADLINE, 'recorded': True},
     }
     for node, values in own.items():
         values['agents'] = agents
@@ -166,8 +168,6 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         values.update(
             {name: table[name].check(value) for name, value in given.items() if name in table}
         )
-        defaults = {name: parameter.default for name, parameter in table.items()}
-        agents_of(defaults | values)
     return own
 
 

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -74,17 +72,17 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
 
 def cost(name: str, value: float) -> float:
     """
-    Return `value` as a float if it is a finite number from 0 up.
+    Return `value` as a float if it is a number from 0 to a billion, beyond which sums overflow.
 
     Raises
     ------
     ValueError
-        If it is negative, infinite or NaN.
+        If it is NaN or out of range.
 
     """
     number = float(value)
-    if not 0.0 <= number < inf:
-        raise ValueError(f'{name} is {value}: it must be a finite number, at least 0')
+    if not 0.0 <= number <= 1e9:
+        raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')
     return number
 
 

@@ -192,6 +192,8 @@ def new_reading_information(
     information = np.zeros(len(cells))
     for earlier, chance in enumerate(fate.readings[cells].T):
         some = chance > 0.0
+        if not some.any():
+            continue
         joint = fate.belief.joint[cells[some]]
         added = reading_information(joint, model, visits, visits + earlier)
         if earlier:

@@ -12,7 +12,6 @@ from kbnitp_ros.core.check import whole_number
 from kbnitp_ros.core.grid import Grid
 from kbnitp_ros.core.information import team_information
 from kbnitp_ros.core.objective import Objective
-from kbnitp_ros.core.observation import as_path
 from kbnitp_ros.core.plan import Plan
 from kbnitp_ros.core.planners import PathFinder
 from kbnitp_ros.core.regions import Regions
@@ -81,16 +80,16 @@ def plan_team(
     Raises
     ------
     ValueError
-        If the allocation or the planner is unknown, a number is out of range, or the belief has
-        another number of cells than the grid.
+        If the allocation or the planner is unknown, a number is out of range, the belief has
+        another number of cells than the grid, or a robot that is out could not have left that way.
 
     """
     if allocation not in ALLOCATIONS:
         raise ValueError(f'allocation is {allocation!r}: known are {", ".join(ALLOCATIONS)}')
-    team_size(grid, agents)
+    agents = team_size(grid, agents)
     finder = PathFinder(grid, planner, max_steps, width, max_visits)
     objective = Objective.alone(grid, belief, model, loss_cost)
-    before = [as_path(path) for path in out]
+    before = [grid.check_path(path) for path in out]
     for path in before:
         objective = objective.after(path)
     paths, regions = ALLOCATIONS[allocation](finder, objective, agents)

@@ -11,7 +11,7 @@ from kbnitp_ros.log.errors import same_types
 from kbnitp_ros.log.reader import LoggedMessage, read_log
 from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import key_of_path
+from kbnitp_ros.messages.deployments import agent_of, key_of_path
 from kbnitp_ros.messages.headers import from_stamp
 
 
@@ -55,7 +55,10 @@ def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]
             message = logged.message
             if logged.type_name == REPORT:
                 key = DeploymentKey(message.agent, from_stamp(message.deployment))
-                if key not in reports or message.survived > reports[key].message.survived:
+                # No node believed who answered for another.
+                if key.agent == agent_of(logged.topic) and (
+                    key not in reports or message.survived > reports[key].message.survived
+                ):
                     reports[key] = logged
             elif sent := key_of_path(logged.topic, message):
                 paths.setdefault(sent, logged)

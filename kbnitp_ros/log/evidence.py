@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Report
-from kbnitp_ros.messages.deployments import key_of_path, read_path, read_report
+from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,7 +51,7 @@ class Evidence:
     def take_report(self, topic: str, message: Any) -> None:
         """Keep a DeploymentReport."""
         try:
-            key, report = read_report(message)
+            key, report = read_report(message, agent_of(topic))
         except ValueError as error:
             self.refused.append(f'a report on {topic}: {error}')
             return

@@ -140,11 +140,14 @@ def check_is_new(first: Path) -> None:
     LogError
         If it is not named as an MCAP file.
     FileExistsError
-        If it would be taken for a part of another log, or there are files for parts of this one.
+        If it is there, would be taken for a part of another log, or there are files for parts of
+        this one.
 
     """
     if first.suffix != '.mcap':
         raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
+    if first.exists():
+        raise FileExistsError(f'{first} exists, and no log is written over: name another file')
     if is_later_part(first):
         raise FileExistsError(
             f'{first} would be taken for a part of the log beside it: give it another name'

@@ -99,10 +99,14 @@ def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
         None if the topic is not AGENT/path.
 
     """
-    parent, _, name = topic.rpartition('/')
-    if name != 'path':
+    if not topic.endswith('/path'):
         return None
-    return DeploymentKey(parent.rpartition('/')[2], from_stamp(message.header.stamp))
+    return DeploymentKey(agent_of(topic), from_stamp(message.header.stamp))
+
+
+def agent_of(topic: str) -> str:
+    """Return whose topic it is: scout_1 for the full name /north/scout_1/report."""
+    return topic.rpartition('/')[0].rpartition('/')[2]
 
 
 def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> DeploymentReport:
@@ -132,21 +136,30 @@ def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> 
     )
 
 
-def read_report(message: Any) -> tuple[DeploymentKey, Report]:
+def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, Report]:
     """
     Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says.
 
     Whether the readings are those of the deployment's path is for `Ledger.record_report` to say.
 
+    Parameters
+    ----------
+    message : kbnitp_msgs/DeploymentReport
+        As received, or as decoded from a log.
+    agent : str, optional
+        Whose topic it came on.
+
     Raises
     ------
     ValueError
-        If it is in another frame, a time is none, or it names no agent.
+        If it is in another frame, a time is none, or it names no agent or another one.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")
+    if agent not in (None, message.agent):
+        raise ValueError(f'agent is {message.agent!r}: on this topic it must be {agent!r}')
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(message.agent, read_stamp('deployment', message.deployment))
     readings = tuple((int(reading.cell), bool(reading.detected)) for reading in message.readings)

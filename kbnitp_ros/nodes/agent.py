@@ -21,7 +21,7 @@ class AgentNode(Shell):
         simulation = Simulation(self)
         recorded = read_deployments(self.values['resume']) if self.values['resume'] else {}
         self._agents = [
-            SimulatedAgent(simulation, name, recorded)
+            SimulatedAgent(simulation, name, self.prefix(name), recorded)
             for name in self.agents_played(simulation.agents)
         ]
         self._awaiting = self.create_poll(self._listen)
@@ -42,6 +42,11 @@ class AgentNode(Shell):
                 f'{", ".join(team)}'
             )
         return [self.values['agent']]
+
+    def prefix(self, name: str) -> str:
+        """Return what the names of an agent's topics begin with."""
+        # In a namespace of its own they are not once more below it.
+        return '' if self.get_namespace().endswith(f'/{name}') else f'{name}/'
 
     def _listen(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""

@@ -70,9 +70,7 @@ class EstimatorNode(Shell):
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
-            key, report = read_report(message)
-            if key.agent != agent:
-                raise ValueError(f'agent is {key.agent!r}: on this topic it must be {agent!r}')
+            key, report = read_report(message, agent)
             changed = self._ledger.record_report(key, report)
         except ValueError as error:
             self._refuse(f'{agent}/report', error)

@@ -384,7 +384,7 @@ TABLE = (
         'recorded',
         False,
         'Whether a robot leaves only when the recorder has its path on disk.',
-        AGENTS,
+        ('planner', *AGENTS),
     ),
     Parameter(
         'resume',

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from functools import partial
 import sys
 
+from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, plan_team
 from kbnitp_ros.log.deployments import read_deployments, read_newest_round
+from kbnitp_ros.log.replay import REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import (
+    agent_of,
     path_message,
     read_path,
     read_report,
     report_message,
 )
-from kbnitp_ros.messages.headers import SECOND
+from kbnitp_ros.messages.headers import from_stamp, SECOND
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.shell import run, Shell
@@ -37,12 +40,15 @@ class Flight:
     path : ndarray of int, shape (steps + 1,)
         Its cells.
     due : int or None
-        When it is given up, nanoseconds of ROS time; None until the clock runs.
+        When it is given up, nanoseconds of ROS time; None until it has left and the clock runs.
+    is_overdue : bool
+        Whether it should have been given up at the last look.
 
     """
 
     path: NDArray[np.intp]
     due: int | None = None
+    is_overdue: bool = False
 
 
 class PlannerNode(Shell):
@@ -64,12 +70,14 @@ class PlannerNode(Shell):
         }
         self._newest: Snapshot | None = None
         self._out: dict[DeploymentKey, Flight] = {}
+        self._recorded: set[DeploymentKey] = set()
         # How many robots have left, those included that only the belief knows of.
         self._left = 0
         self._last_stamp = 0
         self._time = 0
         self._is_heard = False
         self._answering: dict[str, int] = {}
+        self._strangers: set[str] = set()
         if self.values['resume']:
             self._restore(self.values['resume'])
         self.diagnostics.state = 'waiting for the belief'
@@ -81,6 +89,10 @@ class PlannerNode(Shell):
                 partial(self._on_report, agent),
                 qos.EVIDENCE,
             )
+            if self.values['recorded']:
+                self.create_subscription(
+                    Time, f'{agent}/recorded', partial(self._on_recorded, agent), qos.EVIDENCE
+                )
         self.create_poll(self._look)
 
     def _restore(self, log: str) -> None:
@@ -96,8 +108,12 @@ class PlannerNode(Shell):
             _, cells = read_path(self._grid, key.agent, recorded.path.message)
             paths[key] = self._grid.check_path(cells, self.values['max_steps'])
             self._paths[key.agent].publish(recorded.path.data)
+            self._recorded.add(key)
             if recorded.report is None:
                 self._out[key] = Flight(paths[key])
+            elif key.agent in self._losses and not recorded.report.message.survived:
+                # Said by the planner before this one.
+                self._losses[key.agent].publish(recorded.report.data)
             self._left += 1
             self._last_stamp = key.stamp
         newest_round = read_newest_round(log, deployments)
@@ -123,6 +139,7 @@ class PlannerNode(Shell):
 
     def _look(self) -> None:
         self._look_for_agents()
+        self._look_for_strangers()
         self._give_up()
         self._deploy()
 
@@ -157,14 +174,15 @@ class PlannerNode(Shell):
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
-            key, _ = read_report(message)
-            if key.agent != agent:
-                raise ValueError(f'agent is {key.agent!r}: on this topic it must be {agent!r}')
+            key, _ = read_report(message, agent)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
         self._out.pop(key, None)
         self._deploy()
+
+    def _on_recorded(self, agent: str, message: Time) -> None:
+        self._recorded.add(DeploymentKey(agent, from_stamp(message)))
 
     def _look_for_agents(self) -> None:
         """Notice which agents somebody answers for, and who answers for one that is taken."""
@@ -186,6 +204,23 @@ class PlannerNode(Shell):
                     f'{agent} when it is back',
                 )
 
+    def _look_for_strangers(self) -> None:
+        """Notice who reports for an agent that is none of the team."""
+        for topic, types in self.get_topic_names_and_types():
+            agent = agent_of(topic)
+            is_known = not agent or agent in self._agents or agent in self._strangers
+            if REPORT not in types or is_known:
+                continue
+            if topic == self.resolve_topic_name(f'{agent}/report') and self.count_publishers(
+                topic
+            ):
+                self._strangers.add(agent)
+                self.diagnostics.refuse(
+                    f'{agent}/report',
+                    f'agent {agent} is unknown, and nobody hears it: the parameter agents names '
+                    f'{", ".join(self._agents)}',
+                )
+
     def _give_up(self) -> None:
         """Report robots lost that should have been back for long."""
         now = self.now()
@@ -193,9 +228,13 @@ class PlannerNode(Shell):
         if not self.values['silent_loss'] or now <= 0:
             return
         for key, flight in list(self._out.items()):
+            if self.values['recorded'] and key not in self._recorded:
+                continue
             # Robots do not come home sooner because the clock was set back.
             flight.due = self._due(now, flight) if flight.due is None else flight.due + jump
-            if now > flight.due:
+            was_overdue, flight.is_overdue = flight.is_overdue, now > flight.due
+            # What came while a plan was made is heard between two looks.
+            if was_overdue and flight.is_overdue:
                 del self._out[key]
                 lost = Observation(flight.path, False)
                 self._losses[key.agent].publish(report_message(key, lost, now))
@@ -283,7 +322,7 @@ class PlannerNode(Shell):
             return waiting
         self._is_heard = True
         if self._left >= robots:
-            return f'waiting for {len(self._out)} robots that are out'
+            return f'waiting for robots that are out: {", ".join(map(str, self._out))}'
         return '' if self._free_agents() else 'waiting for an agent whose robot is home'
 
 

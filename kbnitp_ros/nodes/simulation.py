@@ -90,6 +90,8 @@ class SimulatedAgent:
         Where the robots go.
     name : str
         The agent's.
+    prefix : str
+        What the names of its topics begin with.
     recorded : dict
         The deployments on record of the mission that is gone on with.
 
@@ -99,24 +101,24 @@ class SimulatedAgent:
         self,
         simulation: Simulation,
         name: str,
+        prefix: str,
         recorded: dict[DeploymentKey, RecordedDeployment],
     ) -> None:
         self._simulation = simulation
         self._node = simulation.node
         self.name = name
-        # An agent with a namespace of its own has its topics there, and not once more below it.
-        own = self._node.get_namespace().endswith(f'/{name}')
-        self._prefix = '' if own else f'{name}/'
+        self._prefix = prefix
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._waiting: list[DeploymentKey] = []
         self._recorded: set[int] = set()
-        self._robots = 0
+        # Which of its robots takes a deployment, counted from 0.
+        self._robots: dict[DeploymentKey, int] = {}
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
         for key, deployment in recorded.items():
-            if key.agent == name and deployment.report is not None:
+            if key.agent == name:
                 self._restore(key, deployment)
 
     def _publisher(self, kind: type, topic: str, profile: QoSProfile) -> Publisher:
@@ -124,9 +126,12 @@ class SimulatedAgent:
 
     def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
         """Publish a report on record again, and do not make that deployment once more."""
-        _, self._known[key] = read_path(self._simulation.grid, self.name, deployment.path.message)
-        self._robots += 1
-        self.reports.publish(deployment.report.data)
+        self._robots[key] = len(self._robots)
+        report, path = deployment.report, deployment.path.message
+        # A silent robot was only given up: it may be on its way home.
+        if report and (report.message.survived or not self._node.values['silent_loss']):
+            _, self._known[key] = read_path(self._simulation.grid, self.name, path)
+            self.reports.publish(report.data)
 
     def listen(self) -> None:
         """Take paths from now on."""
@@ -172,8 +177,8 @@ class SimulatedAgent:
 
     def _leave(self, key: DeploymentKey) -> None:
         simulation, path = self._simulation, self._known[key]
-        rng = simulation.generator(self.name, self._robots)
-        self._robots += 1
+        robot = self._robots.setdefault(key, len(self._robots))
+        rng = simulation.generator(self.name, robot)
         observation = simulation.world.traverse(path, simulation.model, rng)
         period = self._node.values['step_period']
         if period == 0.0:
@@ -181,7 +186,7 @@ class SimulatedAgent:
             return
         self._after(period * (len(path) - 1), partial(self._return, key, observation))
         if self._node.values['publish_pose']:
-            again = simulation.generator(self.name, self._robots - 1)
+            again = simulation.generator(self.name, robot)
             steps = simulation.world.steps_made(path, simulation.model, again)
             for step, cell in enumerate(path[: steps + 1].tolist()):
                 self._after(period * step, partial(self._show, cell))

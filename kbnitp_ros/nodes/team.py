@@ -19,6 +19,10 @@ class TeamNode(AgentNode):
         """Return the names of all agents."""
         return team
 
+    def prefix(self, name: str) -> str:
+        """Return what the names of an agent's topics begin with."""
+        return f'{name}/'
+
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the team; return the exit code."""
