@@ -183,6 +183,9 @@ class Mission:
         self.until(lambda: len(heard.evidence.reports) >= robots, 'word of them all')
         self.until(lambda: states.keys() >= self.processes.started.keys(), 'word of every node')
         self.until(lambda: states[full_name('planner')].startswith('done'), 'done planner')
+        if with_defaults(self._parameters)['silent_loss']:
+            # Who was given up may be on its way, and an agent that has just come back knows.
+            self.wait(1.0)
         # A recorder that has just come back catches up with what was said while it was away.
         deadline = time.monotonic() + 5.0
         while time.monotonic() < deadline and missing(self.onlooker.evidence, self.logged()):
@@ -233,7 +236,9 @@ class Mission:
             )
             if len(said) != robots
         ]
-        found += contradictions('heard', heard) + contradictions('logged', logged)
+        # A silent robot that was given up may have come home after all.
+        late = with_defaults(self._parameters)['silent_loss']
+        found += contradictions('heard', heard, late) + contradictions('logged', logged, late)
         if not reproduced:
             found.append(('replay', f'{self.log} does not replay'))
         if logged.reports.keys() <= logged.paths.keys():
@@ -241,8 +246,9 @@ class Mission:
             if np.asarray(self.onlooker.belief.joint).tobytes() != given:
                 found.append(('belief', 'the belief published last is not that of the log'))
             unbroken = core_mission(self._parameters)[-1].belief.joint.tobytes()
-            # What a rolling team plans depends on which of its robots happens to be back first.
-            if given != unbroken and not with_defaults(self._parameters)['rolling']:
+            # What a rolling team plans depends on which of its robots happens to be back first,
+            # and what a silent one's base plans on which robots are given up that come home late.
+            if given != unbroken and not (late or with_defaults(self._parameters)['rolling']):
                 found.append(('belief', 'the belief given by the log is not that of core'))
         return found
 
@@ -263,11 +269,18 @@ def missing(heard, logged):
     return lacking
 
 
-def contradictions(where, evidence):
-    """Return the deployments of which two things are said."""
+def contradictions(where, evidence, late):
+    """Return the deployments of which two things are said; if `late`, a loss and then a return."""
+    returns = {
+        key: {report for report in versions if report.survived}
+        for key, versions in evidence.reports.items()
+    }
     return [
         ('double', f'{what} of {key} contradict each other as {where}: {versions}')
-        for what, said in (('paths', evidence.paths), ('reports', evidence.reports))
+        for what, said in (
+            ('paths', evidence.paths),
+            ('reports', returns if late else evidence.reports),
+        )
         for key, versions in said.items()
         if len(versions) > 1
     ]

@@ -22,6 +22,8 @@ def draw_parameters(rng):
         'seed': int(rng.integers(2**31)),
         'agents': [f'scout_{number + 1}' for number in range(rng.integers(1, 4, endpoint=True))],
         'rolling': bool(rng.random() < 0.25),
+        'silent_loss': bool(rng.random() < 0.25),
+        'return_deadline': 0.5,
     }
 
 
