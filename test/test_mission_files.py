@@ -2,6 +2,7 @@
 """The launch file, the configuration and the RViz view fit the nodes."""
 
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import yaml
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / 'config' / 'mission.yaml'
+POSES = 'tf2_msgs/msg/TFMessage'
 
 LAUNCH = """
 import sys
@@ -83,41 +85,81 @@ def reports_in(log):
         return 0
 
 
-def launch(folder, *arguments, until):
-    """Launch a mission, end it as Ctrl-C does when its log has so many reports, and check that."""
+def launched(folder, domain, *arguments):
+    """Start the launch file with these arguments; the paths in them are relative to a folder."""
     command = [sys.executable, '-c', LAUNCH, ROOT / 'launch' / 'mission.launch.py', *arguments]
-    log = folder / 'mission.mcap'
+    return subprocess.Popen(command, cwd=folder, env=environment(domain))
+
+
+def run_until_reported(folder, reports, missions):
+    """
+    Launch missions, end them as Ctrl-C does when each has so many reports, and check that.
+
+    The missions are the arguments of the launch file by the names of their logs.
+    """
     with free_domain() as domain:
-        mission = subprocess.Popen(command, cwd=folder, env=environment(domain))
+        running = [launched(folder, domain, *arguments) for arguments in missions.values()]
         try:
             deadline = time.monotonic() + 30
-            while reports_in(log) < until and mission.poll() is None:
+            while any(reports_in(folder / log) < reports for log in missions):
                 assert time.monotonic() < deadline
+                assert {mission.poll() for mission in running} == {None}
                 time.sleep(0.2)
         finally:
-            mission.send_signal(signal.SIGINT)
-            status = mission.wait(timeout=15)
-    assert status == 0
-    report = replay(log)
-    assert report.reproduced
-    assert len(report.evidence.complete) == until
-    assert '/north/belief' in report.compared
+            for mission in running:
+                mission.send_signal(signal.SIGINT)
+            status = {mission.wait(timeout=15) for mission in running}
+    assert status == {0}
+    for log in missions:
+        report = replay(folder / log)
+        assert report.reproduced
+        assert len(report.evidence.complete) == reports
 
 
-def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path):
+@pytest.fixture
+def configured(tmp_path):
+    """Return a function that changes lines of the configuration, in the file short.yaml."""
     pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
-    config = tmp_path / 'short.yaml'
-    arguments = [f'params_file:={config}', 'namespace:=north']
-    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 3'))
-    launch(tmp_path, *arguments, until=3)
-    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 5'))
-    launch(tmp_path, *arguments, 'resume:=mission.mcap', until=5)
+
+    def change(**values):
+        config = CONFIG.read_text()
+        for name, value in values.items():
+            config = re.sub(rf'(?m)^( *{name}:) \S+', rf'\1 {value}', config)
+        (tmp_path / 'short.yaml').write_text(config)
+
+    return change
 
 
-def test_the_launch_file_runs_a_team(tmp_path):
-    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
-    config = tmp_path / 'short.yaml'
-    config.write_text(CONFIG.read_text().replace('robots: 100', 'robots: 6'))
-    launch(tmp_path, f'params_file:={config}', 'namespace:=north', 'agents:=3', until=6)
-    topics = {logged.topic for logged in read_log(tmp_path / 'mission.mcap', [REPORT])}
-    assert topics == {f'/north/scout_{number}/report' for number in (1, 2, 3)}
+def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path, configured):
+    arguments = ['params_file:=short.yaml', 'namespace:=north']
+    configured(robots=3)
+    run_until_reported(tmp_path, 3, {'mission.mcap': arguments})
+    configured(robots=5)
+    run_until_reported(tmp_path, 5, {'mission.mcap': [*arguments, 'resume:=mission.mcap']})
+
+
+def test_two_teams_are_launched_side_by_side(tmp_path, configured):
+    configured(robots=6, publish_pose='true', step_period=0.01)
+    teams = {'north': 3, 'south': 2}
+    missions = {
+        f'{team}.mcap': [
+            'params_file:=short.yaml',
+            f'namespace:={team}',
+            f'agents:={agents}',
+            f'file:={team}.mcap',
+        ]
+        for team, agents in teams.items()
+    }
+    run_until_reported(tmp_path, 6, missions)
+    for team, agents in teams.items():
+        logged = read_log(tmp_path / f'{team}.mcap', [REPORT, POSES])
+        reports = {f'/{team}/scout_{number + 1}/report' for number in range(agents)}
+        assert {each.topic for each in logged} == {*reports, f'/{team}/tf'}
+
+
+@pytest.mark.parametrize('agents', ['0', 'two'])
+def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents, capfd):
+    with free_domain() as domain:
+        assert launched(tmp_path, domain, f'agents:={agents}').wait(timeout=30) == 1
+    told = capfd.readouterr().out
+    assert f"agents is '{agents}': it must be a whole number, at least 1" in told

@@ -72,17 +72,17 @@ class Evidence:
         """Return whether a deployment's path and its report of this time are on record."""
         return key in self.complete and any(each.stamp == stamp for each in self._reports[key])
 
-    def news(self, ledger: Ledger) -> dict[str, list[Reported]]:
-        """Return what would be new to a ledger of what each agent reported, in that order."""
+    def news(self, ledger: Ledger) -> list[list[Reported]]:
+        """Return what would be new to a ledger of what was reported of each agent, in order."""
         returned = {key: ledger.returned(key) for key in ledger.deployments}
-        return {
-            agent: [
+        return [
+            [
                 (key, report)
                 for key, report in said
                 if key in self.complete and report.survived > returned.get(key, -1)
             ]
-            for agent, said in self._by_agent.items()
-        }
+            for said in self._by_agent.values()
+        ]
 
     def tell(self, ledger: Ledger, key: DeploymentKey, report: Report) -> bool:
         """

@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,8 @@ REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 # A view's topic and its stamp, which may be that of several beliefs.
 View = tuple[str, int]
 
-# How many ways to fill a gap between recorded beliefs are tried.
+# How many ways to fill a gap between recorded beliefs are looked at, and how many of them tried.
+WAYS = 200_000
 TRIALS = 1000
 
 VIEWS = ('hazard', 'target', 'kappa')
@@ -311,7 +312,7 @@ class Fold:
 
         It says how many deployments it holds and whose evidence was taken in last. Where the
         beliefs before it are not on record, what else it holds is to be found out: DDS keeps the
-        order of each topic, so of each agent's reports it holds the first ones.
+        order of each publisher, so it holds the first of what each said.
 
         Raises
         ------
@@ -331,9 +332,12 @@ class Fold:
         # It may be the same belief again, go on from the one before, or be of an estimator that
         # was restarted and took in everything again.
         count = belief.deployments
-        going_on = self.after(self.ledger, last, count)
-        starting_over = self.after(started(self.prior), last, count)
-        for ledger in chain([self.ledger], going_on, starting_over):
+        starts = self.ledger, started(self.prior)
+        said = [(start, self.evidence.news(start)) for start in starts]
+        # Of an agent whose losses are silent the planner reports these, and itself its returns.
+        said += [(start, list(chain(*map(by_outcome, news)))) for start, news in said]
+        ways = (self.after(start, last, count, news) for start, news in said)
+        for ledger in chain([self.ledger], *ways):
             if (len(ledger.deployments), ledger.newest, ledger.newest_stamp) == (
                 count,
                 newest,
@@ -344,31 +348,28 @@ class Fold:
         self.evidence.tell(ledger, *last)
         yield ledger
 
-    def after(self, start: Ledger, last: Reported, count: int) -> Iterator[Ledger]:
-        """Yield ledgers that go on from `start`, hold `count` deployments and took in `last`."""
-        news = self.evidence.news(start)
-        if last not in news.get(last[0].agent, ()):
-            return
-        yield self.told(start, last)
-        own = news.pop(last[0].agent)
-        before = self.told(start, *own[: own.index(last)])
-        in_time = sorted(chain(*news.values()), key=lambda said: said[1].stamp)
-        missing = count - 1 - len(before.deployments)
-        yield self.told(before, *in_time[: max(0, missing)], last)
-        for ledger in islice(self.further(before, [*news.values()], count), TRIALS):
-            yield self.told(ledger, last)
+    def after(
+        self, start: Ledger, last: Reported, count: int, news: list[list[Reported]]
+    ) -> Iterator[Ledger]:
+        """
+        Yield ledgers that go on from `start`, hold `count` deployments and took in `last`.
 
-    def further(self, ledger: Ledger, news: list[list[Reported]], count: int) -> Iterator[Ledger]:
-        """Yield ledgers that took in ever more of what other agents reported, up to `count`."""
-        if not news:
-            yield ledger
+        They take in the first ones of each list of news.
+        """
+        own = next((said for said in news if last in said), None)
+        if own is None:
             return
-        yield from self.further(ledger, news[1:], count)
-        for said in news[0]:
-            ledger = self.told(ledger, said)
-            if len(ledger.deployments) >= count:
-                return
-            yield from self.further(ledger, news[1:], count)
+        before = own[: own.index(last)]
+        others = [said for said in news if said is not own]
+        held = {*start.deployments, last[0], *keys_of(before)}
+        yield self.told(start, last)
+        in_time = sorted(chain(*others), key=lambda said: said[1].stamp)
+        yield self.told(start, *before, *in_time[: max(0, count - len(held))], last)
+        ways = islice(product(*(range(len(said) + 1) for said in others)), WAYS)
+        firsts = ([*chain(*map(islice, others, counts))] for counts in ways)
+        fitting = (taken for taken in firsts if len(held.union(keys_of(taken))) == count)
+        for taken in islice(fitting, TRIALS):
+            yield self.told(start, *before, *taken, last)
 
     def told(self, ledger: Ledger, *news: Reported) -> Ledger:
         """Return a ledger that was told more and took in what an estimator would."""
@@ -377,6 +378,16 @@ class Fold:
             with suppress(ValueError):
                 self.evidence.tell(ledger, key, report)
         return ledger
+
+
+def keys_of(said: Iterable[Reported]) -> Iterator[DeploymentKey]:
+    """Yield whose reports these are."""
+    return (key for key, _ in said)
+
+
+def by_outcome(said: list[Reported]) -> list[list[Reported]]:
+    """Return apart what was said of robots that were lost and of those that came back."""
+    return [[each for each in said if each[1].survived == outcome] for outcome in (False, True)]
 
 
 def started(prior: Snapshot) -> Ledger:
