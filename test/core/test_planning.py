@@ -189,8 +189,9 @@ def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner):
         ({'width': 0}, 'width is 0.*at least 1'),
         ({'max_visits': 0}, 'max_visits is 0.*at least 1'),
         ({'loss_cost': -1}, 'loss_cost is -1.*at least 0'),
-        ({'loss_cost': float('nan')}, 'loss_cost is nan.*finite'),
-        ({'loss_cost': float('inf')}, 'loss_cost is inf.*finite'),
+        ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
+        ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
+        ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
     ],
 )
 def test_bad_requests_are_refused(arguments, message):

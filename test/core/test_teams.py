@@ -195,6 +195,12 @@ def test_the_same_belief_is_the_same_team(allocation):
     assert one.information == same.information
 
 
+@every_allocation
+def test_a_team_may_be_counted_in_floats(allocation):
+    whole, same = (plan_team(GRID, PRIOR, MODEL, 8, agents, allocation) for agents in (2, 2.0))
+    assert [p.path.tolist() for p in same.plans] == [p.path.tolist() for p in whole.plans]
+
+
 def test_independent_robots_go_the_same_way():
     alone = plan(GRID, PRIOR, MODEL, 8).path.tolist()
     team = plan_team(GRID, PRIOR, MODEL, 8, 3, 'independent')
@@ -269,8 +275,11 @@ def test_regions_cannot_be_changed():
         ({'planner': 'oracle'}, 'planner.*oracle.*beam'),
         ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
         ({'loss_cost': -0.1}, 'loss_cost is -0.1.*at least 0'),
-        ({'loss_cost': float('nan')}, 'loss_cost is nan.*finite'),
-        ({'loss_cost': float('inf')}, 'loss_cost is inf.*finite'),
+        ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
+        ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
+        ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
+        ({'out': [[8, 30, 8]]}, 'path leaves the grid.*30'),
+        ({'out': [[8, 7, 8], [8, 22, 8]]}, 'path jumps.*from cell 8 to 22'),
     ],
 )
 @every_allocation

@@ -2,7 +2,9 @@
 """A log's deployments are each told once, in their order, by what is known of them in the end."""
 
 from kbnitp_ros.core import Observation
+from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.messages.deployments import report_message
 from mission_log import Mission, record
 
 NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
@@ -39,3 +41,16 @@ def test_deployments_are_in_their_order_and_a_return_outdoes_a_loss(tmp_path):
         (NEAR, False, None),
     ]
     assert len(read_history(path).beliefs) == 2 * 5
+
+
+def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
+    whole = Mission(namespace='/north')
+    lost, out = (whole.send_out(NEAR, 'scout_2') for _ in range(2))
+    whole.come_back(lost, Observation(NEAR, False))
+    for key in (lost, out):
+        back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
+        whole.publish('scout_1/report', back)
+    deployments = read_deployments(record(tmp_path / 'mission.mcap', whole.sent))
+    assert deployments.keys() == {lost, out}
+    assert deployments[lost].report.topic == '/north/scout_2/report'
+    assert deployments[out].report is None

@@ -485,6 +485,20 @@ def test_what_contradicts_is_refused_as_the_estimator_does(whole_mission, replay
     assert "/scout_1/report: agent is ''" in no_agent
 
 
+def test_who_answers_for_another_agent_is_refused_as_the_estimator_does(replayed):
+    whole = Mission(namespace='/north')
+    path = [2, 7, 2]
+    key = whole.deploy(Observation(path, False), 'scout_2')
+    forged = report_message(key, Observation(path, True, [True, False]), whole.now)
+    whole.publish('scout_1/report', forged)
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.not_yet_held == []
+    assert report.evidence.survived == 0
+    (refused,) = report.evidence.refused
+    assert "/north/scout_1/report: agent is 'scout_2'" in refused
+
+
 def test_what_the_estimator_refused_is_refused_again(replayed, tmp_path, capsys):
     """Reports without their last reading: of one deployment the first, of another the only one."""
     whole = Mission()

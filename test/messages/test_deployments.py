@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
 from kbnitp_ros.messages.deployments import (
+    agent_of,
     path_message,
     read_path,
     read_report,
@@ -194,6 +195,27 @@ def test_a_report_without_a_name_is_refused(field, error):
     setattr(message if field == 'agent' else message.header, field, '')
     with pytest.raises(ValueError, match=error):
         read_report(message)
+
+
+def test_a_report_on_the_topic_of_another_agent_is_refused():
+    message = report_message(KEY, Observation(PATH, False), STAMP)
+    assert read_report(message, 'scout_2') == (KEY, Report(False))
+    with pytest.raises(ValueError, match="agent is 'scout_2': on this topic it must be 'scout_1'"):
+        read_report(message, 'scout_1')
+
+
+@pytest.mark.parametrize(
+    'topic, agent',
+    [
+        ('/scout_1/report', 'scout_1'),
+        ('/north/scout_1/path', 'scout_1'),
+        ('/scout_1/scout_2/report', 'scout_2'),
+        ('/report', ''),
+        ('report', ''),
+    ],
+)
+def test_whose_topic_it_is(topic, agent):
+    assert agent_of(topic) == agent
 
 
 def test_an_empty_report_message_is_refused():
