@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.core import Grid, Report, SensorModel, World
+from kbnitp_ros.core import Grid, Observation, Report, SensorModel, World
 from kbnitp_ros.log.writer import LogWriter
-from kbnitp_ros.messages.deployments import path_message, read_report
+from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.nodes import qos
 from nav_msgs.msg import OccupancyGrid, Path
@@ -154,3 +154,43 @@ def test_a_resumed_agent_repeats_its_reports_and_no_traverse(field):
     made = [read_report(report) for report in reports[:3] + reports[6:]]
     assert made == [(key(number), outcome) for number, outcome in enumerate(expected)]
     assert read_report(reports[5]) == made[2]
+
+
+def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_have(field):
+    log = field.folder / 'mission.mcap'
+    tours = [HOME, [0, 4, 8, 4, 0], HOME, [0, 1, 2, 3, 2, 1, 0]]
+    # Nobody is lost, and what a robot reads is as good as drawn.
+    model = {
+        'lethality': 0.0,
+        'malfunction': 0.0,
+        'true_positive': 0.5,
+        'false_positive': 0.5,
+    }
+    expected = list(expected_reports(None, SensorModel(**model), PARAMETERS['seed'], tours))
+    assert all(report.survived for report in expected)
+    back, *given_up = (
+        report_message(key(number), Observation(tours[number], *ended), 0)
+        for number, *ended in (
+            (0, True, [detected for _, detected in expected[0].readings]),
+            (1, False),
+            (2, False),
+        )
+    )
+    with LogWriter(log) as writer:
+        writer.add_topic('/scout_1/path', 'nav_msgs/msg/Path', '[]')
+        writer.add_topic('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport', '[]')
+        for number, report in enumerate((back, *given_up)):
+            sent = path(number, tours[number])
+            writer.write('/scout_1/path', serialize_message(sent), 1, 1)
+            writer.write('/scout_1/report', serialize_message(report), 1, 1)
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    parameters = {f'sensor.{name}': value for name, value in model.items()}
+    field.start('agent', {**PARAMETERS, **parameters, 'silent_loss': True, 'resume': str(log)})
+    paths = field.talk(Path, '/scout_1/path')
+    # The second and the third are offered in another order than they had.
+    for number in (2, 0, 1, 3):
+        paths.publish(path(number, tours[number]))
+    field.until(lambda: len(reports) == 4, 'reports')
+    assert [read_report(report) for report in reports] == [
+        (key(number), expected[number]) for number in (0, 2, 1, 3)
+    ]

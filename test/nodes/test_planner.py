@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import json
+import time
+
+from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import (
     Belief,
@@ -25,10 +29,15 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.planner import PlannerNode
+from kbnitp_ros.nodes.shell import POLL
 from nav_msgs.msg import Path
 import pytest
 import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
 from samples import changed, in_frame
 
 GRID = Grid(3, 3)
@@ -258,6 +267,125 @@ def test_a_round_that_was_whole_is_left_as_it_is(field):
     )
     field.until(lambda: 'waiting for' in field.state('/planner'), 'planner that waits')
     assert heard == [[expected[0]], [expected[1]], []]
+
+
+SILENT = {'silent_loss': True, 'return_deadline': 0.3}
+
+
+def test_a_resumed_planner_says_again_which_robots_it_gave_up(field):
+    log = field.folder / 'mission.mcap'
+    tour = [0, 1, 0]
+    lost, back = (
+        report_message(DeploymentKey('scout_1', stamp), Observation(tour, *ended), 9)
+        for stamp, *ended in ((1, False), (2, True, [True, False]))
+    )
+    with LogWriter(log) as writer:
+        for topic, kind, messages in (
+            ('/scout_1/path', 'nav_msgs/msg/Path', [path_message(GRID, tour, s) for s in (1, 2)]),
+            ('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport', [lost, back]),
+        ):
+            writer.add_topic(topic, kind, '[]')
+            for message in messages:
+                writer.write(topic, serialize_message(message), 1, 1)
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    mission = Mission(field, {**SILENT, 'robots': 2, 'resume': str(log)})
+    mission.show_belief()
+    field.until(lambda: reports, 'loss on record')
+    mission.until_state('waiting for a belief that holds 2 deployments')
+    # The return is for its agent to say.
+    assert reports == [lost]
+
+
+def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
+    agents = TEAM[:2]
+    paths = {agent: field.listen(Path, f'/{agent}/path') for agent in agents}
+    reports = {agent: field.listen(DeploymentReport, f'/{agent}/report') for agent in agents}
+    recorded = {
+        agent: field.node.create_publisher(Time, f'/{agent}/recorded', qos.EVIDENCE)
+        for agent in agents
+    }
+    field.node.create_publisher(DeploymentReport, '/scout_2/report', qos.EVIDENCE)
+    mission = Mission(field, {**SILENT, 'agents': agents, 'robots': 2, 'recorded': True})
+    mission.show_belief()
+    field.until(lambda: all(paths.values()), 'paths')
+    mission.until_state('waiting for scout_1')
+    # The other one's robot left later than this one would have, so it is given up no sooner.
+    recorded['scout_2'].publish(paths['scout_2'][0].header.stamp)
+    field.until(lambda: reports['scout_2'], 'loss of the robot that left')
+    told = field.diagnosed_at('/planner')
+    field.until(lambda: field.diagnosed_at('/planner') > told, 'newer diagnostics')
+    assert 'waiting for scout_1' in field.state('/planner')
+    assert not reports['scout_1']
+    recorded['scout_1'].publish(paths['scout_1'][0].header.stamp)
+    field.until(lambda: reports['scout_1'], 'loss of the other one')
+
+
+@pytest.fixture
+def planner_here(field, monkeypatch):
+    """Return a function that makes a planner in the test, and its clock, in nanoseconds."""
+    clock = [1]
+    monkeypatch.setattr(PlannerNode, 'now', lambda _: clock[-1])
+
+    def start(parameters):
+        args = ['--ros-args', '--log-level', 'fatal']
+        for name, value in parameters.items():
+            args += ['--param', f'{name}:={json.dumps(value)}']
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        executor = SingleThreadedExecutor()
+        executor.add_node(PlannerNode())
+        return executor, clock
+
+    yield start
+    rclpy.try_shutdown()
+
+
+def test_a_report_that_waits_to_be_heard_keeps_its_robot_from_being_given_up(field, planner_here):
+    paths = field.listen(Path, '/scout_1/path')
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
+    ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
+    beliefs.publish(belief_maps(ledger, 0))
+    executor, clock = planner_here({**PARAMETERS, **SILENT, 'robots': 3})
+
+    def until(condition, what):
+        field.until(lambda: executor.spin_once(timeout_sec=0.02) or condition(), what)
+
+    until(lambda: paths, 'path')
+    # Enough looks to see it leave. With another timeout the executor then waits anew.
+    for _ in range(20):
+        executor.spin_once(timeout_sec=0.05)
+    key, cells = read_path(GRID, 'scout_1', paths[0])
+    report = report_message(key, Observation(cells, True, [True] * (len(cells) - 1)), 5)
+    # After work on another path a planner has both to do: hear the report, and look at the clock.
+    clock.append(10**10)
+    agent.publish(report)
+    assert agent.wait_for_all_acked(Duration(seconds=10))
+    time.sleep(2 * POLL)
+    ledger.record_path(key, cells)
+    ledger.record_report(*read_report(report))
+    beliefs.publish(belief_maps(ledger, 0))
+    until(lambda: len(paths) == 2, 'next path')
+    until(lambda: clock.append(clock[-1] + 10**9) or len(reports) == 2, 'loss of the next robot')
+    assert [read_report(report)[0] for report in reports] == [
+        read_path(GRID, 'scout_1', path)[0] for path in paths
+    ]
+
+
+def test_an_agent_that_is_none_of_the_team_is_refused_by_name(field):
+    for topic in ('/other/scout_8/report', '/scout_9/report'):
+        field.node.create_publisher(DeploymentReport, topic, qos.EVIDENCE)
+    mission = Mission(field, {'robots': 2})
+    told = field.until_refused('/planner', 1)
+    assert 'agent scout_9 is unknown' in told
+    assert told.endswith('the parameter agents names scout_1')
+    for number in range(2):
+        mission.show_belief()
+        mission.until_sent(number)
+        mission.reports.publish(mission.lose(number))
+    mission.show_belief()
+    mission.until_state('done: 2 of 2 robots deployed')
+    assert field.count('/planner', 'refused') == 1
 
 
 def test_a_log_of_another_mission_is_not_resumed(field):

@@ -209,6 +209,13 @@ def test_two_teams_do_not_meet(field):
         assert joint.tobytes() == expected[-1].belief.joint.tobytes()
 
 
+def test_a_team_in_a_namespace_called_like_an_agent_has_its_topics_below_it(field):
+    team = Team(field, 2, {'robots': 4}, namespace='/scout_1')
+    team.until_done()
+    assert Counter(key.agent for key, _ in team.told) == {'scout_1': 2, 'scout_2': 2}
+    team.assert_is_the_fold_of_its_reports()
+
+
 def test_robots_that_are_out_are_shown_only_on_request(field):
     shown = field.listen(TFMessage, '/tf', volatile=True)
     parameters = {'robots': 4, 'step_period': 0.02, 'sensor.malfunction': 0.0}
