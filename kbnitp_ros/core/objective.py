@@ -48,8 +48,8 @@ class Objective:
         Raises
         ------
         ValueError
-            If the belief has another number of cells than the grid, or `loss_cost` is negative or
-            not finite.
+            If the belief has another number of cells than the grid, or `loss_cost` is out of
+            range.
 
         """
         if belief.cells != grid.cells:

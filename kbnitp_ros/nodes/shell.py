@@ -30,7 +30,7 @@ SPIN = 0.2
 POLL = 0.05
 
 # How long a node may take to leave the graph, in seconds.
-TEARDOWN = 2.0
+TEARDOWN = 3.0
 
 # How long a node waits for the readers of its last messages, in seconds: they may have died.
 FAREWELL = 0.3

@@ -144,5 +144,6 @@ def field(tmp_path, monkeypatch):
         yield field
         ended_before = field.processes.ended()
         for name, code in field.processes.stop().items():
-            assert name in ended_before or code == 0, f'{name} ended with {code}'
-            assert 'Traceback' not in field.said(name), field.said(name)
+            said = field.said(name)
+            assert name in ended_before or code == 0, f'{name} ended with {code}: {said}'
+            assert 'Traceback' not in said, said
