@@ -74,14 +74,14 @@ def read_history(path: str | Path) -> History:
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     grid = snapshots[0].grid
     observations = []
-    for key in sorted(evidence.complete, key=deployment_order):
-        report = evidence.report(key)
-        readings = np.array([detected for _, detected in report.readings], dtype=bool)
-        observations.append(
-            Observation(
-                evidence.path(key, grid), report.survived, readings if report.survived else None
+    with same_types(path):
+        for key in sorted(evidence.complete, key=deployment_order):
+            report = evidence.report(key)
+            cells = evidence.path(key, grid)
+            readings = np.array([detected for _, detected in report.readings], dtype=bool)
+            observations.append(
+                Observation(cells, report.survived, readings if report.survived else None)
             )
-        )
     return History(
         grid=grid,
         beliefs=[snapshot.belief for snapshot in snapshots],

@@ -152,20 +152,25 @@ def records(path: Path, on_damage: OnDamage) -> Iterator[Record]:
     """
     Yield the records of a file, in place of a chunk those in it.
 
-    What is cut off at the end is left out. Parameters and errors are as for `read_mcap`.
+    What is cut off at the end is left out, and so is what is written meanwhile. Parameters and
+    errors are as for `read_mcap`.
     """
     with path.open('rb') as file:
         size = os.fstat(file.fileno()).st_size
+
+        def read(length: int) -> bytes:
+            return file.read(max(0, min(length, size - file.tell())))
+
         finished = ends_finished(file, size)
         checksum = zlib.crc32(read_start(file, path))
         is_sound = True
-        while len(head := file.read(HEAD.size)) == HEAD.size:
+        while len(head := read(HEAD.size)) == HEAD.size:
             kind, length = HEAD.unpack(head)
-            body = file.read(min(length, size))
+            body = read(length)
             position = file.tell()
             try:
                 if not kind:
-                    check_empty(head[1:] + body + file.read())
+                    check_empty(head[1:] + body + read(size))
                 elif len(body) < length and finished:
                     raise ValueError(f'a record of {length} bytes does not fit in')
                 elif kind == Opcode.CHUNK:

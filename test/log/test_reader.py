@@ -213,6 +213,21 @@ def test_a_tail_of_zeros_is_none_of_the_log(files, whole_mission, tmp_path):
     assert len(read) == len(whole_mission.sent)
 
 
+def test_a_log_that_grows_meanwhile_is_read_as_it_was(files, whole_mission, tmp_path):
+    content = (files / 'one_chunk.mcap').read_bytes()
+    # No record begins with a zero.
+    end = content.index(0, len(content) // 2)
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(content[:end])
+    read = read_log(path)
+    first = next(read)
+    with path.open('ab') as file:
+        file.write(content[end:])
+    both = [first, *read]
+    assert is_start_of(both, whole_mission.sent)
+    assert 1 < len(both) < len(whole_mission.sent)
+
+
 def test_bytes_that_are_no_message_are_an_error(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         log.add_topic('/scout_1/path', 'nav_msgs/msg/Path', qos_profiles_yaml([QOS]))

@@ -3,6 +3,7 @@
 
 from array import array
 from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 import re
 
@@ -10,8 +11,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
+from kbnitp_ros.log import writer
+from kbnitp_ros.log.deployments import read_deployments, read_newest_round
+from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.reader import LogError
-from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.replay import BELIEF, PATH, replay, REPORT
+from kbnitp_ros.log.schema import describe
 from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
@@ -590,6 +595,35 @@ def test_messages_of_another_version_are_refused(tmp_path, capsys):
         writer.add_message(channel, 1, b'\0\1\0\0\7', 1)
         writer.finish()
     assert 'messages of another version of their type' in refused(path, capsys)
+
+
+def newest_round(path):
+    return read_newest_round(path, read_deployments(path))
+
+
+@pytest.mark.parametrize('read, type_name, field, other', [
+    (replay, PATH, 'geometry_msgs/PoseStamped[] poses', 'uint32 poses'),
+    (read_history, PATH, 'geometry_msgs/PoseStamped[] poses', 'uint32 poses'),
+    (read_history, BELIEF, 'std_msgs/Header header', 'std_msgs/Header head'),
+    (read_deployments, PATH, 'std_msgs/Header header', 'std_msgs/Header head'),
+    (read_deployments, REPORT, 'string agent', 'string name'),
+    (newest_round, BELIEF, 'std_msgs/Header header', 'std_msgs/Header head'),
+    (newest_round, BELIEF, 'uint32 deployments', 'float32 deployments'),
+])  # fmt: skip
+def test_a_type_with_another_field_is_refused(
+    whole_mission, tmp_path, monkeypatch, read, type_name, field, other
+):
+    def described(name):
+        known = describe(name)
+        if name != type_name:
+            return known
+        assert field in known.definition
+        return replace(known, definition=known.definition.replace(field, other, 1))
+
+    monkeypatch.setattr(writer, 'describe', described)
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    with pytest.raises(LogError, match='mission.mcap has messages of another version of their'):
+        read(path)
 
 
 def test_the_command_says_what_it_found(whole_mission, tmp_path, capsys):
