@@ -9,11 +9,13 @@ from importlib import import_module
 import time
 from typing import Any
 
+from kbnitp_ros.nodes import qos
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
-# How many messages of a topic are remembered, to tell those that come by two subscriptions.
-RECENT = 1000
+# How many messages of a topic are remembered, to tell those that come by two subscriptions. What
+# was lost on the way is sent again to each of them: one may be a whole history behind the other.
+RECENT = qos.DEPTH
 
 # A topic, the bytes that came on it and what rclpy knows of them.
 Message = tuple['Topic', bytes, dict[str, Any]]

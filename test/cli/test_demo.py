@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo: a whole mission in four processes, and what it leaves behind."""
 
+from contextlib import suppress
 import os
 from pathlib import Path
 import re
@@ -11,8 +12,11 @@ import time
 
 from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.reader import is_finished, LogError, read_log, read_recorded
+from kbnitp_ros.log.recorded import RecordedMetadata
+from kbnitp_ros.log.repair import copy
 from kbnitp_ros.log.replay import REPORT
+from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.headers import from_stamp
 import numpy as np
 import pytest
@@ -43,7 +47,8 @@ def running(tmp_path):
             break
         time.sleep(0.1)
     yield process, log
-    if process.poll() is None:
+    # The nodes may be left of it.
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
 
@@ -129,6 +134,34 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     assert run_demo('--resume', tmp_path / 'none.mcap').returncode == 2
 
 
+def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
+    LogWriter(tmp_path / 'mission.mcap').close()
+    done = run_demo('--resume', tmp_path)
+    assert done.returncode == 2
+    assert 'mission.mcap ends before the first robot left' in done.stderr
+
+
+def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
+    small = ['--robots', 1, '--size', 3, '--max-steps', 4]
+    assert run_demo(*small, '--out', tmp_path / 'open').returncode == 0
+
+    def hidden():
+        for each in read_recorded(tmp_path / 'open'):
+            if not isinstance(each, RecordedMetadata):
+                if '/truth/' not in each.channel.topic:
+                    yield each
+            elif each.name == 'parameters/team':
+                yield each._replace(values={**each.values, 'publish_truth': 'false'})
+            else:
+                yield each
+
+    log = tmp_path / 'mission.mcap'
+    copy(hidden(), log, log.name, 'none')
+    resumed = run_demo('--resume', log)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert read_history(log).world is not None
+
+
 def test_a_team_that_loses_robots_in_silence(tmp_path):
     options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
     small = ['--size', '4', '--max-steps', '6', '--planner', 'relaxed', '--lethality', '0.9']
@@ -199,3 +232,23 @@ def test_demo_fails_when_a_node_dies(running, node):
     assert process.returncode == 1
     assert re.search(f'nodes ended early.*{node}.*-9', stderr)
     assert not any(Path(f'/proc/{pid}').exists() for pid in nodes.values())
+
+
+def is_running(pid):
+    """Return whether a process has not ended; one that nobody asked after has no command."""
+    try:
+        return Path(f'/proc/{pid}/cmdline').read_text() != ''
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_nodes_end_well_when_the_demo_is_killed(running):
+    process, log = running
+    nodes = nodes_of(process)
+    assert len(nodes) == 4
+    process.kill()
+    deadline = time.monotonic() + PATIENCE
+    while any(map(is_running, nodes.values())) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(is_running, nodes.values()))
+    assert is_finished(log)

@@ -60,6 +60,15 @@ def test_what_rosbag2_compressed_is_refused(sent, tmp_path, storage, mode):
         list(read_log(folder))
 
 
+@pytest.mark.parametrize('mode', ['NONE', 'none'])
+def test_a_bag_that_says_it_is_not_compressed_is_read(sent, tmp_path, mode):
+    folder = write_bag(tmp_path / 'bag', sent, 'mcap')
+    described = yaml.safe_load((folder / 'metadata.yaml').read_text())
+    described['rosbag2_bagfile_information']['compression_mode'] = mode
+    (folder / 'metadata.yaml').write_text(yaml.safe_dump(described))
+    check(folder, sent)
+
+
 @pytest.mark.parametrize('storage', STORAGES)
 def test_a_log_converted_by_rosbags_is_read(sent, tmp_path, storage):
     folder = tmp_path / 'recorded'
@@ -191,6 +200,33 @@ def test_a_database_without_definitions_is_read_by_what_is_installed(database, s
         for change in changes:
             connection.execute(change)
     check(database, sent)
+
+
+def test_a_database_that_does_not_say_the_quality_of_service_is_read_and_repaired(
+    database, sent, tmp_path
+):
+    with sqlite3.connect(database) as connection:
+        connection.executescript(
+            """
+            CREATE TABLE loose AS SELECT * FROM topics;
+            DROP TABLE topics;
+            ALTER TABLE loose RENAME TO topics;
+            UPDATE topics SET offered_qos_profiles = NULL, type_description_hash = NULL;
+            """
+        )
+    check(database, sent)
+    assert repair(database, tmp_path / 'mission.mcap').messages == len(sent)
+    check(tmp_path / 'mission.mcap', sent)
+
+
+@pytest.mark.parametrize('column', ['name', 'serialization_format', 'offered_qos_profiles'])
+def test_a_database_with_something_else_for_a_text_is_damaged(database, tmp_path, column):
+    with sqlite3.connect(database) as connection:
+        connection.execute(f'UPDATE topics SET {column} = CAST({column} AS BLOB)')
+    with pytest.raises(LogError, match='is damaged near byte .* where texts should be'):
+        list(read_log(database))
+    with pytest.raises(LogError, match='has no message that could be saved'):
+        repair(database, tmp_path / 'mission.mcap')
 
 
 def test_a_type_that_is_defined_nowhere_is_an_error_only_when_asked_for(database):

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A log's deployments are each told once, in their order, by what is known of them in the end."""
 
+from dataclasses import replace
+
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.messages.deployments import report_message
-from mission_log import Mission, record
+from mission_log import Mission, on, record
 
 NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
 
@@ -54,3 +56,10 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
     assert deployments.keys() == {lost, out}
     assert deployments[lost].report.topic == '/north/scout_2/report'
     assert deployments[out].report is None
+
+
+def test_maps_of_others_are_no_truth(whole_mission, tmp_path):
+    other = on(whole_mission.sent, '/belief/hazard')[0]
+    others = [replace(other, topic=f'/camera/truth/{name}') for name in ('floor', 'ceiling')]
+    path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *others])
+    assert read_history(path).world is None

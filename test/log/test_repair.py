@@ -74,6 +74,19 @@ def test_an_existing_target_is_kept(folder, tmp_path, capsys):
     assert target.read_text() == 'something else'
 
 
+def test_a_log_that_is_named_by_its_folder_is_repaired_into_it(folder, whole_mission):
+    parts = content(*parts_of(folder))
+    assert repair(folder, folder / 'whole.mcap').messages == len(whole_mission.sent)
+    assert content(folder / 'whole.mcap') == parts
+
+
+def test_a_target_that_is_not_named_as_a_log_is_refused(folder, tmp_path, capsys):
+    assert main([str(folder), '--repair', str(tmp_path / 'x.db3')]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"replay: '{tmp_path / 'x.db3'}' is no name for a log: it must end in .mcap"
+    assert not (tmp_path / 'x.db3').exists()
+
+
 def test_a_target_that_would_become_a_part_is_refused(folder):
     with pytest.raises(FileExistsError, match='would be taken for a part'):
         repair(folder, folder / 'mission_3.mcap')

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """How topics are described in a log."""
 
+from pathlib import Path
+import shutil
+
+from ament_index_python.packages import get_package_share_directory
+from kbnitp_ros.log import schema
 from kbnitp_ros.log.schema import describe, qos_profiles_yaml
 import pytest
 from rclpy.duration import Duration
@@ -60,8 +65,17 @@ def test_a_path_refers_to_types_that_refer_to_types():
 
 @pytest.mark.parametrize('type_name', ['no_such_msgs/msg/Path', 'nav_msgs/msg/NoSuchType'])
 def test_a_type_that_is_not_installed_is_no_topic(type_name):
-    with pytest.raises((LookupError, OSError)):
+    with pytest.raises(LookupError):
         describe(type_name)
+
+
+def test_a_type_that_is_defined_in_idl_alone_is_no_topic(tmp_path, monkeypatch):
+    described = Path(get_package_share_directory('std_msgs'), 'msg', 'String.json')
+    (tmp_path / 'msg').mkdir()
+    shutil.copy(described, tmp_path / 'msg')
+    monkeypatch.setattr(schema, 'get_package_share_directory', lambda _: tmp_path)
+    with pytest.raises(LookupError, match=r'type std_msgs/msg/String is not inst.*String\.msg'):
+        describe('std_msgs/msg/String')
 
 
 def test_all_nine_policies_are_listed_for_every_publisher():

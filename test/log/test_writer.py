@@ -39,6 +39,13 @@ def test_a_missing_folder_is_refused(tmp_path):
         LogWriter(tmp_path / 'nowhere' / 'mission.mcap')
 
 
+@pytest.mark.parametrize('name', ['mission', 'mission.db3', 'mission.mcap.1'])
+def test_a_name_that_does_not_end_as_that_of_a_log_is_refused(tmp_path, name):
+    with pytest.raises(LogError, match=f"{name}' is no name for a log: it must end in .mcap"):
+        LogWriter(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         with pytest.raises(LookupError, match='no_such_msgs'):
@@ -365,6 +372,12 @@ def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, comp
     with LogWriter(path, resume=True) as log:
         record_to(log, whole_mission.sent[synced:])
     assert [each.data for each in read_log(path)] == [each.data for each in whole_mission.sent]
+
+
+def test_a_disk_that_has_no_room_for_the_start_of_a_file_is_left_without_it(tmp_path):
+    with room_for(10), pytest.raises(OSError, match='File too large'):
+        LogWriter(tmp_path / 'mission.mcap')
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(tmp_path, whole_mission):

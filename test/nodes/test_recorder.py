@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
+import os
+import pathlib
 import resource
 import shutil
 import signal
 import subprocess
 
+from ament_index_python.packages import get_package_share_directory
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import DeploymentReport
@@ -23,9 +26,11 @@ from kbnitp_ros.nodes.topic import message_class
 from mcap.reader import make_reader
 from nav_msgs.msg import Path
 import pytest
+import rclpy
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from samples import key, lost, path
 from std_msgs.msg import Int32, String, UInt8MultiArray
 import yaml
@@ -131,6 +136,29 @@ def test_the_log_names_the_quality_of_service_offered(field):
     assert offered['durability'] == 'transient_local'
 
 
+def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
+    log = record(field)
+    # What is latched is heard by the reader before it as well.
+    for profile, readers in ((RELIABLE, 1), (LAST_OF_FIVE, 2), (BEST_EFFORT, 1)):
+        publisher = field.node.create_publisher(Int32, '/m/number', profile)
+        field.until(lambda p=publisher, n=readers: p.get_subscription_count() == n, 'readers')
+        field.node.destroy_publisher(publisher)
+    field.processes.stop()
+    with log.open('rb') as file:
+        channels = make_reader(file).get_summary().channels.values()
+    offered = [
+        (profile['reliability'], profile['durability'])
+        for channel in channels
+        if channel.topic == '/m/number'
+        for profile in yaml.safe_load(channel.metadata['offered_qos_profiles'])
+    ]
+    assert offered == [
+        ('reliable', 'volatile'),
+        ('reliable', 'transient_local'),
+        ('best_effort', 'volatile'),
+    ]
+
+
 def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
     log = record(field)
     told = {agent: field.listen(Time, f'/m/{agent}/recorded') for agent in ('one', 'two')}
@@ -143,6 +171,16 @@ def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
             assert key(number).stamp in stamps_of(recorded(log)[f'/m/{agent}/path'])
     assert [from_stamp(stamp) for stamp in told['one']] == [key(n).stamp for n in (3, 1, 4)]
     assert [from_stamp(stamp) for stamp in told['two']] == [key(2).stamp]
+
+
+def test_a_volatile_path_is_heard_before_its_node_has_told_its_parameters(field):
+    log = record(field)
+    silent = rclpy.create_node('silent', context=field.node.context, namespace='/m')
+    paths = silent.create_publisher(Path, '/m/scout_1/path', RELIABLE)
+    field.until(lambda: paths.get_subscription_count() > 0, 'reader', patience=4.0)
+    paths.publish(path(1))
+    field.until(lambda: len(recorded(log)['/m/scout_1/path']) == 1, 'path')
+    silent.destroy_node()
 
 
 def test_a_path_that_is_none_is_refused_and_the_rest_goes_on(field):
@@ -239,6 +277,25 @@ def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(fi
     assert len(numbers) == len(set(numbers)) > 200
 
 
+def test_what_waits_for_a_recorder_that_was_stopped_is_recorded_once_and_in_order(field):
+    log = record(field)
+    kept = field.node.create_publisher(Int32, '/m/number', qos.EVIDENCE)
+    field.talk(Int32, '/m/number', RELIABLE)
+    field.until(lambda: kept.get_subscription_count() == 2, 'both readers')
+    reports = field.talk(DeploymentReport, '/m/scout_1/report')
+    recorder = field.processes.started['/m/recorder']
+    recorder.send_signal(signal.SIGSTOP)
+    for number in range(4000):
+        kept.publish(Int32(data=number))
+    recorder.send_signal(signal.SIGCONT)
+    assert kept.wait_for_all_acked(Duration(seconds=20))
+    # Most of it still waits, and is taken at once with this.
+    reports.publish(lost(1))
+    field.until(lambda: recorded(log)['/m/scout_1/report'], 'report')
+    field.processes.stop()
+    assert values(log, '/m/number') == list(range(4000))
+
+
 def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_on(field):
     log = record(field)
     expected = []
@@ -252,6 +309,28 @@ def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_
             expected.append(value)
             field.until(lambda: values(log, '/m/topic') == expected, f'the {value} message')
         field.node.destroy_publisher(publisher)
+
+
+@pytest.fixture
+def defined_in_idl_alone(tmp_path, monkeypatch):
+    """Have rosgraph_msgs installed as a package whose types have no .msg files."""
+    described = pathlib.Path(get_package_share_directory('rosgraph_msgs'), 'msg', 'Clock.json')
+    share = tmp_path / 'prefix' / 'share'
+    for folder in ('ament_index/resource_index/packages', 'rosgraph_msgs/msg'):
+        (share / folder).mkdir(parents=True)
+    (share / 'ament_index/resource_index/packages/rosgraph_msgs').touch()
+    shutil.copy(described, share / 'rosgraph_msgs/msg')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(share.parent), prepend=os.pathsep)
+
+
+def test_a_type_that_is_defined_in_idl_alone_is_refused_and_the_rest_goes_on(
+    defined_in_idl_alone, field
+):
+    log = record(field)
+    field.node.create_publisher(Clock, '/m/time', qos.LATCHED).publish(Clock())
+    assert 'type rosgraph_msgs/msg/Clock is not inst' in field.until_refused('/m/recorder', 1)
+    field.node.create_publisher(String, '/m/latched', qos.LATCHED).publish(String())
+    field.until(lambda: '/m/latched' in recorded(log), 'message')
 
 
 def test_a_message_larger_than_a_chunk_is_recorded(field):

@@ -2,7 +2,7 @@
 """What docs/results.md says follows from its tables, and its example from arithmetic."""
 
 from itertools import product
-from math import prod
+from math import copysign, prod
 from pathlib import Path
 import re
 
@@ -244,29 +244,35 @@ def test_what_a_loss_cost_spares_and_leaves_unknown():
     rows = loss_costs(0)
     lost = {key: row['robots lost'][0] for key, row in rows.items()}
     log_loss = {key: row['log loss'][0] for key, row in rows.items()}
-    assert (round(lost[0.1, 0.2]), round(lost[0.1, 0.0])) == (40, 66)
-    assert log_loss[0.1, 0.2] - log_loss[0.1, 0.0] == pytest.approx(1.4)
-    assert [round(lost[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [27, 23, 14]
-    assert [round(log_loss[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [31, 46, 60]
-    assert lost[0.1, 0.0] - lost[0.1, 0.05] == pytest.approx(11)
-    assert lost[0.5, 0.0] - lost[0.5, 0.05] < 0.5
+    assert (round(lost[0.1, 0.2]), round(lost[0.1, 0.0])) == (38, 65)
+    assert log_loss[0.1, 0.2] - log_loss[0.1, 0.0] == pytest.approx(2.4)
+    assert [round(lost[lethality, 0.8]) for lethality in (0.1, 0.3)] == [25, 22]
+    assert lost[0.5, 0.8] == 14.5
+    assert [round(log_loss[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [32, 47, 61]
+    assert lost[0.1, 0.0] - lost[0.1, 0.05] == pytest.approx(10.5)
+    assert lost[0.5, 0.0] - lost[0.5, 0.05] == pytest.approx(0.8)
 
 
 def test_where_a_loss_cost_spares_robots_at_equal_log_loss():
     rows = loss_costs(1)
     difference = {key: row['difference'] for key, row in rows.items()}
     assert len(difference) == 15
-    for (lethality, _), (mean, _, _) in difference.items():
-        assert mean < 0 or lethality == 0.5
-    assert round(min(mean for mean, _, _ in difference.values())) == -18
-    assert [key for key, (_, _, high) in difference.items() if high < 0] == [
+    assert [round(difference[key, 0.4][0]) for key in (0.5, 0.3, 0.1)] == [-13, -5, -3]
+    assert [round(bound) for bound in difference[0.5, 0.4][1:]] == [-19, -8]
+    assert [round(difference[key][0]) for key in ((0.3, 0.1), (0.5, 0.2))] == [-8, -8]
+    # What ends just short of zero is shown as -0.0.
+    assert [key for key, (*_, high) in difference.items() if copysign(1, high) < 0] == [
         (0.3, 0.1),
         (0.3, 0.4),
+        (0.5, 0.2),
+        (0.5, 0.4),
     ]
-    assert [key for key, (_, low, _) in difference.items() if low > 0] == [(0.5, 0.05)]
-    assert round(difference[0.5, 0.05][0]) == 14
-    for (lethality, _), row in rows.items():
-        assert row['robots sent'] > row['robots sent at 0'] or lethality == 0.3
+    assert difference[0.3, 0.4][2] == 0
+    assert 0 < difference[0.1, 0.4][2] < 0.3
+    assert all(low <= 0 for _, low, _ in difference.values())
+    for (lethality, cost), row in rows.items():
+        if lethality == 0.1 or cost >= 0.4:
+            assert row['robots sent'] > row['robots sent at 0']
 
 
 # The example
