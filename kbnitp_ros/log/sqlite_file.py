@@ -67,7 +67,7 @@ def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema
         row['topic_type']: Schema(
             number,
             row['encoded_message_definition'].encode(),
-            str(row['encoding']),
+            row['encoding'],
             row['topic_type'],
         )
         for number, row in enumerate(rows, 1)
@@ -82,7 +82,9 @@ def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema
         columns = row.keys()
         metadata = {key: row[column] or '' for key, column in said.items() if column in columns}
         name, encoding = row['name'], row['serialization_format']
-        if not all(isinstance(text, str) for text in (name, encoding, *metadata.values())):
+        if not all(
+            isinstance(text, str) for text in (name, encoding, schema.encoding, *metadata.values())
+        ):
             raise ValueError(f'topic {row["id"]} has {tuple(row)} where texts should be')
         topics[row['id']] = Channel(row['id'], name, encoding, metadata, schema.id), schema
     return topics
