@@ -106,4 +106,5 @@ def read_newest_round(
                 planned_on = logged.message
         if planned_on is None:
             return None
-        return read_belief_maps(planned_on), keys[planned_on.deployments :]
+        first = planned_on.deployments
+        return read_belief_maps(planned_on), keys[first:]
