@@ -155,19 +155,19 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
     size = {'grid.width': int(sides[1]), 'grid.height': int(sides[2] or sides[1])}
     given = {name: getattr(options, option) for option, name in OPTIONS.items()} | size
-    field = Grid(size['grid.width'], size['grid.height'])
-    agents = [f'scout_{number + 1}' for number in range(team_size(field, options.agents))]
     own: dict[str, dict[str, Any]] = {
         'estimator': {},
         'team': {'publish_truth': True, 'recorded': True},
         'planner': {'return_deadline': RETURN_DEADLINE, 'recorded': True},
     }
     for node, values in own.items():
-        values['agents'] = agents
         table = parameters_of(node)
         values.update(
             {name: table[name].check(value) for name, value in given.items() if name in table}
         )
+    agents = team_size(Grid(size['grid.width'], size['grid.height']), options.agents)
+    for values in own.values():
+        values['agents'] = [f'scout_{number + 1}' for number in range(agents)]
     return own
 
 

@@ -82,7 +82,8 @@ class LogWriter:
         If there is such a file already, its folder is missing, or the disk refuses; also from all
         methods that write.
     LogError
-        If there is no log to go on with, or a damaged one.
+        If there is no log to go on with, or a damaged one, or a new one is not named as an MCAP
+        file.
     ValueError
         If the compression is unknown.
 

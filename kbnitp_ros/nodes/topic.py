@@ -13,9 +13,9 @@ from kbnitp_ros.nodes import qos
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
-# How many messages of a topic are remembered, to tell those that come by two subscriptions. What
-# was lost on the way is sent again to each of them: one may be a whole history behind the other.
-RECENT = qos.DEPTH
+# How many messages of a topic are remembered before it has a second subscription, by which some of
+# them may come again. Each of two may be a whole queue behind the other.
+RECENT = 1000
 
 # A topic, the bytes that came on it and what rclpy knows of them.
 Message = tuple['Topic', bytes, dict[str, Any]]
@@ -56,7 +56,7 @@ class Topic:
         if message in self.recent:
             return False
         self.recent[message] = None
-        if len(self.recent) > RECENT:
+        if len(self.recent) > (qos.DEPTH if len(self.subscriptions) > 1 else RECENT):
             del self.recent[next(iter(self.recent))]
         return True
 

@@ -193,7 +193,7 @@ def reports_in(log):
     (['--lethality', '1.5'], r'lethality.*1\.5.*from 0'),
     (['--lethality', 'nan'], 'lethality.*nan.*from 0'),
     (['--size', '9x'], "--size.*'9x'"),
-    (['--size', '0'], 'width is 0.*at least 1'),
+    (['--size', '0'], 'grid.width.*0.*from 1'),
     (['--method', 'magic'], 'method.*magic.*relaxed_itp.*kappa_bnitp_smoothed'),
     (['--planner', 'magic'], 'planner.*magic.*relaxed.*beam'),
     (['--max-steps', '0'], 'max_steps.*0.*from 1'),
