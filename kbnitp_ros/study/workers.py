@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from asyncio import TimeoutError as AsyncTimeoutError
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
+import signal
 from typing import Any
 
 from joblib import cpu_count, delayed, Parallel, parallel_config
@@ -42,7 +43,7 @@ class Workers:
 
     def run(self, scenario: Scenario, trials: Sequence[Trial]) -> Iterator[tuple[Trial, Outcome]]:
         """
-        Run trials and yield each with its outcome as soon as that is known.
+        Run trials and yield each with its outcome as soon as that is known; in the main thread.
 
         Raises
         ------
@@ -53,7 +54,21 @@ class Workers:
         batch = self.batch or max(1, len(trials))
         for start in range(0, len(trials), batch):
             end = start + batch
-            yield from self.parallel(delayed(_run)(scenario, trial) for trial in trials[start:end])
+            yield from self._handed_out(
+                delayed(_run)(scenario, trial) for trial in trials[start:end]
+            )
+
+    def _handed_out(self, calls: Iterable[Any]) -> Any:
+        """Hand out calls and return their results; in batches they are waited for."""
+        if self.batch:
+            return self.parallel(calls)
+        # A terminal interrupts all its processes. Those that are started meanwhile ignore it, too,
+        # and leave it to this one to end them.
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            return self.parallel(calls)
+        finally:
+            signal.signal(signal.SIGINT, handler)
 
 
 def _run(scenario: Scenario, trial: Trial) -> tuple[Trial, Outcome]:

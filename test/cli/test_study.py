@@ -151,6 +151,17 @@ def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
 
 
+def test_workers_leave_interrupts_to_the_study(start, scenario, tmp_path):
+    process = start(scenario, tmp_path, 1)
+    children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
+    assert len(children) >= 2
+    for child in children:
+        os.kill(int(child), signal.SIGINT)
+    _, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    assert 'Traceback' not in stderr
+
+
 def test_a_finished_study_runs_nothing_again(scenario, whole):
     written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
     assert len(written) == TRIALS

@@ -381,7 +381,7 @@ def test_a_file_that_is_there_is_left_alone(field):
     log = field.folder / 'mission.mcap'
     log.write_text('precious')
     field.start('recorder', {'file': str(log)})
-    assert 'File exists' in until_failed(field, '/recorder', 2)
+    assert 'mission.mcap exists' in until_failed(field, '/recorder', 2)
     assert log.read_text() == 'precious'
 
 
