@@ -70,6 +70,7 @@ class PlannerNode(Shell):
         }
         self._newest: Snapshot | None = None
         self._out: dict[DeploymentKey, Flight] = {}
+        # Whose paths are on disk, as long as they are not reported.
         self._recorded: set[DeploymentKey] = set()
         # How many robots have left, those included that only the belief knows of.
         self._left = 0
@@ -108,9 +109,9 @@ class PlannerNode(Shell):
             _, cells = read_path(self._grid, key.agent, recorded.path.message)
             paths[key] = self._grid.check_path(cells, self.values['max_steps'])
             self._paths[key.agent].publish(recorded.path.data)
-            self._recorded.add(key)
             if recorded.report is None:
                 self._out[key] = Flight(paths[key])
+                self._recorded.add(key)
             elif key.agent in self._losses and not recorded.report.message.survived:
                 # Said by the planner before this one.
                 self._losses[key.agent].publish(recorded.report.data)
@@ -179,6 +180,7 @@ class PlannerNode(Shell):
             self.diagnostics.refuse(f'{agent}/report', error)
             return
         self._out.pop(key, None)
+        self._recorded.discard(key)
         self._deploy()
 
     def _on_recorded(self, agent: str, message: Time) -> None:
