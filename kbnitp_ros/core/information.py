@@ -48,7 +48,12 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
     return added_information(belief, model, path, nobody_sent(belief))
 
 
-def team_information(belief: Belief, model: SensorModel, paths: Iterable[ArrayLike]) -> float:
+def team_information(
+    belief: Belief,
+    model: SensorModel,
+    paths: Iterable[ArrayLike],
+    fates: tuple[Fate, ...] | None = None,
+) -> float:
     """
     Return the mutual information between the field and the outcomes of several deployments.
 
@@ -63,6 +68,9 @@ def team_information(belief: Belief, model: SensorModel, paths: Iterable[ArrayLi
         What the robots and their sensors are believed to be like.
     paths : iterable of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
+    fates : tuple of Fate, optional
+        Of robots that have left before, to whose information this is added; without it nobody
+        has.
 
     Returns
     -------
@@ -75,7 +83,7 @@ def team_information(belief: Belief, model: SensorModel, paths: Iterable[ArrayLi
         If a path has no step or leaves the belief's cells.
 
     """
-    fates = nobody_sent(belief)
+    fates = nobody_sent(belief) if fates is None else fates
     information = 0.0
     for path in paths:
         information += added_information(belief, model, path, fates)

@@ -89,14 +89,12 @@ def plan_team(
     agents = team_size(grid, agents)
     finder = PathFinder(grid, planner, max_steps, width, max_visits)
     objective = Objective.alone(grid, belief, model, loss_cost)
-    before = [grid.check_path(path) for path in out]
-    for path in before:
-        objective = objective.after(path)
+    for path in out:
+        objective = objective.after(grid.check_path(path))
     paths, regions = ALLOCATIONS[allocation](finder, objective, agents)
     return TeamPlan(
         tuple(Plan.along(path, belief, model) for path in paths),
-        team_information(belief, model, [*before, *paths])
-        - team_information(belief, model, before),
+        team_information(belief, model, paths, objective.fates),
         regions,
     )
 
