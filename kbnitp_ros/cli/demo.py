@@ -198,16 +198,17 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
     Raises
     ------
     ValueError
-        If the log cannot be read, no robot had left, or it does not say how each of the nodes
-        was configured.
+        If the log cannot be read, or does not say how each of the nodes was configured.
 
     """
-    if not read_deployments(log):
-        raise ValueError(f'{log} ends before the first robot left: begin anew in another folder')
     recorded = read_parameters(log)
     parameters = {}
     for node in NODES:
         if f'/{node}' not in recorded:
+            if not read_deployments(log):
+                raise ValueError(
+                    f'{log} ends before the first robot left: begin anew in another folder'
+                )
             raise ValueError(
                 f'{log} does not have the parameters of /{node} on record: '
                 'resume its mission with the launch file, which takes them from params_file'

@@ -70,11 +70,12 @@ def read_history(path: str | Path) -> History:
                 evidence.take_report(logged.topic, logged.message)
             elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
                 truth[logged.topic.rpartition('/')[2]] = read_occupancy_grid(logged.message) > 0.0
-    if not snapshots:
-        raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
-    grid = snapshots[0].grid
-    observations = []
-    with same_types(path):
+        if not snapshots:
+            raise LogError(
+                f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
+            )
+        grid = snapshots[0].grid
+        observations = []
         for key in sorted(evidence.complete, key=deployment_order):
             report = evidence.report(key)
             cells = evidence.path(key, grid)

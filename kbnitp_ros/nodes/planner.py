@@ -117,8 +117,10 @@ class PlannerNode(Shell):
                 self._losses[key.agent].publish(recorded.report.data)
             self._left += 1
             self._last_stamp = key.stamp
-        newest_round = read_newest_round(log, deployments)
-        if newest_round and not self.values['rolling']:
+        # Of one robot, or where each leaves by itself, no part can be missing.
+        if len(self._agents) == 1 or self.values['rolling']:
+            return
+        if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
             self._complete_round(planned_on, {key: paths[key] for key in keys})
 
