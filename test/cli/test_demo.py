@@ -141,6 +141,19 @@ def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
     assert 'mission.mcap ends before the first robot left' in done.stderr
 
 
+def test_a_mission_that_died_before_its_first_robot_left_is_resumed(tmp_path):
+    small = ['--robots', 1, '--size', 3, '--max-steps', 4]
+    assert run_demo(*small, '--out', tmp_path / 'whole').returncode == 0
+    begun = [
+        each for each in read_recorded(tmp_path / 'whole') if isinstance(each, RecordedMetadata)
+    ]
+    log = tmp_path / 'mission.mcap'
+    copy(begun, log, log.name, 'none')
+    resumed = run_demo('--resume', log)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert '1 deployments' in resumed.stdout
+
+
 def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
     small = ['--robots', 1, '--size', 3, '--max-steps', 4]
     assert run_demo(*small, '--out', tmp_path / 'open').returncode == 0
