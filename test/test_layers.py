@@ -2,19 +2,25 @@
 """The layers import downwards only, and the core is arithmetic alone."""
 
 import ast
+from collections import defaultdict
+from graphlib import TopologicalSorter
 from pathlib import Path
 import sys
 
 ROOT = Path(__file__).parents[1]
 
-# What each layer may stand on.
+# What each layer, a folder, may stand on.
 BELOW = {
-    'core': set(),
+    'core.field': set(),
+    'core.inference': {'core.field'},
+    'core.planning': {'core.field', 'core.inference'},
+    'core': {'core.field', 'core.inference', 'core.planning'},
     'messages': {'core'},
-    'log': {'core', 'messages'},
+    'log.bag': set(),
+    'log': {'core', 'messages', 'log.bag'},
     'study': {'core', 'messages'},
-    'nodes': {'core', 'messages', 'log', 'study'},
-    'cli': {'core', 'messages', 'log', 'study', 'nodes'},
+    'nodes': {'core', 'messages', 'log', 'log.bag', 'study'},
+    'cli': {'core', 'messages', 'log', 'log.bag', 'study', 'nodes'},
 }
 
 # Modules and functions of files, processes and sockets that the core has no use for.
@@ -25,11 +31,22 @@ SOURCES = {
     path: ast.parse(path.read_text()) for path in sorted(ROOT.joinpath('kbnitp_ros').rglob('*.py'))
 }
 
+MODULES = {
+    '.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
+    for path in SOURCES
+}
+
 
 def layer_of(path):
-    """Return the folder of a module in kbnitp_ros; None for the modules beside the folders."""
-    inside = path.relative_to(ROOT / 'kbnitp_ros').parts
-    return inside[0] if len(inside) > 1 else None
+    """Return the folder of a module in kbnitp_ros, dotted; empty for those beside the folders."""
+    return '.'.join(path.relative_to(ROOT / 'kbnitp_ros').parts[:-1])
+
+
+def module_of(name):
+    """Return the module of kbnitp_ros that an imported name is, or is in."""
+    while name not in MODULES:
+        name = name.rpartition('.')[0]
+    return name
 
 
 def imports():
@@ -50,7 +67,7 @@ def imports():
 
 
 def test_every_folder_is_a_layer():
-    assert {layer_of(path) for path in SOURCES} - {None} <= BELOW.keys()
+    assert {layer_of(path) for path in SOURCES} - {''} == BELOW.keys()
 
 
 def test_imports_point_down():
@@ -58,9 +75,17 @@ def test_imports_point_down():
         (path, name)
         for path, layer, name in imports()
         if layer and name.startswith('kbnitp_ros.')
-        if name.split('.')[1] not in BELOW[layer] | {layer}
+        if layer_of(MODULES[module_of(name)]) not in BELOW[layer] | {layer}
     ]
     assert not upwards
+
+
+def test_no_files_import_each_other():
+    needs = defaultdict(set)
+    for path, _, name in imports():
+        if name.startswith('kbnitp_ros.') and MODULES[module_of(name)] != ROOT / path:
+            needs[path].add(str(MODULES[module_of(name)].relative_to(ROOT)))
+    TopologicalSorter(needs).prepare()
 
 
 def test_only_nodes_and_commands_run_ros():
@@ -77,7 +102,7 @@ def test_the_core_needs_numpy_only():
     foreign = [
         (path, name)
         for path, layer, name in imports()
-        if layer == 'core' and name.split('.')[0] not in allowed
+        if layer.split('.')[0] == 'core' and name.split('.')[0] not in allowed
     ]
     assert not foreign
 
@@ -87,7 +112,7 @@ def test_the_core_reads_and_writes_nothing():
         (str(path.relative_to(ROOT)), node.lineno)
         for path, tree in SOURCES.items()
         for node in ast.walk(tree)
-        if layer_of(path) == 'core' and isinstance(node, ast.Call)
+        if layer_of(path).split('.')[0] == 'core' and isinstance(node, ast.Call)
         if getattr(node.func, 'id', getattr(node.func, 'attr', None)) in CALLS.split()
     ]
     assert not calls

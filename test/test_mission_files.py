@@ -9,7 +9,7 @@ import sys
 import time
 
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.replay import replay, REPORT
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.parameters import check_config, NODES, parameters_of

@@ -17,13 +17,11 @@ from typing import Any
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.core import Belief, DeploymentKey, Grid
-from kbnitp_ros.core.team import team_size
+from kbnitp_ros.core import Belief, DeploymentKey, Grid, team_size
+from kbnitp_ros.log.bag import LogError, parts_of
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.deployments import read_deployments
-from kbnitp_ros.log.errors import LogError
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.parts import parts_of
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report

@@ -11,9 +11,7 @@ from pathlib import Path
 import sys
 from typing import TypeVar
 
-from kbnitp_ros.log.reader import log_size, LogError, LoggedMessage
-from kbnitp_ros.log.recorded import Recorded
-from kbnitp_ros.log.repair import repair
+from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.log.replay import replay, ReplayReport
 from tqdm import tqdm
 

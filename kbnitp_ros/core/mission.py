@@ -5,15 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.belief import Belief
-from kbnitp_ros.core.check import whole_number
-from kbnitp_ros.core.estimator import Estimator
-from kbnitp_ros.core.grid import Grid
-from kbnitp_ros.core.observation import Observation
-from kbnitp_ros.core.plan import Plan
-from kbnitp_ros.core.sensor import SensorModel
-from kbnitp_ros.core.team import plan_team, team_size
-from kbnitp_ros.core.world import World
+from kbnitp_ros.core.field import Belief, Grid, Observation, SensorModel, whole_number, World
+from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.planning import Plan, plan_team, team_size
 import numpy as np
 
 

@@ -14,8 +14,7 @@ from typing import Any
 import xml.etree.ElementTree as ElementTree
 
 from ament_index_python.packages import get_package_share_directory
-from kbnitp_ros.log.errors import LogError
-from kbnitp_ros.log.reader import read_metadata
+from kbnitp_ros.log.bag import LogError, read_metadata
 import numpy as np
 
 # Names of metadata records; a node's full name, which starts with a slash, follows the second.

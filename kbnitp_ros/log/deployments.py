@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.core import deployment_order, DeploymentKey
-from kbnitp_ros.log.errors import same_types
-from kbnitp_ros.log.reader import LoggedMessage, read_log
+from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
 from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.core import Belief, deployment_order, Grid, Observation, World
-from kbnitp_ros.log.errors import same_types
+from kbnitp_ros.log.bag import LogError, read_log, same_types
 from kbnitp_ros.log.evidence import Evidence
-from kbnitp_ros.log.reader import LogError, read_log
 from kbnitp_ros.log.replay import BELIEF, GRID, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.grids import read_occupancy_grid

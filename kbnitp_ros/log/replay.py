@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
+from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import Difference, differences
-from kbnitp_ros.log.errors import same_types
 from kbnitp_ros.log.evidence import Evidence, Reported
-from kbnitp_ros.log.reader import is_finished, LogError, LoggedMessage, read_log
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp

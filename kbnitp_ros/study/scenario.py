@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass, MISSING
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
 
-from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, METHODS, PLANNERS, SensorModel
-from kbnitp_ros.core.team import team_size
+from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, METHODS, PLANNERS, SensorModel, team_size
 import yaml
 
 # A value's type, and what is allowed: the lowest and the highest number, or the names known.

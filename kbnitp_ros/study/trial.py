@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kbnitp_ros.core import brier_score, Estimator, log_loss, run_mission, World
-from kbnitp_ros.core.entropy import binary_entropy
+from kbnitp_ros.core import binary_entropy, brier_score, Estimator, log_loss, run_mission, World
 from kbnitp_ros.study.scenario import ALONE, Scenario, Team
 import numpy as np
 from numpy.typing import NDArray

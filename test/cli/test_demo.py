@@ -11,12 +11,12 @@ import sys
 import time
 
 from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
+from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_recorded
+from kbnitp_ros.log.bag.recorded import RecordedMetadata
+from kbnitp_ros.log.bag.repair import copy
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.reader import is_finished, LogError, read_log, read_recorded
-from kbnitp_ros.log.recorded import RecordedMetadata
-from kbnitp_ros.log.repair import copy
 from kbnitp_ros.log.replay import REPORT
-from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.headers import from_stamp
 import numpy as np
 import pytest

@@ -8,7 +8,7 @@ import signal
 import time
 
 from kbnitp_ros.cli.processes import Processes
-from kbnitp_ros.log.reader import LogError, read_log
+from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.replay import PATH, replay, REPORT
 from kbnitp_ros.messages.deployments import key_of_path
 import numpy as np

@@ -17,8 +17,8 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
-from kbnitp_ros.log.schema import qos_profiles_yaml
-from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.log.bag.schema import qos_profiles_yaml
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid

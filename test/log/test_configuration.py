@@ -10,6 +10,9 @@ import re
 import subprocess
 import sys
 
+from kbnitp_ros.log.bag.errors import LogError
+from kbnitp_ros.log.bag.reader import read_metadata
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.log.configuration import (
     PARAMETERS,
     parameters_record,
@@ -17,9 +20,6 @@ from kbnitp_ros.log.configuration import (
     RUN,
     run_record,
 )
-from kbnitp_ros.log.errors import LogError
-from kbnitp_ros.log.reader import read_metadata
-from kbnitp_ros.log.writer import LogWriter
 import numpy as np
 import pytest
 

@@ -11,13 +11,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
-from kbnitp_ros.log import writer
+from kbnitp_ros.log.bag import writer
+from kbnitp_ros.log.bag.reader import LogError
+from kbnitp_ros.log.bag.schema import describe
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.log.deployments import read_deployments, read_newest_round
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.reader import LogError
 from kbnitp_ros.log.replay import BELIEF, PATH, replay, REPORT
-from kbnitp_ros.log.schema import describe
-from kbnitp_ros.log.writer import LogWriter
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from mcap.writer import Writer

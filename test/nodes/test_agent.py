@@ -6,7 +6,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import Grid, Observation, Report, SensorModel, World
-from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.nodes import qos

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.log.reader import read_log
+from kbnitp_ros.log.bag.reader import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report

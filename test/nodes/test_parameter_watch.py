@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from kbnitp_ros.log.bag.reader import read_metadata
 from kbnitp_ros.log.configuration import read_parameters, RUN
-from kbnitp_ros.log.reader import read_metadata
 from kbnitp_ros.nodes.parameters import parameters_of
 import pytest
 import rclpy

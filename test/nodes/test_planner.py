@@ -19,7 +19,7 @@ from kbnitp_ros.core import (
     plan_team,
     SensorModel,
 )
-from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import (
     path_message,

@@ -16,9 +16,9 @@ from ament_index_python.packages import get_package_share_directory
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.log.reader import is_finished, read_log
-from kbnitp_ros.log.schema import qos_profiles_yaml
-from kbnitp_ros.log.writer import LogWriter
+from kbnitp_ros.log.bag.reader import is_finished, read_log
+from kbnitp_ros.log.bag.schema import qos_profiles_yaml
+from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes import qos

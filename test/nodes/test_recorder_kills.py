@@ -14,8 +14,8 @@ import time
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.log.parts import parts_of
-from kbnitp_ros.log.reader import is_finished, read_log
+from kbnitp_ros.log.bag.parts import parts_of
+from kbnitp_ros.log.bag.reader import is_finished, read_log
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos

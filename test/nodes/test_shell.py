@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from kbnitp_ros.log.reader import is_finished
+from kbnitp_ros.log.bag.reader import is_finished
 from kbnitp_ros.nodes.parameters import NODES
 import pytest
 

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is: the grid, the world, the sensors, and what is believed and observed of them."""
+
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
+from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.metrics import brier_score, log_loss
+from kbnitp_ros.core.field.observation import as_path, Observation, Visits
+from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others, times_log
+from kbnitp_ros.core.field.world import World
+
+__all__ = [
+    'Belief',
+    'Grid',
+    'Observation',
+    'SensorModel',
+    'Visits',
+    'World',
+    'as_path',
+    'binary_entropy',
+    'brier_score',
+    'cost',
+    'frozen',
+    'log_loss',
+    'log_predicted_survival',
+    'probability',
+    'sum_of_others',
+    'surprisal',
+    'times_log',
+    'whole_number',
+    'yes_or_no',
+]

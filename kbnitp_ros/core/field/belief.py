@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is believed of the field: one joint distribution of hazard and target a cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from kbnitp_ros.core.field.check import frozen, probability_map
+from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
+from kbnitp_ros.core.field.grid import Grid
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# How far a joint given from outside may be off by rounding.
+TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """
+    Independent cells, each with a joint distribution of its hazard Z and its target X.
+
+    The joint is the state; the hazard, target and kappa maps are views of it.
+
+    Parameters
+    ----------
+    joint : array_like, shape (cells, 2, 2)
+        P(Z = z, X = x), indexed [cell, z, x].
+
+    Raises
+    ------
+    ValueError
+        If the shape is another or a cell's four values are not a distribution.
+
+    """
+
+    joint: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        joint = np.array(self.joint, dtype=np.float64)
+        if joint.ndim != 3 or joint.shape[1:] != (2, 2) or not len(joint):
+            raise ValueError(f'joint has shape {joint.shape}: it must be (cells, 2, 2)')
+        distribution = (joint >= 0.0).all(axis=(1, 2))
+        distribution &= np.abs(joint.sum(axis=(1, 2)) - 1.0) <= TOLERANCE
+        if not distribution.all():
+            cell = np.argmin(distribution)
+            raise ValueError(
+                f'joint of cell {cell} is {joint[cell].tolist()}: '
+                'it must be four probabilities that sum to 1'
+            )
+        frozen(joint)
+        object.__setattr__(self, 'joint', joint)
+
+    @classmethod
+    def from_maps(cls, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:
+        """
+        Return the belief with these maps.
+
+        Parameters
+        ----------
+        hazard : array_like, shape (cells,)
+            P(Z = 1).
+        target : array_like, shape (cells,)
+            P(X = 1).
+        kappa : array_like, shape (cells,)
+            P(X = 1 | Z = 1).
+
+        Raises
+        ------
+        ValueError
+            If a map has another length, a value is no probability, or a cell's three values have
+            no joint distribution: kappa * hazard <= target <= kappa * hazard + 1 - hazard (names
+            the first such cell).
+
+        """
+        z = probability_map('hazard', hazard)
+        x = probability_map('target', target, z.size)
+        k = probability_map('kappa', kappa, z.size)
+        both = k * z
+        target_only = x - both
+        neither = (1.0 - z) - target_only
+        bad = np.flatnonzero((target_only < -TOLERANCE) | (neither < -TOLERANCE))
+        if bad.size:
+            i = bad[0]
+            raise ValueError(
+                f'maps have no joint distribution at cell {i}: with hazard {z[i]} and kappa '
+                f'{k[i]} its target must lie in [{both[i]:.6g}, {both[i] + 1.0 - z[i]:.6g}], '
+                f'and is {x[i]}'
+            )
+        joint = np.stack([neither, target_only, (1.0 - k) * z, both], axis=-1).clip(min=0.0)
+        return cls(joint.reshape(-1, 2, 2))
+
+    @classmethod
+    def prior(cls, grid: Grid, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:
+        """
+        Return a mission's belief before its first deployment.
+
+        As `from_maps`, with numbers for maps that are the same everywhere, and with what is known
+        of the grid: the base has no hazard (its target is as likely as in any cell found free of
+        hazard), and blocked cells hold nothing to be looked for.
+
+        Raises
+        ------
+        ValueError
+            As `from_maps`; also if the base is given as certainly hazardous.
+
+        """
+        maps = [
+            np.full(grid.cells, values) if np.ndim(values) == 0 else np.asarray(values)
+            for values in (hazard, target, kappa)
+        ]
+        probability_map('hazard', maps[0], grid.cells)
+        joint = cls.from_maps(*maps).joint.copy()
+        joint[grid.base, 1] = 0.0
+        safe = joint[grid.base].sum()
+        if safe == 0.0:
+            raise ValueError(
+                f'hazard of cell {grid.base} is 1: that is the base, which is free of hazard'
+            )
+        joint[grid.base] /= safe
+        joint[~grid.free] = [[1.0, 0.0], [0.0, 0.0]]
+        return cls(joint)
+
+    @property
+    def cells(self) -> int:
+        """How many cells there are."""
+        return len(self.joint)
+
+    @cached_property
+    def hazard(self) -> NDArray[np.float64]:
+        """P(Z = 1), shape (cells,)."""
+        hazard: NDArray[np.float64] = self.joint[:, 1].sum(axis=1).clip(max=1.0)
+        frozen(hazard)
+        return hazard
+
+    @cached_property
+    def target(self) -> NDArray[np.float64]:
+        """P(X = 1), shape (cells,)."""
+        target: NDArray[np.float64] = self.joint[:, :, 1].sum(axis=1).clip(max=1.0)
+        frozen(target)
+        return target
+
+    @cached_property
+    def kappa(self) -> NDArray[np.float64]:
+        """P(X = 1 | Z = 1), shape (cells,); P(X = 1) where Z = 1 is impossible."""
+        kappa = self.target.copy()
+        np.divide(self.joint[:, 1, 1], self.hazard, out=kappa, where=self.hazard > 0.0)
+        np.minimum(kappa, 1.0, out=kappa)
+        frozen(kappa)
+        return kappa
+
+    def entropy(self) -> float:
+        """Return H(Z) + H(X) summed over the cells, in nats: the measure of the paper."""
+        return float(binary_entropy(self.hazard).sum() + binary_entropy(self.target).sum())
+
+    def joint_entropy(self) -> float:
+        """Return H(Z, X) summed over the cells, in nats."""
+        return float(surprisal(self.joint).sum())
+
+    def independent(self) -> Belief:
+        """Return the belief with the same hazard and target maps and kappa := target."""
+        z = np.stack([1.0 - self.hazard, self.hazard], axis=-1)
+        x = np.stack([1.0 - self.target, self.target], axis=-1)
+        product = z[:, :, None] * x[:, None, :]
+        # One that is so already keeps its bits, as often as this is asked of it.
+        return self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product)

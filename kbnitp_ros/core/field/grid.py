@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The field as a grid of cells, and the paths a robot may take on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+
+from kbnitp_ros.core.field.check import whole_number
+from kbnitp_ros.core.field.observation import as_path
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Grid:
+    """
+    A rectangle of square cells with a base that robots leave from and return to.
+
+    Cells are numbered ``row * width + col``, row 0 at the bottom, as in nav_msgs/OccupancyGrid.
+
+    Parameters
+    ----------
+    width, height : int
+        Cells along x and y, at least 1 each.
+    base : int
+        The cell every path starts and ends in; free, and free of hazard.
+    resolution : float
+        Side of a cell in metres, positive.
+    origin : tuple of float
+        Lower-left corner of cell 0 in metres.
+    blocked : iterable of int
+        Cells no robot can enter, known beforehand. Nothing is looked for there.
+
+    Raises
+    ------
+    ValueError
+        If a size, the base, the resolution, the origin or a blocked cell is not as above.
+
+    """
+
+    width: int
+    height: int
+    base: int = 0
+    resolution: float = 1.0
+    origin: tuple[float, float] = (0.0, 0.0)
+    blocked: Iterable[int] = ()
+
+    def __post_init__(self) -> None:
+        width = whole_number('grid width', self.width, 1)
+        height = whole_number('grid height', self.height, 1)
+        last = width * height - 1
+        blocked = frozenset(whole_number('blocked cell', cell, 0, last) for cell in self.blocked)
+        base = whole_number('base', self.base, 0, last)
+        if base in blocked:
+            raise ValueError(f'base is {base}: it must be a free cell, and that one is blocked')
+        if not (isfinite(self.resolution) and self.resolution > 0):
+            raise ValueError(f'resolution is {self.resolution}: it must be positive, in metres')
+        origin = tuple(float(coordinate) for coordinate in self.origin)
+        if len(origin) != 2 or not all(map(isfinite, origin)):
+            raise ValueError(f'origin is {self.origin}: it must be two finite numbers, in metres')
+        for name, value in (
+            ('width', width),
+            ('height', height),
+            ('base', base),
+            ('resolution', float(self.resolution)),
+            ('origin', origin),
+            ('blocked', blocked),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def cells(self) -> int:
+        """How many cells there are."""
+        return self.width * self.height
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Which cells a robot can enter, shape (cells,)."""
+        free = np.ones(self.cells, dtype=bool)
+        free[list(self.blocked)] = False
+        free.flags.writeable = False
+        return free
+
+    @cached_property
+    def neighbor_table(self) -> NDArray[np.intp]:
+        """
+        Return the neighbours of every cell in ascending order, -1 where there is none.
+
+        The shape is (cells, 9); the rows of blocked cells are all -1.
+        """
+        row, col = np.divmod(np.arange(self.cells), self.width)
+        step_row, step_col = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
+        to_row = row[:, None] + step_row
+        to_col = col[:, None] + step_col
+        inside = (to_row >= 0) & (to_row < self.height) & (to_col >= 0) & (to_col < self.width)
+        table = np.where(inside, to_row * self.width + to_col, -1)
+        table[~self.free[table] | ~self.free[:, None]] = -1
+        table.flags.writeable = False
+        return table
+
+    def neighbors(self, cell: int) -> NDArray[np.intp]:
+        """
+        Return the cells one step away: `cell` itself and the free ones of the 8 around it.
+
+        Raises
+        ------
+        ValueError
+            If `cell` is not on the grid.
+
+        """
+        row = self.neighbor_table[whole_number('cell', cell, 0, self.cells - 1)]
+        neighbors: NDArray[np.intp] = row[row >= 0]
+        return neighbors
+
+    @cached_property
+    def steps_to_base(self) -> NDArray[np.intp]:
+        """Fewest steps from each cell to the base, shape (cells,); `cells` if it is cut off."""
+        steps = np.full(self.cells, self.cells, dtype=np.intp)
+        frontier = np.array([self.base])
+        distance = 0
+        while frontier.size:
+            steps[frontier] = distance
+            around = np.unique(self.neighbor_table[frontier])
+            around = around[around >= 0]
+            frontier = around[steps[around] == self.cells]
+            distance += 1
+        steps.flags.writeable = False
+        return steps
+
+    def check_path(self, path: ArrayLike, max_steps: int | None = None) -> NDArray[np.intp]:
+        """
+        Return `path` as an array of cells if a robot can take it.
+
+        Parameters
+        ----------
+        path : array_like of int, shape (steps + 1,)
+            Cells, the base first and last, each a neighbour of the one before.
+        max_steps : int, optional
+            The most steps allowed.
+
+        Raises
+        ------
+        ValueError
+            If it is empty, leaves the grid, enters a blocked cell, jumps, does not start and end
+            at the base, or is longer than `max_steps`.
+
+        """
+        cells = as_path(path)
+        steps = len(cells) - 1
+        if max_steps is not None and steps > max_steps:
+            raise ValueError(f'path has {steps} steps: at most max_steps = {max_steps} may be')
+        outside = np.flatnonzero((cells < 0) | (cells >= self.cells))
+        if outside.size:
+            raise ValueError(
+                f'path leaves the grid: its cell {outside[0]} is {cells[outside[0]]}, '
+                f'allowed are 0 to {self.cells - 1}'
+            )
+        blocked = np.flatnonzero(~self.free[cells])
+        if blocked.size:
+            raise ValueError(
+                f'path enters a blocked cell: its cell {blocked[0]} is {cells[blocked[0]]}'
+            )
+        for end, cell in (('start', cells[0]), ('end', cells[-1])):
+            if cell != self.base:
+                raise ValueError(f'path must {end} at the base {self.base}, not at cell {cell}')
+        reached = (self.neighbor_table[cells[:-1]] == cells[1:, None]).any(axis=1)
+        jumps = np.flatnonzero(~reached)
+        if jumps.size:
+            step = jumps[0]
+            raise ValueError(
+                f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
+                'a step leads to one of the 8 cells around or stays'
+            )
+        return cells
+
+    def centers(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the centres of `cells`, shape (n,), in metres, as x and y, shape (n, 2)."""
+        row, col = np.divmod(np.asarray(cells), self.width)
+        place = np.stack([col, row], axis=-1) + 0.5
+        centers: NDArray[np.float64] = place * self.resolution + np.array(self.origin)
+        return centers
+
+    def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
+        """
+        Return the cells that hold `points`.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 2)
+            x and y in metres.
+
+        Raises
+        ------
+        ValueError
+            If a point is not finite or lies outside the grid.
+
+        """
+        array = np.asarray(points, dtype=np.float64)
+        if array.ndim != 2 or array.shape[1] != 2:
+            raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')
+        with np.errstate(invalid='ignore', over='ignore'):
+            place = np.floor((array - np.array(self.origin)) / self.resolution)
+            inside = ((place >= 0) & (place < (self.width, self.height))).all(axis=1)
+        if not inside.all():
+            x, y = array[np.argmin(inside)]
+            raise ValueError(
+                f'point ({x}, {y}) is outside the grid of {self.width} x {self.height} cells of '
+                f'{self.resolution} m from {self.origin}'
+            )
+        cells: NDArray[np.intp] = place.astype(np.intp) @ (1, self.width)
+        return cells

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hidden world that robots traverse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field.check import frozen, probability, yes_or_no
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import as_path, Observation
+from kbnitp_ros.core.field.sensor import SensorModel
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """
+    Where the hazards and the targets really are.
+
+    Parameters
+    ----------
+    hazard, target : array_like of bool, shape (cells,)
+        Z and X.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or a value is neither true nor false.
+
+    """
+
+    hazard: NDArray[np.bool_]
+    target: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        for name in ('hazard', 'target'):
+            values = yes_or_no(f'{name} of a world', getattr(self, name))
+            if values.ndim != 1 or not values.size:
+                raise ValueError(
+                    f'{name} of a world has shape {values.shape}: it must be one value a cell'
+                )
+            frozen(values)
+            object.__setattr__(self, name, values)
+        if self.hazard.size != self.target.size:
+            raise ValueError(
+                f'target of a world has {self.target.size} cells, its hazard {self.hazard.size}'
+            )
+
+    @classmethod
+    def random(
+        cls,
+        grid: Grid,
+        rng: np.random.Generator,
+        hazard_density: float,
+        kappa: float,
+        target_background: float,
+    ) -> World:
+        """
+        Draw a world: two uniform numbers a cell, whatever the probabilities.
+
+        Parameters
+        ----------
+        grid : Grid
+            Its base gets no hazard, its blocked cells get nothing.
+        rng : numpy.random.Generator
+            The only source of randomness.
+        hazard_density : float
+            P(Z = 1) in [0, 1].
+        kappa : float
+            P(X = 1 | Z = 1) in [0, 1].
+        target_background : float
+            P(X = 1 | Z = 0) in [0, 1].
+
+        Raises
+        ------
+        ValueError
+            If a probability is out of range.
+
+        """
+        drawn = rng.random((2, grid.cells))
+        hazard = drawn[0] < probability('hazard_density', hazard_density)
+        hazard &= grid.free
+        hazard[grid.base] = False
+        chance = np.where(
+            hazard,
+            probability('kappa', kappa),
+            probability('target_background', target_background),
+        )
+        return cls(hazard, (drawn[1] < chance) & grid.free)
+
+    def check(self, grid: Grid) -> None:
+        """
+        Refuse a grid that this is no world of.
+
+        Raises
+        ------
+        ValueError
+            If the number of cells differs, the base has a hazard or a blocked cell is not empty.
+
+        """
+        if self.hazard.size != grid.cells:
+            raise ValueError(
+                f'world has {self.hazard.size} cells: the grid has {grid.width} x {grid.height}'
+            )
+        if self.hazard[grid.base]:
+            raise ValueError(f'world has a hazard at the base {grid.base}: the base is free of it')
+        filled = np.flatnonzero((self.hazard | self.target) & ~grid.free)
+        if filled.size:
+            raise ValueError(
+                f'world has a hazard or target in cell {filled[0]}: that cell is blocked'
+            )
+
+    def traverse(
+        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator
+    ) -> Observation:
+        """
+        Send a robot along a path.
+
+        Two uniform numbers are drawn for each step, whatever happens in it.
+
+        Parameters
+        ----------
+        path : array_like of int, shape (steps + 1,)
+            Cells, the base first and last.
+        model : SensorModel
+            What the robot, its sensor and the hazards are really like.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        Raises
+        ------
+        ValueError
+            If the path has no step, is not closed or leaves the world.
+
+        """
+        cells, survived, readings = self._steps(path, model, rng)
+        returned = bool(survived.all())
+        return Observation(cells, returned, readings if returned else None)
+
+    def steps_made(self, path: ArrayLike, model: SensorModel, rng: np.random.Generator) -> int:
+        """
+        Return how many steps the robot survives that `traverse` sends out with the same numbers.
+
+        No base ever learns this: it is for those who watch a simulation.
+        """
+        _, survived, _ = self._steps(path, model, rng)
+        return int(survived.size if survived.all() else np.argmin(survived))
+
+    def _steps(
+        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the path's cells, and for each step whether it is survived and what is read."""
+        cells = as_path(path)
+        beyond = cells[(cells < 0) | (cells >= self.hazard.size)]
+        if beyond.size:
+            raise ValueError(
+                f'path has the cell {beyond[0]}: the world has the cells 0 to '
+                f'{self.hazard.size - 1}'
+            )
+        entered = cells[1:]
+        drawn = rng.random((2, entered.size))
+        survived = drawn[0] < model.survival(self.hazard[entered])
+        return cells, survived, drawn[1] < model.reading(self.target[entered])

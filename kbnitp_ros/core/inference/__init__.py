@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is learnt of the field: the belief after deployments."""
+
+from kbnitp_ros.core.inference.estimator import Estimator, METHODS
+from kbnitp_ros.core.inference.evidence import condition
+from kbnitp_ros.core.inference.exact import lost_likelihood
+from kbnitp_ros.core.inference.ledger import deployment_order, DeploymentKey, Ledger, Report
+from kbnitp_ros.core.inference.update import update
+
+__all__ = [
+    'METHODS',
+    'DeploymentKey',
+    'Estimator',
+    'Ledger',
+    'Report',
+    'condition',
+    'deployment_order',
+    'lost_likelihood',
+    'update',
+]

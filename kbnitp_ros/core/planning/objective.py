@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a path is worth to a planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from kbnitp_ros.core.field import Belief, cost, Grid, SensorModel
+from kbnitp_ros.core.planning.fates import after_sending, Fate, nobody_sent
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """
+    The information a path is expected to add, less the cost of the robots it is expected to lose.
+
+    Attributes
+    ----------
+    belief : Belief
+        Before the round.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    loss_cost : float
+        What a lost robot is worth, nats, at least 0.
+    interest : ndarray, shape (cells,)
+        What counts of the information of readings in each cell, in [0, 1].
+    fates : tuple of Fate
+        Of the robots that leave in the same round and whose paths are known.
+
+    """
+
+    belief: Belief
+    model: SensorModel
+    loss_cost: float
+    interest: NDArray[np.float64]
+    fates: tuple[Fate, ...]
+
+    @classmethod
+    def alone(cls, grid: Grid, belief: Belief, model: SensorModel, loss_cost: float) -> Objective:
+        """
+        Return the objective of a robot that goes alone.
+
+        Raises
+        ------
+        ValueError
+            If the belief has another number of cells than the grid, or `loss_cost` is out of
+            range.
+
+        """
+        if belief.cells != grid.cells:
+            raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
+        interest = np.ones(belief.cells)
+        return cls(belief, model, cost('loss_cost', loss_cost), interest, nobody_sent(belief))
+
+    def after(self, path: NDArray[np.intp]) -> Objective:
+        """Return the objective of the next robot, after one that takes `path`."""
+        return replace(self, fates=after_sending(self.fates, self.model, path))

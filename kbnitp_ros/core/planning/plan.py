@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of the next deployment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field import Belief, frozen, Grid, log_predicted_survival, SensorModel, Visits
+from kbnitp_ros.core.planning.information import path_information
+from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.planners import PathFinder
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """
+    A path for one robot and what is expected of it.
+
+    Attributes
+    ----------
+    path : ndarray of int, shape (steps + 1,)
+        Cells, the base first and last.
+    information : float
+        `path_information`, nats.
+    survival : float
+        Predicted chance that the robot returns, in [0, 1].
+
+    """
+
+    path: NDArray[np.intp]
+    information: float
+    survival: float
+
+    def __post_init__(self) -> None:
+        frozen(self.path)
+
+    @classmethod
+    def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
+        """Return the plan to take `path`, shape (steps + 1,)."""
+        visits = Visits.of(path)
+        survival = log_predicted_survival(
+            belief.hazard[visits.cells], visits.counts, model.log_survival
+        )
+        return cls(path, path_information(belief, model, path), float(np.exp(survival.sum())))
+
+
+def plan(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    max_steps: int,
+    planner: str = 'beam',
+    *,
+    width: int = 16,
+    max_visits: int = 3,
+    loss_cost: float = 0.0,
+) -> Plan:
+    """
+    Plan the next deployment: a closed path of much information.
+
+    What is sought is the most of information - loss_cost * (1 - survival).
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    belief : Belief
+        What is believed of it.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    max_steps : int
+        The most steps the path may have, at least 1.
+    planner : str
+        'relaxed' keeps the best label of each cell and step, 'beam' the best `width`.
+    width : int
+        Labels the beam keeps for each cell and step, at least 1.
+    max_visits : int
+        How often the path may enter a cell, at least 1.
+    loss_cost : float
+        How much information a lost robot is worth, nats, at least 0.
+
+    Returns
+    -------
+    Plan
+        The same belief gives the same plan.
+
+    Raises
+    ------
+    ValueError
+        If the planner is unknown, a number is out of range, or the belief has another number of
+        cells than the grid.
+
+    """
+    finder = PathFinder(grid, planner, max_steps, width, max_visits)
+    best = finder.paths(Objective.alone(grid, belief, model, loss_cost))[0]
+    return Plan.along(best.path, belief, model)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans of a round: several robots that leave together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field import Belief, Grid, SensorModel, whole_number
+from kbnitp_ros.core.planning.allocations import ALLOCATIONS
+from kbnitp_ros.core.planning.information import team_information
+from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.plan import Plan
+from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.regions import Regions
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class TeamPlan:
+    """
+    Paths for robots that leave together and what is expected of them.
+
+    Attributes
+    ----------
+    plans : tuple of Plan
+        One a robot, in their order; each says what is expected of that robot alone.
+    information : float
+        What is expected of all together, beyond what robots that are out bring, nats.
+    regions : Regions, optional
+        How the field was divided among the robots; None where the allocation does not.
+
+    """
+
+    plans: tuple[Plan, ...]
+    information: float
+    regions: Regions | None
+
+
+def plan_team(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    max_steps: int,
+    agents: int,
+    allocation: str = 'greedy',
+    planner: str = 'beam',
+    *,
+    width: int = 16,
+    max_visits: int = 3,
+    loss_cost: float = 0.0,
+    out: Sequence[ArrayLike] = (),
+) -> TeamPlan:
+    """
+    Plan a round: a closed path for each of several robots that leave together.
+
+    Parameters
+    ----------
+    grid, belief, model, max_steps, planner, width, max_visits, loss_cost
+        As for `plan`; the same limits for each robot.
+    agents : int
+        How many robots, from 1 to the number of free cells.
+    allocation : str
+        How the work is shared. 'independent': every robot takes the path it would take alone.
+        'voronoi': the field is divided into regions of about equal entropy, one a robot.
+        'greedy': robot after robot, for what each adds to what those before it are expected to
+        bring, returned or lost.
+    out : sequence of array_like of int, each of shape (steps + 1,)
+        The paths of robots that have left before and are not back. All but 'independent' plan for
+        what is added to them.
+
+    Returns
+    -------
+    TeamPlan
+        The same belief gives the same plans. A single robot's is that of `plan`.
+
+    Raises
+    ------
+    ValueError
+        If the allocation or the planner is unknown, a number is out of range, the belief has
+        another number of cells than the grid, or a robot that is out could not have left that way.
+
+    """
+    if allocation not in ALLOCATIONS:
+        raise ValueError(f'allocation is {allocation!r}: known are {", ".join(ALLOCATIONS)}')
+    agents = team_size(grid, agents)
+    finder = PathFinder(grid, planner, max_steps, width, max_visits)
+    objective = Objective.alone(grid, belief, model, loss_cost)
+    for path in out:
+        objective = objective.after(grid.check_path(path))
+    paths, regions = ALLOCATIONS[allocation](finder, objective, agents)
+    return TeamPlan(
+        tuple(Plan.along(path, belief, model) for path in paths),
+        team_information(belief, model, paths, objective.fates),
+        regions,
+    )
+
+
+def team_size(grid: Grid, agents: int) -> int:
+    """
+    Return how many robots there are if the grid has a free cell for each.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or more than free cells.
+
+    """
+    free = int(grid.free.sum())
+    try:
+        return whole_number('agents', agents, 1, free)
+    except ValueError as error:
+        raise ValueError(f'{error}, one for each free cell at most') from error

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a SQLite database as rosbag2 makes it, of any of its versions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+import sqlite3
+
+from kbnitp_ros.log.bag.recorded import damaged, OnDamage, QOS, RecordedMessage, refuse, TYPE_HASH
+from kbnitp_ros.log.bag.schema import describe, ENCODING
+from mcap.records import Channel, Schema
+
+MAGIC = b'SQLite format 3\0'
+
+# Changes that a process which was killed did not get to bring into the database.
+LEFT_BEHIND = ('-wal', '-journal')
+
+
+def read_sqlite(path: Path, on_damage: OnDamage = refuse) -> Iterator[RecordedMessage]:
+    """
+    Yield the messages of a file by their times.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    on_damage : callable
+        Takes a LogError if the file is damaged.
+
+    Raises
+    ------
+    LogError
+        What `on_damage` raises.
+
+    """
+    position = 0
+    try:
+        size = path.stat().st_size
+        with closing(sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True)) as database:
+            database.row_factory = sqlite3.Row
+            # What stands in a damaged or foreign file is not to be run.
+            database.execute('PRAGMA trusted_schema = OFF')
+            topics = read_topics(database)
+            (messages,) = database.execute('SELECT count(*) FROM messages').fetchone()
+            rows = database.execute(
+                'SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id'
+            )
+            for read, (topic, time, data) in enumerate(rows, 1):
+                if not (isinstance(time, int) and time >= 0 and isinstance(data, bytes)):
+                    raise ValueError(f'message {read} has time {time!r} and {type(data)}')
+                position = size * min(read, messages) // messages
+                channel, schema = topics[topic]
+                yield RecordedMessage(channel, schema, 0, time, time, data, position)
+    except Exception as error:
+        on_damage(damaged(path, position, error))
+
+
+def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema]]:
+    """Return the topics by their numbers, and how their types are defined."""
+    (has_definitions,) = database.execute(
+        "SELECT count(*) FROM sqlite_master WHERE name = 'message_definitions'"
+    ).fetchone()
+    rows = database.execute('SELECT * FROM message_definitions') if has_definitions else ()
+    schemas = {
+        row['topic_type']: Schema(
+            number,
+            row['encoded_message_definition'].encode(),
+            row['encoding'],
+            row['topic_type'],
+        )
+        for number, row in enumerate(rows, 1)
+    }
+    topics = {}
+    for row in database.execute('SELECT * FROM topics'):
+        type_name = row['type']
+        if type_name not in schemas:
+            schemas[type_name] = installed(type_name, len(schemas) + 1)
+        schema = schemas[type_name]
+        said = {QOS: 'offered_qos_profiles', TYPE_HASH: 'type_description_hash'}
+        columns = row.keys()
+        metadata = {key: row[column] or '' for key, column in said.items() if column in columns}
+        name, encoding = row['name'], row['serialization_format']
+        if not all(
+            isinstance(text, str) for text in (name, encoding, schema.encoding, *metadata.values())
+        ):
+            raise ValueError(f'topic {row["id"]} has {tuple(row)} where texts should be')
+        topics[row['id']] = Channel(row['id'], name, encoding, metadata, schema.id), schema
+    return topics
+
+
+def installed(type_name: str, number: int) -> Schema:
+    """Return a type that the file does not define, as rosbag2 before Iron, as installed here."""
+    try:
+        return Schema(number, describe(type_name).definition.encode(), ENCODING, type_name)
+    except LookupError:
+        return Schema(number, b'', '', type_name)
+
+
+def is_finished(path: Path) -> bool:
+    """Return whether the file has all its pages and nothing was left beside it to be put in."""
+    if any(path.with_name(path.name + suffix).exists() for suffix in LEFT_BEHIND):
+        return False
+    with path.open('rb') as file:
+        head = file.read(100)
+    if len(head) < 100:
+        return False
+    page_size = int.from_bytes(head[16:18], 'big')
+    pages = int.from_bytes(head[28:32], 'big')
+    # A page of 64 KiB is written as 1.
+    return path.stat().st_size >= pages * (2**16 if page_size == 1 else page_size)

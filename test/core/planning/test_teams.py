@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several robots at once, against the sum over every state and every outcome of all of them."""
+
+from functools import cache
+from itertools import pairwise
+
+import brute_force
+from kbnitp_ros.core import (
+    ALLOCATIONS,
+    Belief,
+    Grid,
+    path_information,
+    plan,
+    plan_team,
+    SensorModel,
+    team_information,
+)
+from kbnitp_ros.core.planning import fates
+import numpy as np
+import pytest
+
+BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
+STEPS = 5
+GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
+PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
+MODEL = SensorModel(0.5)
+
+every_allocation = pytest.mark.parametrize('allocation', ALLOCATIONS)
+
+
+def visits_of(path, cells):
+    return np.bincount(path[1:], minlength=cells)
+
+
+def few_paths(seed):
+    """Draw a belief of four cells, sensors and two or three short paths."""
+    rng = np.random.default_rng(seed)
+    joint, sensors = brute_force.random_joint(rng, 4, 0), brute_force.random_sensors(rng)
+    robots = 2 + seed % 2
+    steps = rng.integers(1, 7 - robots, robots)
+    return (
+        joint,
+        SensorModel(**sensors),
+        [brute_force.random_path(rng, 2, 2, 0, int(n)) for n in steps],
+    )
+
+
+def random_problem(seed):
+    """Draw a belief; the sensors are the paper's, with one of its six lethalities."""
+    rng = np.random.default_rng(seed)
+    grid = Grid(4, 4, base=BASES[seed % len(BASES)])
+    belief = Belief(brute_force.random_joint(rng, 16, grid.base))
+    return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
+
+
+def random_belief(seed, grid=GRID):
+    joint = brute_force.random_joint(np.random.default_rng(seed), grid.cells, grid.base)
+    joint[~grid.free] = [[1, 0], [0, 0]]
+    return Belief(joint)
+
+
+# What several paths are worth together
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
+    joint, model, (one, other, *_) = few_paths(seed)
+    visits = np.array([visits_of(path, 4) for path in (one, other)])
+    pairs = brute_force.information_of_pairs(joint, model, visits)
+    for i, j in ((0, 1), (1, 0), (0, 0)):
+        paths = [(one, other)[i], (one, other)[j]]
+        expected = brute_force.joint_information(joint, model, paths)
+        assert pairs[i, j] == pytest.approx(expected, rel=0, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_team_information_is_the_joint_information_but_for_a_little(seed):
+    joint, model, paths = few_paths(seed)
+    exact = brute_force.joint_information(joint, model, paths)
+    assert team_information(Belief(joint), model, paths) == pytest.approx(
+        exact, rel=0.03, abs=1e-9
+    )
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_team_information_is_exact_where_hazards_are_known(seed):
+    """Then no loss ties cells together and no reading tells of a hazard."""
+    joint, model, paths = few_paths(seed)
+    known = joint.argmax(axis=1, keepdims=True)[:, :, :1] == np.arange(2)[:, None]
+    joint = joint * known
+    joint /= joint.sum(axis=(1, 2), keepdims=True)
+    exact = brute_force.joint_information(joint, model, paths)
+    assert team_information(Belief(joint), model, paths) == pytest.approx(exact, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_what_may_have_happened_averages_to_what_is_believed(seed):
+    """Of all fates together the hazards are the prior's, merged ones among them or not."""
+    rng, belief = np.random.default_rng(seed), random_belief(seed)
+    model = SensorModel(**brute_force.random_sensors(rng))
+    after = fates.nobody_sent(belief)
+    for _ in range(7):
+        path = brute_force.random_path(rng, 6, 5, 8, 6)
+        after = fates.after_sending(after, model, path)
+    assert len(after) <= fates.MOST_FATES
+    chance = np.array([fate.probability for fate in after])
+    assert chance.sum() == pytest.approx(1, abs=1e-9)
+    hazard = chance @ [fate.belief.hazard for fate in after]
+    np.testing.assert_allclose(hazard, belief.hazard, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
+    belief = random_belief(seed)
+    paths = [p.path for p in plan_team(GRID, belief, MODEL, 8, 7, 'voronoi', 'relaxed').plans]
+    merged = team_information(belief, MODEL, paths)
+    monkeypatch.setattr(fates, 'MOST_FATES', 256)
+    assert merged == pytest.approx(team_information(belief, MODEL, paths), rel=0.03)
+
+
+# The allocations
+
+
+def shares_of_the_best(grid, belief, model):
+    """Return the exact joint information of each allocation's pair over that of the best pair."""
+
+    def of_pairs(visits):
+        return brute_force.information_of_pairs(belief.joint, model, visits)
+
+    found = {}
+    for allocation in ALLOCATIONS:
+        plans = plan_team(grid, belief, model, STEPS, 2, allocation).plans
+        found[allocation] = of_pairs(np.array([visits_of(p.path, 16) for p in plans]))[0, 1]
+    visits = every_path(grid.base)
+    alone = brute_force.information_of_visits(belief.joint, model, visits)
+    # Two paths are never worth more together than one by one, so a poor one is in no best pair.
+    worthy = alone + alone.max() >= max(found.values()) - 1e-9
+    best = of_pairs(visits[worthy]).max()
+    return {allocation: information / best for allocation, information in found.items()}
+
+
+@cache
+def every_path(base):
+    return brute_force.all_visit_counts(4, 4, base, STEPS)
+
+
+def test_greedy_comes_close_to_the_best_of_all_pairs(record_property):
+    shares = [shares_of_the_best(*random_problem(seed)) for seed in range(30)]
+    for allocation in ALLOCATIONS:
+        of_best = [share[allocation] for share in shares]
+        record_property(f'{allocation}_least', min(of_best))
+        record_property(f'{allocation}_mean', float(np.mean(of_best)))
+        print(f'{allocation} reaches {min(of_best):.4f}, on average {np.mean(of_best):.4f}')
+        assert max(of_best) <= 1 + 1e-9
+    assert min(share['greedy'] for share in shares) >= 0.98
+
+
+@every_allocation
+@pytest.mark.parametrize('seed', range(8))
+def test_a_robot_alone_is_planned_as_ever(seed, allocation):
+    belief, cost = random_belief(seed), (0.0, 0.7)[seed % 2]
+    team = plan_team(GRID, belief, MODEL, 9, 1, allocation, loss_cost=cost)
+    alone = plan(GRID, belief, MODEL, 9, loss_cost=cost)
+    assert team.plans[0].path.tolist() == alone.path.tolist()
+    assert team.plans[0].information == alone.information == team.information
+    assert team.plans[0].survival == alone.survival
+
+
+@every_allocation
+@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('agents', [2, 5])
+def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, allocation):
+    belief = random_belief(agents)
+    team = plan_team(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)
+    around = brute_force.adjacent(6, 5, GRID.blocked)
+    assert len(team.plans) == agents
+    for planned in team.plans:
+        path = planned.path.tolist()
+        assert path[0] == path[-1] == 8
+        assert 2 <= len(path) <= 8
+        assert all(after in around[before] for before, after in pairwise(path))
+        assert visits_of(path, 30).max() <= 2
+        assert planned.information == path_information(belief, MODEL, path)
+    together = team_information(belief, MODEL, [planned.path for planned in team.plans])
+    assert team.information == together
+    assert together <= sum(planned.information for planned in team.plans) + 1e-9
+
+
+@every_allocation
+def test_the_same_belief_is_the_same_team(allocation):
+    one, same = (
+        plan_team(GRID, Belief(PRIOR.joint.copy()), MODEL, 8, 4, allocation) for _ in range(2)
+    )
+    assert [p.path.tolist() for p in one.plans] == [p.path.tolist() for p in same.plans]
+    assert one.information == same.information
+
+
+@every_allocation
+def test_a_team_may_be_counted_in_floats(allocation):
+    whole, same = (plan_team(GRID, PRIOR, MODEL, 8, agents, allocation) for agents in (2, 2.0))
+    assert [p.path.tolist() for p in same.plans] == [p.path.tolist() for p in whole.plans]
+
+
+def test_independent_robots_go_the_same_way():
+    alone = plan(GRID, PRIOR, MODEL, 8).path.tolist()
+    team = plan_team(GRID, PRIOR, MODEL, 8, 3, 'independent')
+    assert [planned.path.tolist() for planned in team.plans] == [alone] * 3
+
+
+@every_allocation
+def test_there_may_be_as_many_robots_as_free_cells(allocation):
+    grid = Grid(3, 2, base=1, blocked=(5,))
+    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
+    assert len(plan_team(grid, belief, MODEL, 4, 5, allocation).plans) == 5
+
+
+# Regions
+
+
+@pytest.mark.parametrize('agents', [1, 2, 3, 8])
+@pytest.mark.parametrize('base', [0, 40])
+def test_regions_divide_the_free_cells_evenly(base, agents):
+    grid = Grid(9, 9, base=base, blocked=(13, 14, 22))
+    for belief in (Belief.prior(grid, 0.5, 0.45, 0.8), random_belief(agents, grid)):
+        regions = plan_team(grid, belief, MODEL, 18, agents, 'voronoi', 'relaxed').regions
+        assert (regions.owner[[13, 14, 22]] == -1).all()
+        assert set(np.delete(regions.owner, [13, 14, 22]).tolist()) == set(range(agents))
+        each = [Belief(belief.joint[regions.owner == r]).joint_entropy() for r in range(agents)]
+        np.testing.assert_allclose(regions.entropy, each, rtol=0, atol=1e-9)
+        assert regions.imbalance == pytest.approx(max(each) / np.mean(each) - 1, abs=1e-9)
+        assert regions.imbalance * np.mean(each) <= 1.5  # nats, about a cell
+
+
+def test_regions_share_out_only_what_is_in_reach():
+    grid = Grid(20, 1)
+    regions = plan_team(grid, Belief.prior(grid, 0.5, 0.45, 0.8), MODEL, 8, 2, 'voronoi').regions
+    reached = regions.owner[:5]
+    assert set(reached.tolist()) == {0, 1}
+    assert regions.entropy.sum() == pytest.approx(
+        Belief(Belief.prior(grid, 0.5, 0.45, 0.8).joint[:5]).joint_entropy()
+    )
+
+
+def test_robots_prefer_their_regions():
+    grid = Grid(9, 9, base=40)
+    belief = Belief.prior(grid, 0.1, 0.15, 0.8)
+    team = plan_team(grid, belief, SensorModel(0.3), 12, 4, 'voronoi')
+    for robot, planned in enumerate(team.plans):
+        inside = team.regions.owner[planned.path] == robot
+        assert inside.mean() > 0.6
+
+
+def test_only_voronoi_divides_the_field():
+    for allocation in ('independent', 'greedy'):
+        assert plan_team(GRID, PRIOR, MODEL, 4, 2, allocation).regions is None
+
+
+def test_regions_cannot_be_changed():
+    regions = plan_team(GRID, PRIOR, MODEL, 4, 2, 'voronoi').regions
+    with pytest.raises(ValueError, match='read-only'):
+        regions.owner[0] = 1
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    'arguments, message',
+    [
+        ({'agents': 0}, 'agents is 0.*from 1 to 27'),
+        ({'agents': -2}, 'agents is -2.*from 1 to 27'),
+        ({'agents': 1.5}, 'agents is 1.5.*whole number'),
+        ({'agents': 28}, 'agents is 28.*27.*free cell'),
+        ({'allocation': 'auction'}, 'allocation.*auction(?=.*voronoi)(?=.*greedy)'),
+        ({'planner': 'oracle'}, 'planner.*oracle.*beam'),
+        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+        ({'loss_cost': -0.1}, 'loss_cost is -0.1.*at least 0'),
+        ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
+        ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
+        ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
+        ({'out': [[8, 30, 8]]}, 'path leaves the grid.*30'),
+        ({'out': [[8, 7, 8], [8, 22, 8]]}, 'path jumps.*from cell 8 to 22'),
+    ],
+)
+@every_allocation
+def test_bad_teams_are_refused(allocation, arguments, message):
+    request = {'max_steps': 4, 'agents': 2, 'allocation': allocation, **arguments}
+    with pytest.raises(ValueError, match=message):
+        plan_team(GRID, PRIOR, MODEL, **request)
+
+
+@every_allocation
+def test_a_belief_of_another_grid_is_refused(allocation):
+    with pytest.raises(ValueError, match='belief.*30.*16'):
+        plan_team(Grid(4, 4), PRIOR, MODEL, 4, 2, allocation)
