@@ -3,6 +3,7 @@
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
+from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
@@ -21,6 +22,7 @@ __all__ = [
     'as_path',
     'binary_entropy',
     'brier_score',
+    'compiled',
     'cost',
     'frozen',
     'log_loss',

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compilation of kernels, where it can be had.
+
+A kernel is a plain function over arrays, in a file that holds nothing but kernels. numba keeps the
+machine code of a file until that file changes, and does not notice changes in other files.
+
+A kernel gives the same bits compiled and interpreted if it takes its functions from `math`, which
+is the C library in both, uses neither `**` nor sums of whole arrays, and never divides by 0 or
+takes its logarithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, TypeVar
+from warnings import warn
+
+Kernel = TypeVar('Kernel', bound=Callable[..., Any])
+
+# The versions that the kernels were run with.
+TRIED = ('0.61', '0.62', '0.68')
+
+
+def compiled(kernel: Kernel) -> Kernel:
+    """
+    Return the kernel compiled by numba, or itself where that cannot be.
+
+    The machine code is kept beside the source or in the home's cache, so that it is made once. A
+    RuntimeWarning tells once why kernels are not compiled.
+
+    Parameters
+    ----------
+    kernel : callable
+        A function over numbers and arrays that numba can compile.
+
+    Returns
+    -------
+    callable
+        With the same arguments and results.
+
+    """
+    numba = _numba()
+    if numba is None:
+        return kernel
+    try:
+        result: Kernel = numba.njit(cache=True)(kernel)
+    except RuntimeError:
+        # The documented exception where no folder can be written.
+        _warn_once(
+            'numba can keep compiled code nowhere: set NUMBA_CACHE_DIR to a folder to write in'
+        )
+        return kernel
+    return result
+
+
+@cache
+def _numba() -> Any:
+    try:
+        import numba
+    except ImportError as error:
+        _warn_once(f'numba cannot be used ({error}): pip install "numba=={TRIED[-1]}.*"')
+        return None
+    if not numba.__version__.startswith(tuple(f'{version}.' for version in TRIED)):
+        warn(
+            f'numba {numba.__version__} was not tried, only {", ".join(TRIED)}: '
+            'set NUMBA_DISABLE_JIT=1 if results are in doubt',
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return numba
+
+
+@cache
+def _warn_once(reason: str) -> None:
+    warn(f'{reason}; kernels run interpreted, much slower', RuntimeWarning, stacklevel=4)
