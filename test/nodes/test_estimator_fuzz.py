@@ -11,9 +11,9 @@ from collections import defaultdict
 from copy import deepcopy
 from itertools import pairwise
 import json
-import os
 import time
 
+from extent import FULL
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
@@ -30,7 +30,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 MESSAGES = 50  # sent to one node
-NODES = (20_000 if os.environ.get('KBNITP_TESTS') == 'full' else 1_000) // MESSAGES
+NODES = (20_000 if FULL else 1_000) // MESSAGES
 SECOND = 10**9
 GRID = Grid(4, 3, blocked=[5], resolution=0.5)
 AGENTS = ('scout_1', 'scout_2')

@@ -9,10 +9,10 @@ three minutes.
 from __future__ import annotations
 
 from array import array
-import os
 import time
 
 from builtin_interfaces.msg import Time
+from extent import FULL
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.log.bag.parts import parts_of
 from kbnitp_ros.log.bag.reader import is_finished, read_log
@@ -26,7 +26,7 @@ from rclpy.serialization import serialize_message
 from samples import key, lost, path
 from std_msgs.msg import UInt8MultiArray
 
-KILLS = 50 if os.environ.get('KBNITP_TESTS') == 'full' else 5
+KILLS = 50 if FULL else 5
 
 # All that a publisher keeps for a recorder that comes back.
 DEPLOYMENTS = qos.DEPTH

@@ -9,6 +9,7 @@ import os
 import struct
 
 from bags import write_bag
+from extent import FULL
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_metadata
@@ -18,7 +19,7 @@ from mission_log import Mission, on, record_to
 import pytest
 
 KINDS = ['mcap', 'mcap zstd', 'mcap by rosbags', 'sqlite3', 'metadata.yaml']
-CASES = 10_000 if os.environ.get('KBNITP_TESTS') == 'full' else 750
+CASES = 10_000 if FULL else 750
 
 place = st.integers(0, 2**20)
 some_bytes = st.binary(min_size=1, max_size=40)

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tests run: those of the marker `full` only when all are asked for."""
+
+import os
+
+import extent
+import pytest
+
+
+def pytest_configure():
+    """Refuse a misspelt wish for all tests, which would run less than was meant."""
+    if (asked := os.environ.get(extent.VARIABLE, '')) not in ('', 'full'):
+        raise pytest.UsageError(f'{extent.VARIABLE} is {asked!r}: it must be full, or not be set')
+
+
+def pytest_collection_modifyitems(items):
+    """Skip the tests of the marker `full` unless all are asked for."""
+    if extent.FULL:
+        return
+    skip = pytest.mark.skip(reason=f'only with {extent.VARIABLE}=full')
+    for item in items:
+        if item.get_closest_marker('full'):
+            item.add_marker(skip)
