@@ -16,11 +16,12 @@ BELOW = {
     'core.planning': {'core.field', 'core.inference'},
     'core': {'core.field', 'core.inference', 'core.planning'},
     'messages': {'core'},
+    'maps': {'core'},
     'log.bag': set(),
     'log': {'core', 'messages', 'log.bag'},
-    'study': {'core', 'messages'},
-    'nodes': {'core', 'messages', 'log', 'log.bag', 'study'},
-    'cli': {'core', 'messages', 'log', 'log.bag', 'study', 'nodes'},
+    'study': {'core', 'maps', 'messages'},
+    'nodes': {'core', 'maps', 'messages', 'log', 'log.bag', 'study'},
+    'cli': {'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'nodes'},
 }
 
 # Modules and functions of files, processes and sockets that the core has no use for.

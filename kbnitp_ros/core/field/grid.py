@@ -33,11 +33,17 @@ class Grid:
         Lower-left corner of cell 0 in metres.
     blocked : iterable of int
         Cells no robot can enter, known beforehand. Nothing is looked for there.
+    connectivity : int
+        How many of the cells around one a step may lead to: 8, or the 4 that share a side.
+    through_corners : bool
+        Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. Without, both
+        cells beside the step must be free.
 
     Raises
     ------
     ValueError
-        If a size, the base, the resolution, the origin or a blocked cell is not as above.
+        If a size, the base, the resolution, the origin, a blocked cell or the connectivity is not
+        as above.
 
     """
 
@@ -47,6 +53,8 @@ class Grid:
     resolution: float = 1.0
     origin: tuple[float, float] = (0.0, 0.0)
     blocked: Iterable[int] = ()
+    connectivity: int = 8
+    through_corners: bool = True
 
     def __post_init__(self) -> None:
         width = whole_number('grid width', self.width, 1)
@@ -61,6 +69,8 @@ class Grid:
         origin = tuple(float(coordinate) for coordinate in self.origin)
         if len(origin) != 2 or not all(map(isfinite, origin)):
             raise ValueError(f'origin is {self.origin}: it must be two finite numbers, in metres')
+        if self.connectivity not in (4, 8):
+            raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
         for name, value in (
             ('width', width),
             ('height', height),
@@ -87,9 +97,10 @@ class Grid:
     @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:
         """
-        Return the neighbours of every cell in ascending order, -1 where there is none.
+        Return what a step may lead to from every cell, in ascending order, -1 for what it may not.
 
-        The shape is (cells, 9); the rows of blocked cells are all -1.
+        The shape is (cells, 9): the column is 3 * (rows up + 1) + columns to the right + 1. The
+        rows of blocked cells are all -1.
         """
         row, col = np.divmod(np.arange(self.cells), self.width)
         step_row, step_col = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
@@ -98,12 +109,18 @@ class Grid:
         inside = (to_row >= 0) & (to_row < self.height) & (to_col >= 0) & (to_col < self.width)
         table = np.where(inside, to_row * self.width + to_col, -1)
         table[~self.free[table] | ~self.free[:, None]] = -1
+        diagonal = (step_row != 0) & (step_col != 0)
+        if self.connectivity == 4:
+            table[:, diagonal] = -1
+        elif not self.through_corners:
+            beside = (table[:, 4 + step_col] < 0) | (table[:, 4 + 3 * step_row] < 0)
+            table[beside & diagonal] = -1
         table.flags.writeable = False
         return table
 
     def neighbors(self, cell: int) -> NDArray[np.intp]:
         """
-        Return the cells one step away: `cell` itself and the free ones of the 8 around it.
+        Return the cells one step away, `cell` itself among them.
 
         Raises
         ------
@@ -172,7 +189,7 @@ class Grid:
             step = jumps[0]
             raise ValueError(
                 f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
-                'a step leads to one of the 8 cells around or stays'
+                f'a step stays or leads to one of {self.neighbors(int(cells[step])).tolist()}'
             )
         return cells
 

@@ -34,6 +34,38 @@ def test_neighbors_of_every_cell(width, height):
         assert grid.neighbors(cell).tolist() == expected
 
 
+def test_four_neighbors_share_a_side():
+    grid = Grid(3, 3, connectivity=4)
+    assert grid.neighbors(4).tolist() == [1, 3, 4, 5, 7]
+    assert grid.neighbors(0).tolist() == [0, 1, 3]
+
+
+def test_a_diagonal_step_may_touch_a_blocked_cell_unless_told_otherwise():
+    touching = Grid(3, 3, base=8, blocked=(1, 3))
+    assert touching.neighbors(0).tolist() == [0, 4]
+    assert touching.neighbors(4).tolist() == [0, 2, 4, 5, 6, 7, 8]
+    clear = Grid(3, 3, base=8, blocked=(1, 3), through_corners=False)
+    assert clear.neighbors(0).tolist() == [0]
+    assert clear.neighbors(4).tolist() == [4, 5, 7, 8]
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_steps_keep_clear_of_blocked_cells(seed):
+    rng = np.random.default_rng(seed)
+    width, height = rng.integers(1, 7, 2)
+    blocked = rng.choice(width * height, rng.integers(0, width * height), replace=False)
+    base = next(cell for cell in range(width * height) if cell not in blocked)
+    grid = Grid(width, height, base=base, blocked=blocked, through_corners=False)
+    for cell, around in brute_force.adjacent(width, height, blocked).items():
+
+        def is_clear(to, cell=cell):
+            rows, cols = sorted([cell // width, to // width]), sorted([cell % width, to % width])
+            touched = {r * width + c for r in rows for c in cols}
+            return not touched & set(blocked)
+
+        assert grid.neighbors(cell).tolist() == [to for to in around if is_clear(to)]
+
+
 @pytest.mark.parametrize('cell', [-1, 12, 1.5])
 def test_only_cells_of_the_grid_have_neighbors(cell):
     with pytest.raises(ValueError, match=f'cell is {cell}.*0 to 11'):
@@ -119,6 +151,7 @@ def test_a_cell_walled_off_is_farther_than_any_other():
         ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
         ({'origin': (0.0,)}, 'origin.*two'),
         ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
+        ({'connectivity': 6}, 'connectivity is 6.*4 or 8'),
     ],
 )
 def test_bad_grids_are_refused(arguments, message):

@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Maps as map_server reads them, and the grids and prior beliefs made of them."""
+
+from kbnitp_ros.maps.errors import MapError
+from kbnitp_ros.maps.files import read_map
+from kbnitp_ros.maps.occupancy import Map
+from kbnitp_ros.maps.prior import read_probabilities
+
+__all__ = ['Map', 'MapError', 'read_map', 'read_probabilities']

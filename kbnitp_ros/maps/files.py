@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Maps in files, as Nav2's map_server reads them.
+
+A YAML file names an image and says where it lies and what its pixels mean: `image`, `resolution`,
+`origin` (x, y, yaw), `negate`, `occupied_thresh`, `free_thresh` and `mode`. The image's first row
+is the map's top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.maps.errors import MapError
+from kbnitp_ros.maps.occupancy import Map, OCCUPIED, UNKNOWN
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+import yaml
+
+MODES = ('trinary', 'scale', 'raw')
+
+# 350 m x 350 m at 5 cm. Each pixel takes up to 30 bytes while it is read.
+MOST_PIXELS = 50_000_000
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """
+    What a map's YAML file says.
+
+    Attributes
+    ----------
+    image : Path
+        The image's file.
+    resolution : float
+        Side of a pixel in metres.
+    origin : tuple of float
+        Lower-left corner of the map in metres.
+    negate : bool
+        Whether white is occupied.
+    occupied_thresh, free_thresh : float
+        A pixel at least, and at most, this dark is occupied, and free.
+    mode : str
+        One of `MODES`.
+
+    """
+
+    image: Path
+    resolution: float
+    origin: tuple[float, float]
+    negate: bool
+    occupied_thresh: float
+    free_thresh: float
+    mode: str
+
+
+def read_map(yaml_path: str | Path) -> Map:
+    """
+    Return the map of a YAML file, with the values that map_server publishes.
+
+    With darkness p = 1 - v / 255 of a pixel v (v / 255 with `negate`), a pixel is 100 from
+    `occupied_thresh` on and 0 up to `free_thresh`; in between it is -1 in mode trinary and
+    interpolated in mode scale. A pixel that is transparent at all is -1. In mode raw the pixel is
+    the value, and -1 above 100.
+
+    Parameters
+    ----------
+    yaml_path : str or Path
+        The YAML file; a relative `image` is looked for beside it.
+
+    Raises
+    ------
+    MapError
+        If a file is missing or damaged, a value is missing or out of range, the image is larger
+        than `MOST_PIXELS`, or the origin is rotated.
+
+    """
+    file = read_map_file(Path(yaml_path))
+    gray, opaque = read_image(file.image)
+    if file.mode == 'raw':
+        data = np.where(gray <= OCCUPIED, gray, UNKNOWN).astype(np.int8)
+    else:
+        data = occupancy(darkness(gray, file.negate), file)
+        data[~opaque] = UNKNOWN
+    return Map(data, file.resolution, file.origin)
+
+
+def darkness(gray: NDArray[np.uint8], negate: bool) -> NDArray[np.float32]:
+    """Return p of each pixel in [0, 1], in the precision that map_server compares it in."""
+    light = gray.astype(np.float32) / np.float32(255.0)
+    return light if negate else np.float32(1.0) - light
+
+
+def scaled(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.float32]:
+    """Return how far each pixel is from `free_thresh` to `occupied_thresh`, 0 to 1 in between."""
+    width = np.float32(file.occupied_thresh - file.free_thresh)
+    result: NDArray[np.float32] = (dark - np.float32(file.free_thresh)) / width
+    return result
+
+
+def occupancy(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.int8]:
+    """Return 0 to 100 or -1 of each pixel in mode trinary or scale."""
+    between = np.full(dark.shape, np.float32(UNKNOWN))
+    if file.mode == 'scale':
+        # Halves are rounded up, as C++ rounds what is not negative.
+        between = np.floor(scaled(dark, file) * np.float32(OCCUPIED) + np.float32(0.5))
+    data = np.where(dark >= np.float32(file.occupied_thresh), OCCUPIED, between)
+    data = np.where(dark <= np.float32(file.free_thresh), 0, data)
+    return data.astype(np.int8)
+
+
+def read_map_file(path: Path) -> MapFile:
+    """
+    Return what a map's YAML file says.
+
+    Raises
+    ------
+    MapError
+        As for `read_map`.
+
+    """
+    try:
+        said = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise MapError(f'{path} cannot be read: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise MapError(f'{path} is not a YAML file: {error}') from error
+    if not isinstance(said, Mapping):
+        raise MapError(f'{path} must hold image, resolution, origin and thresholds of a map')
+
+    def value(name: str, *default: Any) -> Any:
+        if name not in said and not default:
+            raise MapError(f'{path} has no {name}: a map needs one')
+        return said.get(name, *default)
+
+    def number(name: str, found: Any) -> float:
+        if isinstance(found, bool) or not isinstance(found, (int, float)) or not isfinite(found):
+            raise MapError(f'{name} of {path} is {found!r}: it must be a finite number')
+        return float(found)
+
+    origin = value('origin')
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise MapError(f'origin of {path} is {origin!r}: it must be [x, y, yaw], in m and rad')
+    x, y, yaw = (number('origin', coordinate) for coordinate in origin)
+    if yaw:
+        raise MapError(f'origin of {path} is rotated by {yaw}: only maps with yaw 0 can be used')
+    mode = value('mode', 'trinary')
+    if mode not in MODES:
+        raise MapError(f'mode of {path} is {mode!r}: known are {", ".join(MODES)}')
+    negate = value('negate')
+    if negate not in (0, 1):
+        raise MapError(f'negate of {path} is {negate!r}: it must be 0 or 1')
+    occupied, free = (number(name, value(name)) for name in ('occupied_thresh', 'free_thresh'))
+    if not free < occupied:
+        raise MapError(
+            f'free_thresh of {path} is {free}: it must be below occupied_thresh, {occupied}'
+        )
+    return MapFile(
+        image=path.parent / str(value('image')),
+        resolution=number('resolution', value('resolution')),
+        origin=(x, y),
+        negate=bool(negate),
+        occupied_thresh=occupied,
+        free_thresh=free,
+        mode=mode,
+    )
+
+
+def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """
+    Return the grey values of an image and which of its pixels are opaque, its bottom row first.
+
+    Raises
+    ------
+    MapError
+        If it cannot be read, is no image, or has more than `MOST_PIXELS`.
+
+    """
+    try:
+        with Image.open(path) as image:
+            columns, rows = image.size
+            if columns * rows > MOST_PIXELS:
+                raise MapError(
+                    f'{path} has {columns} x {rows} pixels: at most {MOST_PIXELS} can be read'
+                )
+            image.load()
+            opaque = np.ones((rows, columns), dtype=bool)
+            if image.has_transparency_data:
+                opaque = np.asarray(image.convert('RGBA').getchannel('A')) == 255
+            gray = gray_values(image)
+    except UnidentifiedImageError as error:
+        raise MapError(f'{path} is no image that can be read: use PGM or PNG') from error
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, MapError):
+            raise
+        reason = getattr(error, 'strerror', None) or error
+        raise MapError(f'image {path} cannot be read: {reason}') from error
+    return gray[::-1], opaque[::-1]
+
+
+def gray_values(image: Image.Image) -> NDArray[np.uint8]:
+    """Return the grey values of an image, 0 to 255, whatever its depth."""
+    if image.mode.startswith('I'):  # 16 bits
+        wide = np.asarray(image, dtype=np.int64)
+        return ((wide + 128) // 257).astype(np.uint8)
+    if image.mode in ('P', 'LA', 'PA', 'RGBA'):
+        image = image.convert('RGBA').convert('RGB')
+    return np.asarray(image.convert('L'))

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An occupancy map, and the grid that robots may walk on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, isfinite
+
+from kbnitp_ros.core import Grid
+from kbnitp_ros.maps.errors import MapError
+from kbnitp_ros.maps.overlap import ON_THE_EDGE, pixels_under
+import numpy as np
+from numpy.typing import NDArray
+
+UNKNOWN = -1
+OCCUPIED = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """
+    What is known to stand in the field, as nav_msgs/OccupancyGrid has it.
+
+    Attributes
+    ----------
+    data : ndarray of int8, shape (rows, columns)
+        Row 0 at the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
+    resolution : float
+        Side of a pixel in metres, positive.
+    origin : tuple of float
+        Lower-left corner of the map in metres.
+
+    Raises
+    ------
+    MapError
+        If the map has no pixels or its geometry is not finite.
+
+    """
+
+    data: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if self.data.ndim != 2 or not self.data.size:
+            raise MapError(f'map has the shape {self.data.shape}: it must have rows and columns')
+        if not (isfinite(self.resolution) and self.resolution > 0):
+            raise MapError(f'resolution is {self.resolution}: it must be positive, in metres')
+        if not all(map(isfinite, self.origin)):
+            raise MapError(f'origin is {self.origin}: it must be finite, in metres')
+
+    def grid(
+        self,
+        resolution: float | None = None,
+        base_position: tuple[float, float] | None = None,
+        connectivity: int = 8,
+        unknown_blocks: bool = True,
+        *,
+        base: int = 0,
+        through_corners: bool = False,
+    ) -> Grid:
+        """
+        Return the grid over the map; the cells with an occupied pixel are blocked.
+
+        Cells start at the map's origin. Those that reach beyond its far edges are unknown there.
+
+        Parameters
+        ----------
+        resolution : float, optional
+            Side of a cell in metres, at least the map's; without it the map's.
+        base_position : tuple of float, optional
+            A point in the cell of the base, x and y in metres in the map's frame.
+        connectivity : int
+            4 or 8, as of `Grid`.
+        unknown_blocks : bool
+            Whether a pixel that is not known blocks its cell too.
+        base : int
+            The cell of the base, without `base_position`.
+        through_corners : bool
+            As of `Grid`.
+
+        Raises
+        ------
+        ValueError
+            If `resolution` is finer than the map's, the base is off the map or not free, or the
+            connectivity is neither 4 nor 8.
+
+        """
+        side = self.resolution if resolution is None else resolution
+        pixels = side / self.resolution
+        if not (isfinite(side) and pixels >= 1.0 - ON_THE_EDGE):
+            raise MapError(
+                f'grid resolution is {side}: it must be at least that of the map, '
+                f'{self.resolution} m'
+            )
+        rows, columns = (ceil(count / pixels - ON_THE_EDGE) for count in self.data.shape)
+        blocked = self._blocked(rows, columns, pixels, unknown_blocks)
+        bare = Grid(columns, rows, resolution=side, origin=self.origin)
+        if base_position is not None:
+            base = int(bare.cells_at([base_position])[0])
+        if 0 <= base < bare.cells and blocked.flat[base]:
+            x, y = bare.centers(base)
+            raise MapError(
+                f'the base, cell {base} around ({x:g}, {y:g}), is blocked: '
+                'its pixels must be free; choose another base_position'
+            )
+        return Grid(
+            width=columns,
+            height=rows,
+            base=base,
+            resolution=side,
+            origin=self.origin,
+            blocked=np.flatnonzero(blocked).tolist(),
+            connectivity=connectivity,
+            through_corners=through_corners,
+        )
+
+    def _blocked(
+        self, rows: int, columns: int, pixels: float, unknown_blocks: bool
+    ) -> NDArray[np.bool_]:
+        """Return which cells have a pixel that blocks, shape (rows, columns)."""
+        row_start, row_stop = pixels_under(rows, pixels)
+        column_start, column_stop = pixels_under(columns, pixels)
+        blocking = np.full((row_stop[-1], column_stop[-1]), unknown_blocks)
+        height, width = self.data.shape
+        blocking[:height, :width] = self.data == OCCUPIED
+        if unknown_blocks:
+            blocking[:height, :width] |= self.data == UNKNOWN
+        # The number of blocking pixels below and left of each corner, so that the pixels of a cell
+        # are counted from its four.
+        count = np.zeros((blocking.shape[0] + 1, blocking.shape[1] + 1), dtype=np.int64)
+        count[1:, 1:] = blocking.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
+        in_rows = count[row_stop] - count[row_start]
+        in_cells: NDArray[np.int64] = in_rows[:, column_stop] - in_rows[:, column_start]
+        return in_cells > 0

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prior probabilities from maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kbnitp_ros.core import Grid
+from kbnitp_ros.maps.errors import MapError
+from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
+from kbnitp_ros.maps.overlap import shares
+import numpy as np
+from numpy.typing import NDArray
+
+
+def read_probabilities(path: str | Path, grid: Grid, elsewhere: float) -> NDArray[np.float64]:
+    """
+    Return a probability for each cell of a grid, from a file.
+
+    A YAML file of map_server, in mode scale, lies where it says: a pixel as dark as
+    `occupied_thresh` is 1, one as light as `free_thresh` is 0. A .npy file of rows and columns,
+    row 0 at the bottom, lies over the whole grid. A cell's probability is the mean over the part
+    of it that the map covers, each pixel by its share of the area.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    grid : Grid
+        Its cells need not have the size of the map's pixels.
+    elsewhere : float
+        The probability of cells that the map does not cover: beyond its edges or transparent.
+
+    Returns
+    -------
+    ndarray, shape (cells,)
+        In [0, 1].
+
+    Raises
+    ------
+    MapError
+        If the file cannot be read or holds a value outside [0, 1].
+
+    """
+    path = Path(path)
+    if path.suffix == '.npy':
+        probability = read_array(path)
+        resolution = (
+            grid.height * grid.resolution / probability.shape[0],
+            grid.width * grid.resolution / probability.shape[1],
+        )
+        origin = grid.origin
+    else:
+        file = read_map_file(path)
+        if file.mode != 'scale':
+            raise MapError(f'mode of {path} is {file.mode}: probabilities need mode scale')
+        gray, opaque = read_image(file.image)
+        probability = scaled(darkness(gray, file.negate), file).astype(np.float64).clip(0.0, 1.0)
+        probability[~opaque] = np.nan
+        resolution = (file.resolution, file.resolution)
+        origin = file.origin
+    by_row, by_column = (
+        shares(cells, grid.resolution / pixel, (start - begin) / pixel, pixels)
+        for cells, pixel, start, begin, pixels in zip(
+            (grid.height, grid.width),
+            resolution,
+            reversed(grid.origin),
+            reversed(origin),
+            probability.shape,
+        )
+    )
+    covered = by_row @ ~np.isnan(probability) @ by_column.T
+    total = by_row @ np.nan_to_num(probability) @ by_column.T
+    with np.errstate(invalid='ignore'):
+        mean = np.where(covered > 0.0, total / covered, elsewhere)
+    return mean.ravel().clip(0.0, 1.0)
+
+
+def read_array(path: Path) -> NDArray[np.float64]:
+    """
+    Return the probabilities of a .npy file.
+
+    Raises
+    ------
+    MapError
+        If it is no array of rows and columns or has a value outside [0, 1].
+
+    """
+    try:
+        array = np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
+    except (ValueError, EOFError) as error:
+        raise MapError(f'{path} is no array of numbers: {error}') from error
+    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in 'fiu':
+        raise MapError(f'{path} must hold numbers in rows and columns')
+    if not array.size:
+        raise MapError(f'{path} has the shape {array.shape}: it must have rows and columns')
+    values = array.astype(np.float64)
+    wrong = np.argwhere(~((values >= 0.0) & (values <= 1.0)))
+    if len(wrong):
+        row, column = wrong[0]
+        raise MapError(
+            f'{path} is {values[row, column]} in row {row}, column {column}: '
+            'a probability must be from 0 to 1'
+        )
+    return values

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prior probabilities are the means of what lies under each cell."""
+
+from kbnitp_ros.core import Grid
+from kbnitp_ros.maps import MapError, read_probabilities
+import numpy as np
+from PIL import Image
+import pytest
+
+YAML = """
+image: map.png
+resolution: {resolution}
+origin: [{x}, {y}, 0]
+negate: 0
+occupied_thresh: {occupied}
+free_thresh: {free}
+mode: {mode}
+"""
+
+
+def write(folder, pixels, resolution=1.0, x=0.0, y=0.0, occupied=1.0, free=0.0, mode='scale'):
+    Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / 'map.png')
+    path = folder / 'map.yaml'
+    path.write_text(
+        YAML.format(resolution=resolution, x=x, y=y, occupied=occupied, free=free, mode=mode)
+    )
+    return path
+
+
+def test_a_pixel_a_cell(tmp_path):
+    path = write(tmp_path, [[255, 204], [0, 51]])
+    found = read_probabilities(path, Grid(2, 2), elsewhere=0.5)
+    assert found == pytest.approx([1.0, 0.8, 0.0, 0.2], abs=1e-6)
+
+
+def test_every_grey_value_is_kept_to_a_255th(tmp_path):
+    pixels = np.arange(256).reshape(16, 16)
+    found = read_probabilities(write(tmp_path, pixels), Grid(16, 16), elsewhere=0.5)
+    assert found == pytest.approx(1.0 - pixels[::-1].ravel() / 255, abs=1e-6)
+
+
+def test_thresholds_are_certainties(tmp_path):
+    path = write(tmp_path, [[0, 51, 127.5, 204, 255]], occupied=0.8, free=0.2)
+    found = read_probabilities(path, Grid(5, 1), elsewhere=0.5)
+    assert found == pytest.approx([1.0, 1.0, 128 / 255 / 0.6 - 0.2 / 0.6, 0.0, 0.0], abs=1e-6)
+
+
+def test_cells_beyond_the_map_or_transparent_keep_the_number(tmp_path):
+    pixels = np.zeros((2, 2, 4), dtype=np.uint8)
+    pixels[..., 3] = [[255, 0], [255, 255]]
+    path = write(tmp_path, pixels, x=1.0)
+    found = read_probabilities(path, Grid(4, 2), elsewhere=0.3)
+    assert found.reshape(2, 4).tolist() == [[0.3, 1.0, 1.0, 0.3], [0.3, 1.0, 0.3, 0.3]]
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_means_are_weighted_by_area(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, rng.integers(1, 12, 2))
+    # On a raster of 0.1 m, each cell's mean is a plain mean of points.
+    step, side = rng.integers(1, 9, 2)
+    x, y = rng.integers(-20, 21, 2)
+    width, height = rng.integers(1, 8, 2)
+    path = write(tmp_path, pixels, resolution=0.1 * step, x=0.1 * x, y=0.1 * y)
+    grid = Grid(int(width), int(height), resolution=0.1 * float(side), origin=(-0.5, 0.3))
+    found = read_probabilities(path, grid, elsewhere=0.25)
+    fine = (1.0 - pixels[::-1] / 255).repeat(step, axis=0).repeat(step, axis=1)
+    for cell in range(grid.cells):
+        row, column = divmod(cell, grid.width)
+        points = [
+            fine[r, c]
+            for r in range(3 + row * side - y, 3 + (row + 1) * side - y)
+            for c in range(-5 + column * side - x, -5 + (column + 1) * side - x)
+            if 0 <= r < fine.shape[0] and 0 <= c < fine.shape[1]
+        ]
+        assert found[cell] == pytest.approx(np.mean(points) if points else 0.25, abs=1e-6)
+
+
+def test_an_array_lies_over_the_whole_grid(tmp_path):
+    path = tmp_path / 'prior.npy'
+    np.save(path, [[0.1, 0.2], [0.3, 0.5]])
+    grid = Grid(2, 2, resolution=3.0, origin=(7.0, 8.0))
+    assert read_probabilities(path, grid, 0.9) == pytest.approx([0.1, 0.2, 0.3, 0.5])
+    assert read_probabilities(path, Grid(1, 2), 0.9) == pytest.approx([0.15, 0.4])
+    assert read_probabilities(path, Grid(4, 1), 0.9) == pytest.approx([0.2, 0.2, 0.35, 0.35])
+
+
+@pytest.mark.parametrize(
+    'array, message',
+    [
+        ([[0.1, 1.5]], '1.5 in row 0, column 1.*0 to 1'),
+        ([[0.1], [-0.5]], '-0.5 in row 1, column 0'),
+        ([[float('nan')]], 'nan in row 0'),
+        ([0.1, 0.2], 'rows and columns'),
+        (np.zeros((0, 3)), 'rows and columns'),
+        ([['a']], 'numbers'),
+        ([[None]], 'no array of numbers'),
+    ],
+)
+def test_bad_arrays_are_refused(tmp_path, array, message):
+    path = tmp_path / 'prior.npy'
+    np.save(path, array)
+    with pytest.raises(MapError, match=message):
+        read_probabilities(path, Grid(2, 2), 0.5)
+
+
+@pytest.mark.parametrize('data', [b'', b'\x93NUMPY\x01', b'no array'])
+def test_damaged_arrays_are_refused(tmp_path, data):
+    path = tmp_path / 'prior.npy'
+    path.write_bytes(data)
+    with pytest.raises(MapError, match='prior.npy'):
+        read_probabilities(path, Grid(2, 2), 0.5)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(MapError, match='nothere.npy cannot be read'):
+        read_probabilities(tmp_path / 'nothere.npy', Grid(2, 2), 0.5)
+    with pytest.raises(MapError, match='trinary.*mode scale'):
+        read_probabilities(write(tmp_path, [[0]], mode='trinary'), Grid(2, 2), 0.5)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Map files give the grid that map_server publishes."""
+
+from kbnitp_ros.maps import MapError, read_map
+import numpy as np
+from PIL import Image
+import pytest
+
+FILE = {
+    'image': 'map.pgm',
+    'resolution': 0.05,
+    'origin': [-1.5, 2.0, 0.0],
+    'negate': 0,
+    'occupied_thresh': 0.65,
+    'free_thresh': 0.196,
+}
+
+
+def write(folder, pixels, name='map.pgm', **changes):
+    """Write an image, by hand or by another library, and its YAML file; return the latter."""
+    rows, columns = pixels.shape
+    if name == 'ascii.pgm':
+        lines = [' '.join(map(str, row)) for row in pixels]
+        text = f'P2\n# made by hand\n{columns} {rows}\n255\n' + '\n'.join(lines) + '\n'
+        folder.joinpath(name).write_text(text)
+    elif name.endswith('.pgm'):
+        head = f'P5\n# made by hand\n{columns} {rows}\n255\n'.encode()
+        folder.joinpath(name).write_bytes(head + pixels.astype(np.uint8).tobytes())
+    else:
+        Image.fromarray(pixels.astype(np.uint8)).save(folder / name)
+    return write_yaml(folder, image=name, **changes)
+
+
+def write_yaml(folder, **changes):
+    said = {key: value for key, value in {**FILE, **changes}.items() if value is not None}
+    path = folder / 'map.yaml'
+    path.write_text(''.join(f'{key}: {value}\n' for key, value in said.items()))
+    return path
+
+
+def published(pixel, mode, negate, occupied, free):
+    """Return what map_server makes of one pixel, worked out in its single precision."""
+    if mode == 'raw':
+        return pixel if pixel <= 100 else -1
+    p = np.float32(pixel) / np.float32(255)
+    if not negate:
+        p = np.float32(1) - p
+    if p >= np.float32(occupied):
+        return 100
+    if p <= np.float32(free):
+        return 0
+    if mode == 'trinary':
+        return -1
+    part = (p - np.float32(free)) / np.float32(occupied - free) * np.float32(100)
+    return int(np.floor(part + np.float32(0.5)))
+
+
+@pytest.mark.parametrize('mode', ['trinary', 'scale', 'raw', None])
+@pytest.mark.parametrize('negate', [0, 1])
+@pytest.mark.parametrize('name', ['map.pgm', 'ascii.pgm', 'map.png'])
+@pytest.mark.parametrize('thresholds', [(0.65, 0.196), (0.65, 0.25), (1.0, 0.0), (0.5, 0.499)])
+def test_every_grey_value_is_what_map_server_publishes(tmp_path, mode, negate, name, thresholds):
+    pixels = np.arange(256).reshape(8, 32)
+    occupied, free = thresholds
+    path = write(
+        tmp_path,
+        pixels,
+        name,
+        mode=mode,
+        negate=negate,
+        occupied_thresh=occupied,
+        free_thresh=free,
+    )
+    found = read_map(path)
+    expected = [
+        [published(pixel, mode or 'trinary', negate, occupied, free) for pixel in row]
+        for row in pixels[::-1]
+    ]
+    assert found.data.dtype == np.int8
+    assert found.data.tolist() == expected
+    assert found.resolution == 0.05
+    assert found.origin == (-1.5, 2.0)
+
+
+def test_the_image_s_last_row_is_the_map_s_first(tmp_path):
+    found = read_map(write(tmp_path, np.array([[0, 0], [255, 0], [255, 255]])))
+    assert found.data.tolist() == [[0, 0], [0, 100], [100, 100]]
+
+
+@pytest.mark.parametrize('alpha, expected', [(255, 100), (254, -1), (0, -1)])
+def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
+    rgba = np.zeros((1, 2, 4), dtype=np.uint8)
+    rgba[..., 3] = [255, alpha]
+    Image.fromarray(rgba).save(tmp_path / 'map.png')
+    assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[100, expected]]
+
+
+@pytest.mark.parametrize('name, values', [('deep.png', np.uint16), ('flat.png', bool)])
+def test_images_of_other_depths(tmp_path, name, values):
+    light = np.array([[0, 65535]], dtype=np.uint16).astype(values)
+    Image.fromarray(light).save(tmp_path / name)
+    assert read_map(write_yaml(tmp_path, image=name)).data.tolist() == [[100, 0]]
+
+
+def test_a_coloured_image_counts_by_its_brightness(tmp_path):
+    colours = np.array([[[255, 255, 255], [255, 255, 0], [0, 0, 255]]], dtype=np.uint8)
+    Image.fromarray(colours).save(tmp_path / 'map.png')
+    assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[0, 0, 100]]
+
+
+@pytest.mark.parametrize(
+    'changes, message',
+    [
+        ({'image': 'nothere.pgm'}, 'nothere.pgm cannot be read: No such file'),
+        ({'image': 'map.yaml'}, 'map.yaml is no image.*PGM or PNG'),
+        ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
+        ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
+        ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
+        ({'resolution': None}, 'no resolution'),
+        ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
+        ({'origin': [0, 0, 0.1]}, 'origin.*rotated by 0.1'),
+        ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
+        ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
+        ({'negate': 2}, 'negate.*2.*0 or 1'),
+        ({'free_thresh': 0.7}, 'free_thresh.*0.7.*below'),
+        ({'occupied_thresh': '[1]'}, 'occupied_thresh.*finite number'),
+    ],
+)
+def test_bad_files_are_refused(tmp_path, changes, message):
+    write(tmp_path, np.zeros((2, 2)))
+    with pytest.raises(MapError, match=message):
+        read_map(write_yaml(tmp_path, **changes))
+
+
+@pytest.mark.parametrize('text', ['', '- 1', 'image: [', 'no colon'])
+def test_a_file_that_describes_no_map_is_refused(tmp_path, text):
+    path = tmp_path / 'map.yaml'
+    path.write_text(text)
+    with pytest.raises(MapError, match='map.yaml'):
+        read_map(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(MapError, match='nothere.yaml cannot be read: No such file'):
+        read_map(tmp_path / 'nothere.yaml')
+
+
+@pytest.mark.parametrize('name', ['map.pgm', 'ascii.pgm', 'map.png'])
+def test_a_truncated_image_is_refused(tmp_path, name):
+    path = write(tmp_path, np.random.default_rng(1).integers(0, 256, (40, 40)), name)
+    image = tmp_path / name
+    image.write_bytes(image.read_bytes()[:500])
+    with pytest.raises(MapError, match=f'{name} cannot be read'):
+        read_map(path)
+
+
+@pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
+@pytest.mark.parametrize('size', ['10000 10000', '40000 40000'])
+def test_an_image_too_large_is_refused_before_it_is_read(tmp_path, size):
+    tmp_path.joinpath('map.pgm').write_bytes(f'P5\n{size}\n255\n'.encode())
+    with pytest.raises(MapError, match='pixels'):
+        read_map(write_yaml(tmp_path))
