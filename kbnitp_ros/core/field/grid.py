@@ -147,6 +147,20 @@ class Grid:
         steps.flags.writeable = False
         return steps
 
+    def in_reach(self, max_steps: int) -> NDArray[np.bool_]:
+        """
+        Return which cells a path can lead through, shape (cells,).
+
+        Parameters
+        ----------
+        max_steps : int
+            The most steps of a path, at least 0. It takes as many to a cell as back from it.
+
+        """
+        steps = self.steps_to_base
+        in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
+        return in_reach
+
     def check_path(self, path: ArrayLike, max_steps: int | None = None) -> NDArray[np.intp]:
         """
         Return `path` as an array of cells if a robot can take it.

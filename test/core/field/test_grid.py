@@ -123,6 +123,23 @@ def test_steps_to_base_go_around_blocked_cells():
     assert wall.steps_to_base[[1, 6, 11, 12, 13, 3, 4]].tolist() == [1, 1, 2, 2, 3, 4, 4]
 
 
+@pytest.mark.parametrize('blocked', [(), (1, 6, 11, 16)], ids=['open', 'walled'])
+@pytest.mark.parametrize('max_steps', [0, 1, 2, 3, 5, 1000])
+def test_what_is_in_reach_is_what_some_path_leads_through(max_steps, blocked):
+    grid = Grid(5, 4, base=0, blocked=blocked)
+    ways_out = {0: {grid.base}}
+    for steps in range(1, min(max_steps, grid.cells) // 2 + 1):
+        ways_out[steps] = {int(c) for cell in ways_out[steps - 1] for c in grid.neighbors(cell)}
+    reached = set().union(*ways_out.values())
+    assert set(np.flatnonzero(grid.in_reach(max_steps)).tolist()) == reached
+
+
+def test_eighteen_steps_from_a_corner_reach_ten_cells_each_way():
+    in_reach = Grid(30, 30).in_reach(18).reshape(30, 30)
+    assert in_reach[:10, :10].all()
+    assert in_reach.sum() == 100
+
+
 def test_a_cell_walled_off_is_farther_than_any_other():
     walled = Grid(4, 1, blocked=(1,)).steps_to_base
     assert walled[0] == 0
