@@ -18,7 +18,7 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Belief, DeploymentKey, Grid, team_size
-from kbnitp_ros.log.bag import LogError, parts_of
+from kbnitp_ros.log.bag import LogError, LogLock, parts_of
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
@@ -75,6 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = parse(argv)
         if options.resume:
             log = parts_of(options.resume)[0]
+            # Nodes that went on with a mission which still lives would send its robots again.
+            LogLock(log).release()
             parameters = recorded_parameters(log)
         else:
             parameters = chosen_parameters(options)

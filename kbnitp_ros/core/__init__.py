@@ -12,6 +12,7 @@ from kbnitp_ros.core.field import (
     World,
 )
 from kbnitp_ros.core.inference import (
+    check_report,
     deployment_order,
     DeploymentKey,
     Estimator,
@@ -53,6 +54,7 @@ __all__ = [
     'World',
     'binary_entropy',
     'brier_score',
+    'check_report',
     'deployment_order',
     'log_loss',
     'path_information',

@@ -91,10 +91,7 @@ class RecorderNode(Shell):
 
     def _discover(self) -> None:
         """Subscribe to what is published and not heard yet."""
-        if not self._log.current_path.exists():
-            raise FileNotFoundError(
-                f'{self._log.current_path} is gone: it was removed while recording'
-            )
+        self._log.check_in_place()
         # The estimator publishes as soon as belief has its readers, so the maps, which it created
         # before, must be known and subscribed to before belief is: two looks that agree show all
         # that was created before anything they show, and belief comes last backwards.

@@ -134,6 +134,14 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     assert run_demo('--resume', tmp_path / 'none.mcap').returncode == 2
 
 
+def test_a_mission_that_lives_is_not_resumed(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap'):
+        for log in (tmp_path, tmp_path / 'mission.mcap'):
+            done = run_demo('--resume', log)
+            assert done.returncode == 2
+            assert 'mission.mcap is being written by another recorder' in done.stderr
+
+
 def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
     LogWriter(tmp_path / 'mission.mcap').close()
     done = run_demo('--resume', tmp_path)

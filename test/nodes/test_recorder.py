@@ -220,6 +220,26 @@ def test_a_resumed_log_holds_everything(field):
     assert len(recorded(log)['/m/scout_1/path']) == 3
 
 
+def test_a_log_has_one_recorder_at_a_time(field):
+    log = record(field)
+    told = field.listen(Time, '/m/scout_1/recorded')
+    paths = field.talk(Path, '/m/scout_1/path')
+    paths.publish(path(1))
+    field.until(lambda: told, 'word of path 1')
+    # Outside the mission, so that it does not record the first one's last words.
+    field.start('recorder', {'resume': str(log)}, '/other')
+    assert f'{log} is being written by another recorder' in until_failed(
+        field, '/other/recorder', 2
+    )
+    del field.processes.started['/other/recorder']
+    paths.publish(path(2))
+    field.until(lambda: from_stamp(told[-1]) == key(2).stamp, 'word of path 2')
+    field.processes.stop()
+    assert is_finished(log)
+    assert stamps_of(recorded(log)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
+    assert list(log.parent.glob('*.mcap')) == [log]
+
+
 def test_a_log_is_split_and_compressed(field):
     log = record(field, max_file_size=20_000, compression='zstd')
     talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
@@ -449,15 +469,28 @@ def test_a_file_that_may_not_grow_ends_the_recorder_and_what_was_written_stays(f
     assert 'File too large' in report_until_it_fails(field, log)
 
 
-@pytest.mark.parametrize('what', ['folder', 'file'])
+@pytest.mark.parametrize('what', ['folder', 'file', 'replaced'])
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     log = record(field)
+    told = field.listen(Time, '/m/scout_1/recorded')
+    paths = field.talk(Path, '/m/scout_1/path')
+    paths.publish(path(1))
+    field.until(lambda: told, 'word of path 1')
+    recorder = field.processes.started['/m/recorder']
+    # Between two of its looks nothing may be said to be safe, either.
+    recorder.send_signal(signal.SIGSTOP)
     if what == 'folder':
         shutil.rmtree(log.parent)
-    else:
+    elif what == 'file':
         log.unlink()
+    else:
+        log.with_suffix('.new').write_bytes(log.read_bytes())
+        log.with_suffix('.new').replace(log)
+    paths.publish(path(2))
+    recorder.send_signal(signal.SIGCONT)
     assert f'{log} is gone' in until_failed(field, '/m/recorder', 1)
-    assert not log.exists()
+    assert log.exists() == (what == 'replaced')
+    assert [from_stamp(each) for each in told] == [key(1).stamp]
 
 
 def test_message_types_are_found_by_name():

@@ -4,7 +4,13 @@
 from kbnitp_ros.core.inference.estimator import Estimator, METHODS
 from kbnitp_ros.core.inference.evidence import condition
 from kbnitp_ros.core.inference.exact import lost_likelihood
-from kbnitp_ros.core.inference.ledger import deployment_order, DeploymentKey, Ledger, Report
+from kbnitp_ros.core.inference.ledger import (
+    check_report,
+    deployment_order,
+    DeploymentKey,
+    Ledger,
+    Report,
+)
 from kbnitp_ros.core.inference.update import update
 
 __all__ = [
@@ -13,6 +19,7 @@ __all__ = [
     'Estimator',
     'Ledger',
     'Report',
+    'check_report',
     'condition',
     'deployment_order',
     'lost_likelihood',

@@ -223,18 +223,7 @@ class Ledger:
 
     def _outcome(self, key: DeploymentKey, report: Report) -> bytes | None:
         """Return the readings of a report that fits its path as bits; None if it is of a loss."""
-        steps = np.frombuffer(self._paths[key], self._cell_type)[1:].tolist()
-        read = [cell for cell, _ in report.readings]
-        if report.survived and read != steps:
-            raise ValueError(
-                f'readings of deployment {key} are of the {len(read)} cells {read}: there must be '
-                f'one for each of the {len(steps)} steps of its path, to {steps}'
-            )
-        if read and not report.survived:
-            raise ValueError(
-                f'readings of deployment {key} has {len(read)} values: '
-                'a robot that was lost brings none'
-            )
+        check_report(key, np.frombuffer(self._paths[key], self._cell_type), report)
         if not report.survived:
             return None
         return np.packbits([detected for _, detected in report.readings]).tobytes()
@@ -272,6 +261,40 @@ class Ledger:
             return Observation(path, False)
         bits = np.frombuffer(outcome, np.uint8)
         return Observation(path, True, np.unpackbits(bits, count=path.size - 1).astype(bool))
+
+
+def check_report(key: DeploymentKey, path: ArrayLike, report: Report) -> None:
+    """
+    Check that a report can be of a robot which took this path.
+
+    Parameters
+    ----------
+    key : DeploymentKey
+        The deployment, to be named in errors.
+    path : array_like of int, shape (steps + 1,)
+        Its cells.
+    report : Report
+        How it is said to have ended.
+
+    Raises
+    ------
+    ValueError
+        If a robot that came back has not one reading for each step, of the cell of that step, or
+        one that was lost has any.
+
+    """
+    steps = np.asarray(path)[1:].tolist()
+    read = [cell for cell, _ in report.readings]
+    if report.survived and read != steps:
+        raise ValueError(
+            f'readings of deployment {key} are of the {len(read)} cells {read}: there must be '
+            f'one for each of the {len(steps)} steps of its path, to {steps}'
+        )
+    if read and not report.survived:
+        raise ValueError(
+            f'readings of deployment {key} has {len(read)} values: '
+            'a robot that was lost brings none'
+        )
 
 
 def is_kept(count: int, deployments: int) -> bool:

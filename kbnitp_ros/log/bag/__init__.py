@@ -2,6 +2,7 @@
 """The files of a log: parts, schemas, metadata and repair. Knows bags, and nothing of missions."""
 
 from kbnitp_ros.log.bag.errors import LogError, same_types
+from kbnitp_ros.log.bag.lock import LogLock
 from kbnitp_ros.log.bag.parts import parts_of
 from kbnitp_ros.log.bag.reader import is_finished, log_size, LoggedMessage, read_log, read_metadata
 from kbnitp_ros.log.bag.recorded import Recorded
@@ -11,6 +12,7 @@ from kbnitp_ros.log.bag.writer import LogWriter
 
 __all__ = [
     'LogError',
+    'LogLock',
     'LogWriter',
     'LoggedMessage',
     'Recorded',

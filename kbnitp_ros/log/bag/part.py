@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+from kbnitp_ros.log.bag.lock import check_in_place
 from kbnitp_ros.log.bag.metadata import BagFile, BagTopic, information, sync_folder
 from kbnitp_ros.log.bag.recorded import QOS, TYPE_HASH
 from mcap.well_known import Profile
@@ -144,9 +145,22 @@ class PartWriter:
         self._pending = 0
 
     def sync(self) -> None:
-        """Put everything written so far onto the disk."""
+        """
+        Put everything written so far onto the disk.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the file has been removed or replaced: then nobody will read it.
+
+        """
         self.flush()
         os.fsync(self._file.fileno())
+        self.check_in_place()
+
+    def check_in_place(self) -> None:
+        """Check that the file has not been removed or replaced; raises FileNotFoundError."""
+        check_in_place(self._file, self.path)
 
     def finish(self) -> None:
         """Finish the file, with indexes, and put it onto the disk."""

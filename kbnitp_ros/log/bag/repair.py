@@ -9,6 +9,7 @@ from pathlib import Path
 
 from kbnitp_ros.log.bag import mcap_file
 from kbnitp_ros.log.bag.errors import LogError
+from kbnitp_ros.log.bag.lock import LogLock
 from kbnitp_ros.log.bag.metadata import BagFile, file_of, sync_folder, write_metadata
 from kbnitp_ros.log.bag.part import BAG_FIELD, BAG_RECORD, Definition, PartWriter
 from kbnitp_ros.log.bag.parts import check_is_new, parts_of
@@ -72,7 +73,7 @@ def repair(
     return Repaired(contents.messages, lost)
 
 
-def finished(part: Path, compression: str) -> BagFile:
+def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
     """
     Return what is in a part of a log, finishing it if it is not.
 
@@ -84,6 +85,8 @@ def finished(part: Path, compression: str) -> BagFile:
         An MCAP file.
     compression : str
         'none' or 'zstd', for one that is not finished.
+    lock : LogLock
+        The log's, held by this process.
 
     Raises
     ------
@@ -98,7 +101,7 @@ def finished(part: Path, compression: str) -> BagFile:
     new = part.with_name(f'{part.name}.new')
     new.unlink(missing_ok=True)
     contents = copy(mcap_file.read_mcap(part), new, part.name, compression)
-    new.replace(part)
+    lock.put_in_place(new, part)
     sync_folder(part.parent)
     return contents
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from kbnitp_ros.log.bag.errors import LogError
+from kbnitp_ros.log.bag.lock import LogLock
 from kbnitp_ros.log.bag.metadata import BagFile, is_of_another_bag, write_metadata
 from kbnitp_ros.log.bag.part import COMPRESSIONS, Definition, PartWriter
 from kbnitp_ros.log.bag.parts import check_is_new, is_later_part, part_path, parts_of
@@ -42,7 +43,9 @@ class Topic:
 
 class LogWriter:
     """
-    Writes messages, as the bytes that came off the wire, to a new log.
+    Writes messages, as the bytes that came off the wire, to a new log or on to an old one.
+
+    No other process can write the log until this one closes it or ends.
 
     Messages are collected in chunks. After `sync` all that was written is on the disk and stays
     readable whatever happens to the process or the machine; `close` makes the last file a finished
@@ -82,8 +85,8 @@ class LogWriter:
         If there is such a file already, its folder is missing, or the disk refuses; also from all
         methods that write.
     LogError
-        If there is no log to go on with, or a damaged one, or a new one is not named as an MCAP
-        file.
+        If there is no log to go on with, a damaged one or one that another process writes, or a
+        new one is not named as an MCAP file.
     ValueError
         If the compression is unknown.
 
@@ -111,14 +114,28 @@ class LogWriter:
             parts = parts_of(path)
             self.path = parts[0]
             check_goes_on(self.path)
-            self._finished = [finished(part, compression) for part in parts]
-            self._number = len(parts)
-            self.current_path = part_path(self.path, self._number)
+            self._lock = LogLock(self.path)
+            try:
+                # There may have been one more since, by a writer that has just ended.
+                parts = parts_of(path)
+                self._finished = [finished(part, compression, self._lock) for part in parts]
+                self._number = len(parts)
+                self.current_path = part_path(self.path, self._number)
+                part = PartWriter(self.current_path, compression)
+            except BaseException:
+                self._lock.release()
+                raise
         else:
             self.path = self.current_path = Path(path)
             check_is_new(self.path)
+            part = PartWriter(self.path, compression)
+            try:
+                self._lock = LogLock(self.path)
+            except BaseException:
+                part.abandon()
+                raise
+        self._part: PartWriter | None = part
         self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
-        self._part: PartWriter | None = PartWriter(self.current_path, compression)
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """
@@ -192,12 +209,26 @@ class LogWriter:
             raise
 
     def sync(self) -> None:
-        """Put everything written so far onto the disk."""
+        """
+        Put everything written so far onto the disk.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the log has been removed or replaced.
+
+        """
         try:
             self._open_part().sync()
+            self._lock.check_in_place()
         except OSError:
             self._abandon()
             raise
+
+    def check_in_place(self) -> None:
+        """Check that the log has not been removed or replaced; raises FileNotFoundError."""
+        self._open_part().check_in_place()
+        self._lock.check_in_place()
 
     def close(self) -> None:
         """Finish the log and put it onto the disk; nothing is done if it is closed already."""
@@ -209,6 +240,7 @@ class LogWriter:
             self._abandon()
             raise
         self._part = None
+        self._lock.release()
 
     def __enter__(self) -> LogWriter:
         """Return the writer itself."""
@@ -243,8 +275,6 @@ class LogWriter:
     def _finish_part(self) -> None:
         part = self._open_part()
         part.finish()
-        if not self.current_path.exists():
-            raise FileNotFoundError(f'{self.current_path} is gone: it was removed while open')
         self._finished.append(part.contents)
         self.shares_folder = not write_metadata(self.path.parent, self._finished)
 
@@ -253,6 +283,7 @@ class LogWriter:
         if self._part is not None:
             self._part.abandon()
             self._part = None
+            self._lock.release()
 
 
 def check_goes_on(first: Path) -> None:

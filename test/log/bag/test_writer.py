@@ -275,10 +275,9 @@ def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
 
 
 def test_a_damaged_log_is_not_gone_on_with(tmp_path, whole_mission):
-    path = tmp_path / 'mission.mcap'
-    log = LogWriter(path)
-    record_to(log, whole_mission.sent, synced=True)
-    content = bytearray(path.read_bytes())
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    (tmp_path / 'metadata.yaml').unlink()
+    content = bytearray(path.read_bytes()[:-1])
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     with pytest.raises(LogError, match=r'is damaged near byte .* replay --repair'):
@@ -290,7 +289,7 @@ def test_a_damaged_log_is_not_gone_on_with(tmp_path, whole_mission):
 def test_no_log_cannot_be_gone_on_with(tmp_path):
     with pytest.raises(LogError, match='holds no log'):
         LogWriter(tmp_path, resume=True)
-    with pytest.raises(OSError, match='No such file'):
+    with pytest.raises(LogError, match='cannot be gone on with: No such file'):
         LogWriter(tmp_path / 'mission.mcap', resume=True)
 
 
