@@ -11,17 +11,18 @@ ROOT = Path(__file__).parents[1]
 
 # What each layer, a folder, may stand on.
 BELOW = {
+    'files': set(),
     'core.field': set(),
     'core.inference': {'core.field'},
     'core.planning': {'core.field', 'core.inference'},
     'core': {'core.field', 'core.inference', 'core.planning'},
     'messages': {'core'},
-    'maps': {'core'},
-    'log.bag': set(),
-    'log': {'core', 'messages', 'log.bag'},
-    'study': {'core', 'maps', 'messages'},
-    'nodes': {'core', 'maps', 'messages', 'log', 'log.bag', 'study'},
-    'cli': {'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'nodes'},
+    'maps': {'files', 'core'},
+    'log.bag': {'files'},
+    'log': {'files', 'core', 'messages', 'log.bag'},
+    'study': {'files', 'core', 'maps', 'messages'},
+    'nodes': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study'},
+    'cli': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'nodes'},
 }
 
 # Modules and functions of files, processes and sockets that the core has no use for.

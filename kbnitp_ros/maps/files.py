@@ -15,12 +15,12 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.files import open_file, read_yaml
 from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.occupancy import Map, OCCUPIED, UNKNOWN
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-import yaml
 
 MODES = ('trinary', 'scale', 'raw')
 
@@ -125,11 +125,11 @@ def read_map_file(path: Path) -> MapFile:
 
     """
     try:
-        said = yaml.safe_load(path.read_text())
+        said = read_yaml(path)
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise MapError(f'{path} is not a YAML file: {error}') from error
+    except ValueError as error:
+        raise MapError(f'{path}: {error}') from error
     if not isinstance(said, Mapping):
         raise MapError(f'{path} must hold image, resolution, origin and thresholds of a map')
 
@@ -182,7 +182,7 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
 
     """
     try:
-        with Image.open(path) as image:
+        with open_file(path) as file, Image.open(file) as image:
             columns, rows = image.size
             if columns * rows > MOST_PIXELS:
                 raise MapError(

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Grid, World
+from kbnitp_ros.files import read_yaml
 import numpy as np
 from numpy.typing import NDArray
-import yaml
 
 PRESENT = {'.': False, 'x': True}
 
@@ -26,17 +26,13 @@ def read_world(path: str | Path, grid: Grid) -> World:
     ValueError
         If it is not such a file, or the world does not fit the grid.
     OSError
-        If there is no such file.
+        If there is no such file, or it is a pipe or a device.
 
     """
-    text = Path(path).read_text(encoding='utf-8')
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f'world file {path} is not YAML: {error}') from error
-    if not isinstance(content, dict) or set(content) != {'hazard', 'target'}:
-        raise ValueError(f'world file {path} must have hazard and target and nothing else')
-    try:
+        content = read_yaml(path)
+        if not isinstance(content, dict) or set(content) != {'hazard', 'target'}:
+            raise ValueError('it must have hazard and target and nothing else')
         world = World(*(_cells(name, content[name], grid) for name in ('hazard', 'target')))
         world.check(grid)
     except ValueError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, METHODS, PLANNERS, SensorModel, team_size
-import yaml
+from kbnitp_ros.files import read_yaml
 
 # A value's type, and what is allowed: the lowest and the highest number, or the names known.
 Count = Annotated[int, (1, 1_000_000)]
@@ -185,14 +185,14 @@ def read_scenario(path: Path) -> Scenario:
     Raises
     ------
     ValueError
-        If the file is not YAML, lacks a key, has an unknown one, or a value that is not allowed;
-        names the key, the value and what is allowed.
+        If the file is not YAML, lacks a key, has an unknown one or one twice, or a value that is
+        not allowed; names the key, the value and what is allowed.
     OSError
         If there is no such file.
 
     """
     try:
-        scenario: Scenario = _read(Scenario, yaml.safe_load(path.read_bytes()), '')
+        scenario: Scenario = _read(Scenario, read_yaml(path), '')
         for key, check in (
             ('grid', scenario.field),
             ('prior', scenario.belief),
@@ -202,8 +202,6 @@ def read_scenario(path: Path) -> Scenario:
                 check()
             except ValueError as error:
                 raise ValueError(f'{key}: {error}') from error
-    except yaml.YAMLError as error:
-        raise ValueError(f'scenario {path} is not YAML: {" ".join(str(error).split())}') from error
     except ValueError as error:
         raise ValueError(f'scenario {path}: {error}') from error
     return scenario

@@ -32,6 +32,7 @@ def test_the_first_row_is_the_top_row(write):
     'text, told',
     [
         ('hazard: ["...", "..."', 'is not YAML'),
+        ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
         ('', 'must have hazard and target and nothing else'),
         ('- 1', 'must have hazard and target and nothing else'),
         ('hazard: ["...", "..."]', 'must have hazard and target and nothing else'),

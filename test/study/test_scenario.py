@@ -71,6 +71,8 @@ def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, va
     'text, complaint',
     [
         (b'seed: [', 'not YAML'),
+        (b'seed: 1\nseed: 2', "the key 'seed' stands in line 2 and in line 1"),
+        (b'seed: 2001-99-99', 'not YAML'),
         (b'\xff\xfe\xff', 'not YAML'),
         (b'', 'it is None: it must have the keys seed'),
         (b'- seed', 'it must have the keys seed'),

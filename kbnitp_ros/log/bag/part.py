@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.log.bag.lock import check_in_place
 from kbnitp_ros.log.bag.metadata import BagFile, BagTopic, information, sync_folder
 from kbnitp_ros.log.bag.recorded import QOS, TYPE_HASH
@@ -185,6 +186,6 @@ class PartWriter:
 def parsed_qos(text: str) -> object:
     """Return the QoS that a channel was offered; none if it does not say, or in no YAML."""
     try:
-        return yaml.safe_load(text) or []
-    except Exception:
+        return parse_yaml(text) or []
+    except ValueError:
         return []

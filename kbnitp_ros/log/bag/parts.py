@@ -14,8 +14,8 @@ from pathlib import Path, PurePath
 import re
 from typing import Any
 
+from kbnitp_ros.files import NotYamlError, read_yaml
 from kbnitp_ros.log.bag.errors import LogError
-import yaml
 
 SUFFIXES = ('.mcap', '.db3')
 METADATA = 'metadata.yaml'
@@ -123,11 +123,25 @@ def listed_parts(folder: Path) -> list[str]:
 
 
 def read_information(folder: Path) -> Mapping[str, Any]:
-    """Return what metadata.yaml says of the bag in a folder; nothing if it is not all there."""
+    """
+    Return what metadata.yaml says of the bag in a folder; nothing if it is not all there.
+
+    Raises
+    ------
+    OSError
+        If it is there and cannot be read.
+    LogError
+        If it has a key twice or stands for too much.
+
+    """
+    path = folder / METADATA
     try:
-        information = yaml.safe_load((folder / METADATA).read_text())[INFORMATION]
-    except Exception:
+        content = read_yaml(path)
+    except (FileNotFoundError, NotYamlError):
         return {}
+    except ValueError as error:
+        raise LogError(f'{path}: {error}; without it the log can be read, too') from error
+    information = content.get(INFORMATION) if isinstance(content, dict) else None
     return information if isinstance(information, dict) else {}
 
 

@@ -2,6 +2,7 @@
 """Bags by other programs, of either storage, are read and replayed like the mission's own log."""
 
 from pathlib import Path
+import re
 import sqlite3
 import subprocess
 import sys
@@ -129,6 +130,17 @@ def test_a_recorder_that_was_killed_left_no_list(split, sent, left):
     else:
         (split / 'metadata.yaml').write_text(left)
     check(split, sent)
+
+
+def test_a_list_that_says_two_things_is_refused(split):
+    file = split / 'metadata.yaml'
+    first, *lines = file.read_text().splitlines()
+    file.write_text('\n'.join([first, lines[0], *lines]))
+    (key,) = re.findall(r'(\w+):', lines[0])
+    told = rf"metadata\.yaml: the key '{key}' stands in line 3 and in line 2"
+    for path in (split, next(split.glob('bag_0.*'))):
+        with pytest.raises(LogError, match=told):
+            list(read_log(path))
 
 
 @pytest.mark.parametrize('is_listed', [True, False])
