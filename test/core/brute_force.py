@@ -96,9 +96,9 @@ def enumerate_states(joint, cells):
     return cells, states, prior
 
 
-def fates(model, cells, states, path):
+def fates(model, cells, states, path, steps_survived=0):
     """
-    Probability in each state to be lost, and to return.
+    Probability in each state to be lost after so many steps, and to return.
 
     A robot is lost on exactly one of its steps, so no small number is ever subtracted from one.
     """
@@ -108,41 +108,42 @@ def fates(model, cells, states, path):
     die = np.where(states[:, steps, 0], 1 - s1, 1 - s0)
     alive = np.cumprod(survive, axis=1)
     reached = np.column_stack([np.ones(len(states)), alive[:, :-1]])
-    return (reached * die).sum(axis=1), alive[:, -1]
+    return (reached * die)[:, steps_survived:].sum(axis=1), alive[:, -1]
 
 
 def readings_likelihood(model, cells, states, path, readings):
-    """Probability of the readings, one a step, in each state."""
+    """Probability of the readings, one a step, -1 where not looked, in each state."""
     off, on = detection(model)
     steps = [cells.index(cell) for cell in path[1:]]
     positive = np.where(states[:, steps, 1], on, off)
-    return np.where(readings, positive, 1 - positive).prod(axis=1)
+    read = np.where(readings, positive, 1 - positive)
+    return np.where(np.equal(readings, -1), 1.0, read).prod(axis=1)
 
 
-def evidence_likelihood(model, cells, states, path, readings):
+def evidence_likelihood(model, cells, states, path, readings, steps_survived=0):
     """Probability in each state to return with these readings; readings None: to be lost."""
-    lost, returned = fates(model, cells, states, path)
+    lost, returned = fates(model, cells, states, path, steps_survived)
     if readings is None:
         return lost
     return returned * readings_likelihood(model, cells, states, path, readings)
 
 
-def evidence_probability(joint, model, path, readings):
-    """Predicted probability of one outcome."""
+def evidence_probability(joint, model, path, *outcome):
+    """Predicted probability of one outcome: readings, and if known the steps survived."""
     cells, states, prior = enumerate_states(joint, path[1:])
-    return (prior * evidence_likelihood(model, cells, states, path, readings)).sum()
+    return (prior * evidence_likelihood(model, cells, states, path, *outcome)).sum()
 
 
 def posterior(joint, model, *deployments):
     """
-    Take in deployments, each a path and its readings, all at once.
+    Take in deployments, each a path, its readings and if known the steps survived, all at once.
 
     The posterior of all states, then marginal joints per cell.
     """
-    visited = {cell for path, _ in deployments for cell in path[1:]}
+    visited = {cell for path, *_ in deployments for cell in path[1:]}
     cells, states, weight = enumerate_states(joint, visited)
-    for path, readings in deployments:
-        weight = weight * evidence_likelihood(model, cells, states, path, readings)
+    for deployment in deployments:
+        weight = weight * evidence_likelihood(model, cells, states, *deployment)
     weight /= weight.sum()
     after = joint.copy()
     for i, cell in enumerate(cells):

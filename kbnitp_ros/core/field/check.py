@@ -103,6 +103,24 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     return array.astype(bool)
 
 
+def yes_no_or_unseen(name: str, values: ArrayLike) -> NDArray[np.bool_] | NDArray[np.int8]:
+    """
+    Return `values`, of any shape, as booleans, or as -1, 0 and 1 if one of them is -1.
+
+    Raises
+    ------
+    ValueError
+        If one of them is none of these (names the first).
+
+    """
+    array = np.array(values)
+    unseen = array == -1
+    if not unseen.any():
+        return yes_or_no(name, array)
+    yes_or_no(name, array[~unseen])
+    return array.astype(np.int8)
+
+
 def frozen(array: NDArray[np.generic]) -> None:
     """Make `array` read-only in place."""
     array.flags.writeable = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import frozen, yes_or_no
+from kbnitp_ros.core.field.check import frozen, whole_number, yes_no_or_unseen, yes_or_no
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -39,23 +39,29 @@ class Observation:
     ----------
     path : array_like of int, shape (steps + 1,)
         The cells in order, the base first and last. The robot starts in the first one; each of
-        the others is the end of a step.
+        the others is the end of a step. Of a robot that returned it is the way it went, of a lost
+        one the way it was sent.
     survived : bool
         Whether the robot came back (the path-based sensor did not trigger, Theta = 0).
-    readings : array_like of bool, shape (steps,), optional
-        The target sensor's reading Y in the cell each step leads to; None when the robot was
-        lost.
+    readings : array_like of bool or int, shape (steps,), optional
+        The target sensor's reading Y in the cell each step leads to, -1 where it did not look;
+        None when the robot was lost.
+    steps_survived : int
+        How many of its first steps a lost robot is known to have survived, from a last contact; 0
+        when nothing is known.
 
     Raises
     ------
     ValueError
-        If the path is not closed or has no step, or the readings do not fit the outcome.
+        If the path is not closed or has no step, or the readings or `steps_survived` do not fit
+        the outcome.
 
     """
 
     path: NDArray[np.intp]
     survived: bool
-    readings: NDArray[np.bool_] | None = None
+    readings: NDArray[np.bool_] | NDArray[np.int8] | None = None
+    steps_survived: int = 0
 
     def __post_init__(self) -> None:
         path = as_path(self.path)
@@ -68,13 +74,17 @@ class Observation:
         frozen(path)
         object.__setattr__(self, 'path', path)
         object.__setattr__(self, 'survived', bool(yes_or_no('survived', self.survived)))
+        self._check_readings()
+        self._check_steps_survived()
+
+    def _check_readings(self) -> None:
         if self.readings is None:
             if self.survived:
                 raise ValueError(
                     'readings are missing: a robot that returned has one for each step'
                 )
             return
-        readings = yes_or_no('readings', self.readings)
+        readings = yes_no_or_unseen('readings', self.readings)
         if not self.survived:
             raise ValueError(
                 f'readings has {readings.size} values: a robot that was lost brings none'
@@ -85,6 +95,17 @@ class Observation:
             )
         frozen(readings)
         object.__setattr__(self, 'readings', readings)
+
+    def _check_steps_survived(self) -> None:
+        steps = whole_number('steps_survived', self.steps_survived, 0)
+        if self.survived and steps:
+            raise ValueError(f'steps_survived is {steps}: a robot that returned survived them all')
+        if steps >= self.steps:
+            raise ValueError(
+                f'steps_survived is {steps}: a robot lost on a path of {self.steps} steps '
+                f'survived at most {self.steps - 1}'
+            )
+        object.__setattr__(self, 'steps_survived', steps)
 
     @property
     def steps(self) -> int:
@@ -114,6 +135,6 @@ class Visits:
 
     @classmethod
     def of(cls, path: NDArray[np.intp]) -> Visits:
-        """Count the visits of `path`, shape (steps + 1,)."""
+        """Count the visits of `path`, or of a stretch of it, shape (steps + 1,)."""
         cells, of_step, counts = np.unique(path[1:], return_inverse=True, return_counts=True)
         return cls(cells, counts, of_step)

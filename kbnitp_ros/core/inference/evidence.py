@@ -3,13 +3,22 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import SensorModel, times_log, Visits
+from kbnitp_ros.core.field import Belief, SensorModel, times_log, Visits
 import numpy as np
 from numpy.typing import NDArray
 
 
+def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.float64]:
+    """
+    Return log P(survived the visits | Z = z) of each visited cell, shape (n, 2).
+
+    A lost robot's last contact tells this of the steps before it.
+    """
+    return times_log(visits.counts[:, None], model.log_survival)
+
+
 def returned_log_likelihood(
-    model: SensorModel, visits: Visits, readings: NDArray[np.bool_]
+    model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
 ) -> NDArray[np.float64]:
     """
     Return log P(survived, readings | Z = z, X = x) of each visited cell.
@@ -20,20 +29,45 @@ def returned_log_likelihood(
         What the robot and its sensor are believed to be like.
     visits : Visits
         Of a path that a robot returned from.
-    readings : ndarray of bool, shape (steps,)
-        Y in each step.
+    readings : ndarray of bool or int, shape (steps,)
+        Y in each step, -1 where the robot did not look.
 
     Returns
     -------
     ndarray, shape (n, 2, 2)
-        Indexed [visited cell, z, x]: each visit contributes log s_z + log P(y | x).
+        Indexed [visited cell, z, x]: each visit adds log s_z, and if it looked log P(y | x).
 
     """
-    positive = np.bincount(visits.of_step, weights=readings)
-    survived = times_log(visits.counts[:, None], model.log_survival)
+    positive = np.bincount(visits.of_step, weights=readings == 1)
+    negative = np.bincount(visits.of_step, weights=readings == 0)
+    survived = survived_log_likelihood(model, visits)
     read = times_log(positive[:, None], model.log_reading[1])
-    read += times_log((visits.counts - positive)[:, None], model.log_reading[0])
+    read += times_log(negative[:, None], model.log_reading[0])
     return survived[:, :, None] + read[:, None, :]
+
+
+def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
+    """
+    Return the belief given evidence on some cells; the others keep their bits.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before.
+    cells : ndarray of int, shape (n,)
+        Each at most once.
+    log_likelihood : ndarray, broadcastable to (n, 2, 2)
+        Of the evidence, up to a constant for each cell.
+
+    Raises
+    ------
+    ValueError
+        If the evidence is impossible.
+
+    """
+    joint = belief.joint.copy()
+    joint[cells] = condition(joint[cells], log_likelihood)
+    return Belief(joint)
 
 
 def condition(

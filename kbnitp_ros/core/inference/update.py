@@ -4,9 +4,14 @@
 from __future__ import annotations
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
-from kbnitp_ros.core.inference.evidence import condition, returned_log_likelihood
+from kbnitp_ros.core.inference.evidence import (
+    given,
+    returned_log_likelihood,
+    survived_log_likelihood,
+)
 from kbnitp_ros.core.inference.methods import ONE_PASS
 import numpy as np
+from numpy.typing import NDArray
 
 
 def update(
@@ -20,7 +25,8 @@ def update(
 
     A returned robot's cells are updated exactly (arXiv:2305.06929, eq. 6-8). Of a lost robot each
     cell's P(Z) is updated with the method's likelihood of the loss, and X follows through
-    P(X | Z), which a loss leaves unchanged.
+    P(X | Z), which a loss leaves unchanged. Steps it is known to have survived are evidence of
+    their own: it was lost in the rest.
 
     Parameters
     ----------
@@ -50,16 +56,26 @@ def update(
         raise ValueError(
             f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
         )
-    visits = Visits.of(observation.path)
-    prior = belief.joint[visits.cells]
     if not ONE_PASS[method].correlated:
-        prior = Belief(prior).independent().joint
+        belief = _independent(belief, observation.path[1:])
     if observation.readings is not None:
-        log_likelihood = returned_log_likelihood(model, visits, observation.readings)
-    else:
-        lost = ONE_PASS[method].lost(belief.hazard[visits.cells], model, visits)
-        with np.errstate(divide='ignore'):
-            log_likelihood = np.log(lost)[:, :, None]
+        visits = Visits.of(observation.path)
+        return given(
+            belief, visits.cells, returned_log_likelihood(model, visits, observation.readings)
+        )
+    if observation.steps_survived:
+        survived = Visits.of(observation.path[: observation.steps_survived + 1])
+        belief = given(
+            belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
+        )
+    visits = Visits.of(observation.path[observation.steps_survived :])
+    lost = ONE_PASS[method].lost(belief.hazard[visits.cells], model, visits)
+    with np.errstate(divide='ignore'):
+        return given(belief, visits.cells, np.log(lost)[:, :, None])
+
+
+def _independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:
+    """Return the belief with hazard and target independent in `cells`."""
     joint = belief.joint.copy()
-    joint[visits.cells] = condition(prior, log_likelihood)
+    joint[cells] = Belief(joint[cells]).independent().joint
     return Belief(joint)
