@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
 
-LINES = dict(zip(ALLOCATIONS, ('dotted', 'dashed', 'solid')))
+LINES = dict(zip(ALLOCATIONS, cycle(('dotted', 'dashed', 'solid', 'dashdot'))))
 
 
 def differ_in_size(scenario: Scenario) -> bool:

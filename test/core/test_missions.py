@@ -9,6 +9,7 @@ from kbnitp_ros.core import (
     METHODS,
     plan,
     plan_team,
+    PLANNERS,
     run_mission,
     SensorModel,
     update,
@@ -43,7 +44,7 @@ def trace(deployments):
     ]
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 @pytest.mark.parametrize('method', METHODS)
 def test_the_same_seed_is_the_same_mission(method, planner):
     one, same, other = (trace(fly(s, method=method, planner=planner)[1]) for s in (1, 1, 2))

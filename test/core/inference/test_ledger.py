@@ -13,6 +13,7 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
+from known_methods import LEARN_FROM_LOSSES
 import numpy as np
 import pytest
 
@@ -223,11 +224,21 @@ def test_impossible_evidence_is_refused():
 
 
 @pytest.mark.parametrize('method', METHODS)
-def test_what_makes_a_later_deployment_impossible_is_refused(method):
+def test_a_return_that_makes_later_ones_impossible_is_refused(method):
+    """The sensor never errs, so one cell had no target for A and has one for B."""
+    model = SensorModel(0.5, true_positive=1.0, false_positive=0.0)
+    assert_is_refused_before_two_returns(Report(True, ((0, False), (4, False))), model, method)
+
+
+@pytest.mark.parametrize('method', LEARN_FROM_LOSSES)
+def test_a_loss_that_makes_later_returns_impossible_is_refused(method):
     """Robots die in every hazard and of nothing else, so one cell took A and let B through."""
-    prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
     model = SensorModel(1.0, malfunction=0.0, false_negative=0.0)
-    ledger = Ledger(GRID, 4, Estimator(prior, model, method))
+    assert_is_refused_before_two_returns(LOST, model, method)
+
+
+def assert_is_refused_before_two_returns(impossible, model, method):
+    ledger = Ledger(GRID, 4, Estimator(PRIOR, model, method))
     back = Report(True, ((0, True), (4, False)))
     for key in (A, B, C):
         ledger.record_path(key, [4, 0, 4])
@@ -235,10 +246,10 @@ def test_what_makes_a_later_deployment_impossible_is_refused(method):
     ledger.record_report(C, back)
     before = state(ledger)
     with pytest.raises(ValueError, match='impossible'):
-        ledger.record_report(A, LOST)
+        ledger.record_report(A, impossible)
     assert state(ledger) == before
     assert ledger.record_report(A, back)
-    again = Estimator(prior, model, method)
+    again = Estimator(PRIOR, model, method)
     for _ in range(3):
         again.assimilate(Observation([4, 0, 4], True, [True, False]))
     assert ledger.belief.joint.tobytes() == again.belief.joint.tobytes()

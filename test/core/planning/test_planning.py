@@ -60,7 +60,7 @@ def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
     assert min(ratios) > 0.5
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 @pytest.mark.parametrize('seed', range(24))
 def test_plans_are_legal_and_say_what_they_are_worth(seed, planner):
     rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def test_the_steps_are_used_up_to_the_last(planner):
     assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 def test_ties_are_broken_the_same_way_every_time(planner):
     grid = Grid(6, 6, base=14)
     belief, model = Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5)
@@ -127,7 +127,7 @@ def test_any_cell_can_be_the_base(base, planner):
     assert len(set(found.path)) > 1
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 @pytest.mark.parametrize('grid', [Grid(1, 1), Grid(3, 1, base=1, blocked=(0, 2))])
 def test_a_robot_with_nowhere_to_go_stays(grid, planner):
     found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, planner=planner)
@@ -135,7 +135,7 @@ def test_a_robot_with_nowhere_to_go_stays(grid, planner):
     assert 2 <= len(found.path) <= 4
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 def test_a_single_step_is_a_stay_at_the_base(planner):
     grid = Grid(3, 3, base=4)
     found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 1, planner=planner)

@@ -12,6 +12,7 @@ from kbnitp_ros.core import (
     path_information,
     plan,
     plan_team,
+    PLANNERS,
     SensorModel,
     team_information,
 )
@@ -167,7 +168,7 @@ def test_a_robot_alone_is_planned_as_ever(seed, allocation):
 
 
 @every_allocation
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@pytest.mark.parametrize('planner', PLANNERS)
 @pytest.mark.parametrize('agents', [2, 5])
 def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, allocation):
     belief = random_belief(agents)
