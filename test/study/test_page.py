@@ -6,6 +6,7 @@ from math import copysign, prod
 from pathlib import Path
 import re
 
+from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
 from kbnitp_ros.study.scenario import read_scenario
 import numpy as np
@@ -103,6 +104,19 @@ def test_where_the_printed_update_knows_less_than_nothing(scenario, before, wors
     for lethality in LETHALITIES[1:]:
         lost = [rows[lethality, method]['robots lost'][0] for method in METHODS]
         assert min(lost[1:3]) > max(lost[0], *lost[3:])
+
+
+@pytest.mark.parametrize('name, nats', [('paper', 107), ('calibrated', 74)])
+def test_what_is_known_before_the_first_robot(name, nats):
+    scenario = read_scenario(SCENARIOS / f'{name}.yaml')
+    prior = scenario.belief()
+    losses = []
+    for number in range(scenario.trials):
+        rng = np.random.default_rng([scenario.seed, number])
+        world = World.random(scenario.field(), rng, **vars(scenario.world))
+        losses.append(log_loss(prior.hazard, world.hazard) + log_loss(prior.target, world.target))
+    assert round(np.mean(losses)) == nats
+    assert f'{nats} nats' in (DOCS / 'results.md').read_text()
 
 
 @pytest.mark.parametrize('scenario', ['paper', 'calibrated'])
@@ -315,6 +329,14 @@ def test_the_example_is_right():
         assert line == [f'{losses}', *(f'{p:.4f}' for p in (*hazards, exact_hazard(losses)))]
         hazards, _ = printed_loss(hazards)
     assert len(lines) == 6
+
+
+def test_a_long_path_has_no_cell_that_a_loss_makes_look_dangerous():
+    before = [0.5] * 17
+    after, w = printed_loss(before)
+    assert len(w) == 18
+    assert max(w) < sum(w) / 2
+    assert max(after) < 0.5
 
 
 def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_path):

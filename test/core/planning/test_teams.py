@@ -5,6 +5,7 @@ from functools import cache
 from itertools import pairwise
 
 import brute_force
+from documented import rows, words
 from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
@@ -21,7 +22,6 @@ import numpy as np
 import pytest
 
 BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
-STEPS = 5
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
@@ -74,13 +74,24 @@ def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
         assert pairs[i, j] == pytest.approx(expected, rel=0, abs=1e-9)
 
 
-@pytest.mark.parametrize('seed', range(60))
-def test_team_information_is_the_joint_information_but_for_a_little(seed):
-    joint, model, paths = few_paths(seed)
-    exact = brute_force.joint_information(joint, model, paths)
-    assert team_information(Belief(joint), model, paths) == pytest.approx(
-        exact, rel=0.03, abs=1e-9
+def test_team_information_is_the_joint_information_but_for_a_little():
+    cases = 600
+    above = np.zeros(cases)
+    for seed in range(cases):
+        joint, model, paths = few_paths(seed)
+        exact = brute_force.joint_information(joint, model, paths)
+        above[seed] = team_information(Belief(joint), model, paths) / exact - 1
+    far = (above > 0.03).sum()
+    print(
+        f'in {cases} cases {above.mean():.1%} above on average, more than 3 % above in {far}, '
+        f'at most {above.max():.0%}, at least {above.min():.0%}'
     )
+    assert above.min() > -1e-9
+    page = words('docs/mathematics.md')
+    assert f'in {cases} random small cases it was never below' in page
+    assert f'{100 * above.mean():.1f} % above on average, and more than 3 % above in three' in page
+    assert far == 3
+    assert f'up to {100 * above.max():.0f} %' in page
 
 
 @pytest.mark.parametrize('seed', range(30))
@@ -122,7 +133,7 @@ def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
 # The allocations
 
 
-def shares_of_the_best(grid, belief, model):
+def shares_of_the_best(grid, belief, model, steps):
     """Return the exact joint information of each allocation's pair over that of the best pair."""
 
     def of_pairs(visits):
@@ -130,9 +141,9 @@ def shares_of_the_best(grid, belief, model):
 
     found = {}
     for allocation in ALLOCATIONS:
-        plans = plan_team(grid, belief, model, STEPS, 2, allocation).plans
+        plans = plan_team(grid, belief, model, steps, 2, allocation).plans
         found[allocation] = of_pairs(np.array([visits_of(p.path, 16) for p in plans]))[0, 1]
-    visits = every_path(grid.base)
+    visits = every_path(grid.base, steps)
     alone = brute_force.information_of_visits(belief.joint, model, visits)
     # Two paths are never worth more together than one by one, so a poor one is in no best pair.
     worthy = alone + alone.max() >= max(found.values()) - 1e-9
@@ -141,18 +152,22 @@ def shares_of_the_best(grid, belief, model):
 
 
 @cache
-def every_path(base):
-    return brute_force.all_visit_counts(4, 4, base, STEPS)
+def every_path(base, steps):
+    return brute_force.all_visit_counts(4, 4, base, steps)
 
 
-def test_greedy_comes_close_to_the_best_of_all_pairs(record_property):
-    shares = [shares_of_the_best(*random_problem(seed)) for seed in range(30)]
+@pytest.mark.parametrize('steps', [4, 5])
+def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
+    shares = [shares_of_the_best(*random_problem(seed), steps) for seed in range(30)]
+    page = rows('docs/mathematics.md', f'{steps} steps, least')
+    place = 2 * (steps - 4)
     for allocation in ALLOCATIONS:
         of_best = [share[allocation] for share in shares]
-        record_property(f'{allocation}_least', min(of_best))
-        record_property(f'{allocation}_mean', float(np.mean(of_best)))
-        print(f'{allocation} reaches {min(of_best):.4f}, on average {np.mean(of_best):.4f}')
+        figures = [f'{min(of_best):.3f}', f'{np.mean(of_best):.3f}']
+        print(f'{allocation}, {steps} steps: {figures[0]}, on average {figures[1]}')
         assert max(of_best) <= 1 + 1e-9
+        if allocation in page:
+            assert figures == page[allocation][place : place + 2]
     assert min(share['greedy'] for share in shares) >= 0.98
 
 

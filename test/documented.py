@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pages say, for tests that hold it against what they measure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import re
+
+ROOT = Path(__file__).parents[1]
+
+
+def words(page: str) -> str:
+    """Return a page's text without line breaks, by the page's path in the project."""
+    return ' '.join(ROOT.joinpath(page).read_text().split())
+
+
+def rows(page: str, head: str) -> dict[str, list[str]]:
+    """Return the cells of a table by its first column, of the table whose header has `head`."""
+    tables = re.findall(r'(?:^\|.*\n)+', ROOT.joinpath(page).read_text(), re.MULTILINE)
+    (table,) = (table for table in tables if head in table.splitlines()[0])
+    _, _, *lines = (
+        [cell.strip(' `') for cell in line.strip('|').split('|')] for line in table.splitlines()
+    )
+    return {first: rest for first, *rest in lines}
