@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The numbers in the pages that are those of the code."""
 
+from pydoc import locate
+import re
+
 from documented import ROOT, rows, words
 from kbnitp_ros.core.inference import smoothed
 from kbnitp_ros.core.planning import fates, greedy, labels, voronoi
@@ -99,3 +102,10 @@ def test_the_paper_gives_what_mathematics_says_it_gives(scenario):
     sensor = yaml.safe_load(ROOT.joinpath(f'scenarios/{scenario}.yaml').read_text())['sensor']
     says('docs/mathematics.md', '5 % malfunction and 5 % false negatives a step')
     assert sensor['malfunction'] == sensor['false_negative'] == 0.05
+
+
+def test_the_glossary_names_code_that_is_there():
+    glossary = ROOT.joinpath('docs/glossary.md').read_text()
+    names = re.findall(r'`((?:core|log|study)[\w.]*)`', glossary)
+    assert len(names) > 20
+    assert [name for name in names if locate(f'kbnitp_ros.{name}') is None] == []
