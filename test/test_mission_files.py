@@ -12,7 +12,8 @@ from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.replay import replay, REPORT
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes.parameters import check_config, NODES, parameters_of
+from kbnitp_ros.nodes.given import read_sections, values_for
+from kbnitp_ros.nodes.parameters import NODES, parameters_of
 import pytest
 import yaml
 
@@ -36,20 +37,9 @@ sys.exit(service.run())
 """
 
 
-def flattened(tree, prefix=''):
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from flattened(value, f'{prefix}{key}.')
-        else:
-            yield prefix + key, value
-
-
 @pytest.mark.parametrize('node', NODES)
 def test_the_configuration_has_every_parameter_with_its_default(node):
-    config = yaml.safe_load(CONFIG.read_text())
-    check_config(config)
-    sections = [config['/**'], config[f'/**/{node}']]
-    given = dict(pair for each in sections for pair in flattened(each['ros__parameters']))
+    given = values_for(read_sections(CONFIG), f'/north/{node}')
     table = parameters_of(node)
     assert {name: table[name].check(given.get(name)) for name in table} == {
         name: parameter.default for name, parameter in table.items()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes import qos
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -58,9 +59,9 @@ class Diagnostics:
         self._node.get_logger().warning(self._last_refusal)
         self.publish()
 
-    def fail(self, why: object) -> None:
+    def fail(self, why: Exception) -> None:
         """Say why the node cannot go on, and stay until that has arrived if anybody listens."""
-        self._failure = str(why)
+        self._failure = in_words(why)
         deadline = time.monotonic() + LAST_WORDS
         while not self._is_heard() and time.monotonic() < deadline:
             time.sleep(0.01)

@@ -2,19 +2,21 @@
 """
 The parameters of all nodes, in one table.
 
-From it the nodes declare them, a configuration is checked, and the reference page is printed by
-``python3 -m kbnitp_ros.nodes.parameters``.
+From it the nodes declare them, what users give is checked (`given`), and the reference page is
+printed by ``python3 -m kbnitp_ros.nodes.parameters``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 import json
 import re
 from typing import Any
 
 from kbnitp_ros.core import ALLOCATIONS, Grid, METHODS, PLANNERS, SensorModel
+from kbnitp_ros.files import parse_yaml
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -85,6 +87,41 @@ class Parameter:
         if self.choices:
             return f'one of {", ".join(self.choices)}'
         return f'of the form {self.pattern}' if self.pattern else ''
+
+    @property
+    def must_be(self) -> str:
+        """Return what a value must be, in words."""
+        return ', '.join(filter(None, (self.kind, self.allowed)))
+
+    @property
+    def meaning(self) -> str:
+        """Return what it means, and whether it can be changed."""
+        changeable = '' if self.read_only else ' Can be changed while the node runs.'
+        return f'{self.description}{changeable}'
+
+    @property
+    def summary(self) -> str:
+        """Return all that is to be known of it."""
+        return f'{self.meaning} Default {json.dumps(self.default)}; {self.must_be}.'
+
+    def read(self, text: str) -> Any:
+        """
+        Return the value that a text typed on a command line stands for, as `check` does.
+
+        Raises
+        ------
+        ValueError
+            If it stands for none.
+
+        """
+        if self.element is None and isinstance(self.default, str):
+            return self.check(text)
+        try:
+            # To YAML, 1e-3 is a text.
+            value = float(text) if type(self.default) is float else parse_yaml(text)
+        except ValueError:
+            value = text
+        return self.check(value)
 
     def check(self, value: Any) -> Any:
         """
@@ -428,6 +465,44 @@ def parameters_of(name: str) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
 
 
+def check_known(name: str, nodes: Sequence[str]) -> None:
+    """
+    Check that a name is one of the parameters of some of these nodes.
+
+    Parameters
+    ----------
+    name : str
+        The parameter's.
+    nodes : sequence of str
+        One that it is given to, or all that share it.
+
+    Raises
+    ------
+    ValueError
+        If not; names the parameter meant, or the nodes that have this one.
+
+    """
+    known = {parameter.name for node in nodes for parameter in parameters_of(node).values()}
+    if name in known or name.split('.')[0] in ROS_PARAMETERS:
+        return
+    whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
+    if others := [node for node in NODES if name in parameters_of(node)]:
+        raise ValueError(
+            f'parameter {name} is unknown to {whose}: it is one of {", ".join(others)}'
+        )
+    raise ValueError(
+        f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
+        f'{nodes[0]} --help tells which it has'
+    )
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return which of the names known may have been meant, as a question; empty when none."""
+    # A name within a group, such as lethality, is further from the whole one than it looks.
+    meant = get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    return f'did you mean {meant[0]}? ' if meant else ''
+
+
 def declare(node: Node, name: str) -> dict[str, Any]:
     """
     Declare the parameters of the node called `name` and return their values.
@@ -438,7 +513,8 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     ------
     ValueError
         If a value given at start-up has the wrong type, is not allowed, or is for no parameter of
-        any node. Those of other nodes are passed over, since nodes often share one file.
+        any node. Those of other nodes are passed over, since nodes often share a section of a
+        file.
 
     """
     mine = parameters_of(name)
@@ -448,7 +524,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         if given in mine:
             values[given] = mine[given].check(override.value)
         else:
-            _check_known(given, {parameter.name for parameter in TABLE})
+            check_known(given, NODES)
     for parameter in mine.values():
         value = values[parameter.name]
         node.declare_parameter(
@@ -473,44 +549,6 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(keep)
     return values
-
-
-def check_config(config: Mapping[str, Any]) -> None:
-    """
-    Check a parameter file as YAML loads it: ``{node: {'ros__parameters': {...}}}``.
-
-    Raises
-    ------
-    ValueError
-        If it is for an unknown node, or a parameter is unknown, of the wrong type or not allowed.
-
-    """
-    for section, content in config.items():
-        name = section.rsplit('/', 1)[-1]
-        if name not in (*NODES, '*', '**'):
-            raise ValueError(f'section {section!r} is for no node: known are {", ".join(NODES)}')
-        if not isinstance(content, Mapping) or set(content) != {'ros__parameters'}:
-            raise ValueError(f'section {section!r} must hold ros__parameters and nothing else')
-        nodes = (name,) if name in NODES else NODES
-        tables = [parameters_of(node) for node in nodes]
-        for given, value in _flattened(content['ros__parameters'] or {}):
-            _check_known(given, {known for table in tables for known in table})
-            for table in tables:
-                if given in table:
-                    table[given].check(value)
-
-
-def _check_known(name: str, known: set[str]) -> None:
-    if name not in known and name.split('.')[0] not in ROS_PARAMETERS:
-        raise ValueError(f'parameter {name} is unknown: known are {", ".join(sorted(known))}')
-
-
-def _flattened(tree: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _flattened(value, f'{prefix}{key}.')
-        else:
-            yield f'{prefix}{key}', value
 
 
 def grid_of(values: Mapping[str, Any]) -> Grid:
@@ -578,11 +616,9 @@ def reference_page() -> str:
             '|---|---|---|---|',
         ]
         for parameter in parameters_of(name).values():
-            must_be = ', '.join(filter(None, (parameter.kind, parameter.allowed)))
-            changeable = '' if parameter.read_only else ' Can be changed while the node runs.'
             lines.append(
-                f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {must_be} '
-                f'| {parameter.description}{changeable} |'
+                f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
+                f'| {parameter.meaning} |'
             )
     return '\n'.join(lines) + '\n'
 

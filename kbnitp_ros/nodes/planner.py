@@ -28,6 +28,8 @@ from kbnitp_ros.nodes.shell import run, Shell
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 
 
 @dataclass
@@ -81,6 +83,9 @@ class PlannerNode(Shell):
         self._strangers: set[str] = set()
         if self.values['resume']:
             self._restore(self.values['resume'])
+            if refusal := self._too_few(self.values['robots']):
+                raise ValueError(refusal)
+        self.add_on_set_parameters_callback(self._check_robots)
         self.diagnostics.state = 'waiting for the belief'
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         for agent in self._agents:
@@ -123,6 +128,21 @@ class PlannerNode(Shell):
         if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
             self._complete_round(planned_on, {key: paths[key] for key in keys})
+
+    def _too_few(self, robots: int) -> str:
+        """Return why there must be more robots than these; empty when enough."""
+        if robots >= self._left:
+            return ''
+        return (
+            f'parameter robots is {robots}: {self._left} robots have left, and it must be at '
+            f'least that; {self._left} ends the mission'
+        )
+
+    def _check_robots(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse fewer robots than have left; whatever else is wrong is refused elsewhere."""
+        given = [each.value for each in changes if each.name == 'robots']
+        refusals = [self._too_few(robots) for robots in given if isinstance(robots, int)]
+        return SetParametersResult(successful=not any(refusals), reason=''.join(refusals))
 
     def _complete_round(
         self, planned_on: Snapshot, recorded: dict[DeploymentKey, NDArray[np.intp]]

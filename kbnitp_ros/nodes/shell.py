@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 import faulthandler
@@ -11,7 +10,10 @@ import signal
 import sys
 import time
 
+from kbnitp_ros.files import in_words
+from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.diagnostics import Diagnostics
+from kbnitp_ros.nodes.given import check_given
 from kbnitp_ros.nodes.parameters import declare
 import rclpy
 from rclpy.clock import Clock
@@ -116,22 +118,19 @@ def run(
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
-    parser = argparse.ArgumentParser(
-        prog=name,
-        description=make.__doc__,
-        epilog='Parameters: --ros-args -p NAME:=VALUE, or --ros-args --params-file FILE.',
-    )
+    parser = node_parser(name, str(make.__doc__))
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: signals.append(received))
     try:
+        # ROS has worse words for a file that is not there.
+        check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except START_ERRORS as error:
         _complain(name, error)
-        if rclpy.ok():
-            _say_why_not_started(name, error)
+        _say_why_not_started(name, arguments, error)
         _leave()
         return 2
     executor = SingleThreadedExecutor()
@@ -143,6 +142,9 @@ def run(
             node.diagnostics.fail(broken)
     finally:
         _leave(executor, node)
+        # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
     return 1 if broken else 0
 
 
@@ -170,13 +172,15 @@ def _live(
 
 
 def _complain(name: str, error: Exception) -> None:
-    print(f'{name}: {" ".join(str(error).split())}', file=sys.stderr, flush=True)
+    print(f'{name}: {in_words(error)}', file=sys.stderr, flush=True)
 
 
-def _say_why_not_started(name: str, error: Exception) -> None:
+def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) -> None:
     """Show an error on diagnostics, from a node made for that: there may be none yet."""
     # What is wrong with the arguments may be wrong with this node, too.
     with suppress(*START_ERRORS):
+        if not rclpy.ok():
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, enable_rosout=False, start_parameter_services=False)
         Diagnostics(node).fail(error)
 

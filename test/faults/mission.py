@@ -11,6 +11,7 @@ from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.replay import PATH, replay, REPORT
 from kbnitp_ros.messages.deployments import key_of_path
+from kbnitp_ros.nodes.parameters import parameters_of
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
@@ -98,10 +99,11 @@ class Mission:
                 'await_nodes': self._awaited[name],
                 'resume': str(self.log) if self.log.exists() else '',
             }
+            own = parameters_of(name)
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(
                     name,
-                    parameters,
+                    {each: value for each, value in parameters.items() if each in own},
                     namespace=NAMESPACE,
                     remaps=self._remaps.get(name),
                     output=output,

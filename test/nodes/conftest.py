@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameters import parameters_of
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -34,7 +35,9 @@ class Field:
         self._namespaces = set()
 
     def start(self, name, parameters=None, namespace='/'):
-        """Start a node and return its process."""
+        """Start a node with those of the parameters that it has, and return its process."""
+        own = parameters_of(name)
+        given = {each: value for each, value in (parameters or {}).items() if each in own}
         full_name = f'{namespace.rstrip("/")}/{name}'
         self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'
         if namespace not in self._namespaces:
@@ -46,7 +49,7 @@ class Field:
                 qos.DIAGNOSTICS,
             )
         with self._outputs[full_name].open('ab') as output:
-            return self.processes.start(name, parameters, namespace=namespace, output=output)
+            return self.processes.start(name, given, namespace=namespace, output=output)
 
     def start_mission(self, parameters, namespace='/', log=None):
         """Start the nodes of a mission, all with these parameters; without a log no recorder."""

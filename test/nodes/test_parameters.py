@@ -8,7 +8,6 @@ from pathlib import Path
 from kbnitp_ros.core import METHODS, PLANNERS
 from kbnitp_ros.nodes.parameters import (
     agents_of,
-    check_config,
     declare,
     grid_of,
     NODES,
@@ -21,7 +20,6 @@ import pytest
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-import yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -82,7 +80,10 @@ def test_nodes_declare_the_table(make_node, name):
         ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
         ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
         ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
-        ({'lethality': 0.5}, 'lethality is unknown: known are agent, agents,'),
+        (
+            {'lethality': 0.5},
+            'lethality is unknown to every node: did you mean sensor.lethality? ',
+        ),
     ],
     ids=lambda case: str(case)[:40],
 )
@@ -155,49 +156,38 @@ def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, to
     assert values == before
 
 
-@pytest.mark.parametrize(
-    'config, told',
-    [
-        ({'planer': {'ros__parameters': {}}}, "'planer' is for no node: known are planner, agent"),
-        ({'planner': {'robots': 3}}, "'planner' must hold ros__parameters"),
-        ({'planner': {'ros__parameters': {'seed': 3}}}, 'seed is unknown: known are agents, '),
-        (
-            {'/**': {'ros__parameters': {'sensor': {'lethal': 1.0}}}},
-            'sensor.lethal is unknown',
-        ),
-        ({'/**': {'ros__parameters': {'seed': 'x'}}}, "seed is 'x': it must be a whole number"),
-        ({'/a/agent': {'ros__parameters': {'seed': -1}}}, 'seed is -1: it must be from 0'),
-    ],
-    ids=lambda case: str(case)[:40],
-)
-def test_a_bad_configuration_is_refused(config, told):
-    with pytest.raises(ValueError) as refusal:
-        check_config(config)
-    assert told in str(refusal.value)
-
-
-def test_the_shipped_configuration_has_every_parameter_as_it_is():
-    config = yaml.safe_load(ROOT.joinpath('config/mission.yaml').read_text())
-    check_config(config)
-    for name in NODES:
-        given = {}
-        for section, content in config.items():
-            if section.rsplit('/', 1)[-1] in ('*', '**', name):
-                given |= flattened(content['ros__parameters'])
-        assert set(parameters_of(name)) <= set(given), name
-
-
-def flattened(tree, prefix=''):
-    """Return the leaves of nested mappings by their dotted names."""
-    leaves = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            leaves |= flattened(value, f'{prefix}{key}.')
-        else:
-            leaves[f'{prefix}{key}'] = value
-    return leaves
-
-
 def test_the_reference_page_is_up_to_date():
     page = ROOT.joinpath('docs/parameters.md').read_text()
     assert page == reference_page(), 'python3 -m kbnitp_ros.nodes.parameters > docs/parameters.md'
+
+
+@pytest.mark.parametrize(
+    'name, text, value',
+    [
+        ('sensor.lethality', '0.3', 0.3),
+        ('sensor.lethality', '1', 1.0),
+        ('loss_cost', '1e-3', 0.001),
+        ('robots', '7', 7),
+        ('rolling', 'true', True),
+        ('method', 'relaxed_itp', 'relaxed_itp'),
+        ('world.file', '7', '7'),
+        ('world.file', '', ''),
+        ('grid.blocked', '[3, 4]', (3, 4)),
+        ('grid.blocked', '[]', ()),
+        ('agents', '[a, b]', ('a', 'b')),
+    ],
+)
+def test_values_are_read_as_they_are_typed(name, text, value):
+    row = next(parameter for parameter in TABLE if parameter.name == name)
+    assert row.read(text) == value
+    assert type(row.read(text)) is type(value)
+
+
+@pytest.mark.parametrize(
+    'name, text',
+    [('robots', '7.5'), ('robots', '['), ('sensor.lethality', 'high'), ('robots', '')],
+)
+def test_what_stands_for_no_value_is_named(name, text):
+    row = next(parameter for parameter in TABLE if parameter.name == name)
+    with pytest.raises(ValueError, match=f'parameter {name} is '):
+        row.read(text)

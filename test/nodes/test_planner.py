@@ -33,6 +33,9 @@ from kbnitp_ros.nodes.planner import PlannerNode
 from kbnitp_ros.nodes.shell import POLL
 from nav_msgs.msg import Path
 import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -401,6 +404,49 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         planner = field.start('planner', {'resume': str(resumed)}, namespace)
         assert planner.wait(timeout=20) == 2
         assert told in field.said(f'{namespace}/planner')
+
+
+def set_robots(field, robots):
+    """Do `ros2 param set /planner robots N`, and return what the planner answers."""
+    client = field.node.create_client(SetParameters, '/planner/set_parameters')
+    field.until(client.service_is_ready, 'service of the planner')
+    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=robots)
+    request = SetParameters.Request(parameters=[ParameterMessage(name='robots', value=value)])
+    future = client.call_async(request)
+    field.until(future.done, 'answer of the planner')
+    (result,) = future.result().results
+    return result
+
+
+def test_fewer_robots_than_have_left_are_refused(field):
+    mission = Mission(field, {'robots': 5})
+    for number in range(3):
+        mission.show_belief()
+        mission.until_sent(number)
+        if number < 2:
+            mission.reports.publish(mission.lose(number))
+    for robots in (0, 2):
+        refused = set_robots(field, robots)
+        assert not refused.successful
+        assert f'robots is {robots}: 3 robots have left' in refused.reason
+    mission.reports.publish(mission.lose(2))
+    assert set_robots(field, 3).successful
+    mission.show_belief()
+    mission.until_state('done: 3 of 3 robots deployed')
+
+
+def test_a_log_of_more_robots_than_asked_for_is_not_resumed(field):
+    log = field.folder / 'mission.mcap'
+    with LogWriter(log) as writer:
+        writer.add_topic('/scout_1/path', 'nav_msgs/msg/Path', '[]')
+        for stamp in (1, 2):
+            path = path_message(GRID, [0, 1, 0], stamp)
+            writer.write('/scout_1/path', serialize_message(path), stamp, stamp)
+    planner = field.start('planner', {**PARAMETERS, 'robots': 1, 'resume': str(log)})
+    assert planner.wait(timeout=20) == 2
+    assert 'robots is 1: 2 robots have left, and it must be at least that' in field.said(
+        '/planner'
+    )
 
 
 def test_a_mission_may_be_empty(field):

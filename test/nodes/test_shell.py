@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_ros.log.bag.reader import is_finished
-from kbnitp_ros.nodes.parameters import NODES
+from kbnitp_ros.nodes.given import check_given
+from kbnitp_ros.nodes.parameters import NODES, parameters_of
 import pytest
 
 
@@ -33,7 +37,7 @@ def run(*arguments):
         ('agent', 'sensor.lethality:=1.5', 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
         ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
         ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
-        ('agent', 'world.file:=no.yaml', "No such file or directory: 'no.yaml'"),
+        ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
         ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
         ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
         ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
@@ -41,7 +45,8 @@ def run(*arguments):
         ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
         ('recorder', 'file:=/', "'/'"),
         ('recorder', 'file', "Couldn't parse parameter override rule"),
-        ('recorder', 'flie:=a.mcap', 'parameter flie is unknown: known are '),
+        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+        ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
     ],
 )
 def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
@@ -66,11 +71,32 @@ def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
 
 
 @pytest.mark.parametrize('name', NODES)
-def test_help_tells_what_a_node_does(name):
+def test_help_tells_what_a_node_does_and_what_can_be_given(name):
     ended = run(name, '--help')
     assert ended.returncode == 0
     assert ended.stdout.startswith(f'usage: {name}')
     assert '--ros-args -p NAME:=VALUE' in ended.stdout
+    told = ' '.join(ended.stdout.split())
+    for parameter in parameters_of(name).values():
+        assert f' {parameter.name} {parameter.summary}' in told
+    # The example can be typed.
+    check_given(name, shlex.split(ended.stdout.splitlines()[-1])[4:])
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_a_file_that_is_not_there_is_no_errno(tmp_path, name):
+    ended = run(name, '--ros-args', '--params-file', 'nothere.yaml')
+    assert ended.returncode == 2
+    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
+    assert complaint == [f'{name}: parameter file nothere.yaml: No such file or directory']
+
+
+@pytest.mark.parametrize('name', ['planner', 'agent', 'recorder'])
+def test_a_log_that_is_not_there_is_no_errno(name):
+    ended = run(name, '--ros-args', '-p', 'resume:=nothere.mcap')
+    assert ended.returncode == 2
+    assert re.search(rf'(?m)^{name}: nothere.mcap.*: No such file or directory$', ended.stderr)
+    assert 'Errno' not in ended.stderr
 
 
 def test_arguments_that_are_not_for_ros_are_refused():
@@ -116,3 +142,15 @@ def test_the_second_signal_changes_nothing(field):
         os.kill(recorder.pid, number)
     assert recorder.wait(timeout=5) == 0
     assert is_finished(field.folder / 'mission.mcap')
+
+
+@pytest.mark.parametrize('gap', [0.0, 0.3, 0.6, 0.9])
+def test_interrupts_do_not_kill_what_ends_well(field, gap):
+    agent = field.start('agent')
+    field.until(lambda: field.diagnosed('/agent').values, 'diagnostics')
+    agent.send_signal(signal.SIGINT)
+    with suppress(subprocess.TimeoutExpired):
+        agent.wait(timeout=gap)
+    while agent.poll() is None:
+        agent.send_signal(signal.SIGINT)
+    assert agent.returncode == 0

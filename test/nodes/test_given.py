@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What users give for parameters: nothing that changes nothing is taken in silence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kbnitp_ros.nodes.given import check_given, read_sections, sections_of, values_for
+from kbnitp_ros.nodes.parameters import NODES, parameters_of
+import pytest
+import rclpy
+from rclpy.node import Node
+import yaml
+
+SHIPPED = Path(__file__).parents[2] / 'config' / 'mission.yaml'
+
+
+def section(name, **values):
+    return {name: {'ros__parameters': values}}
+
+
+def written(folder, content):
+    """Return a file that holds what YAML makes of something."""
+    path = folder / 'given.yaml'
+    path.write_text(
+        content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    'config, told',
+    [
+        (
+            section('/**/plannr'),
+            "'/**/plannr' is for no node: did you mean planner? the nodes are",
+        ),
+        (section('nav2'), "'nav2' is for no node: the nodes are planner, agent"),
+        ({'planner': {'robots': 3}}, "'planner/robots' must hold ros__parameters"),
+        ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
+        ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
+        ([], 'it holds []: it must hold sections'),
+        (None, 'it holds None: it must hold sections'),
+        (
+            section('planner', seed=3),
+            'seed is unknown to the planner: it is one of agent, team',
+        ),
+        (
+            section('recorder', step_period=1.0),
+            'step_period is unknown to the recorder: it is one of planner, agent, team',
+        ),
+        (
+            section('/**', sensor={'lethal': 1.0}),
+            "'/**': parameter sensor.lethal is unknown to every node: did you mean sensor.leth",
+        ),
+        (section('/**', seed='x'), "seed is 'x': it must be a whole number"),
+        (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
+        ({'a': section('agent', seed=-1)}, "'a/agent': parameter seed is -1"),
+    ],
+    ids=lambda case: str(case)[:60],
+)
+def test_a_bad_file_is_refused(tmp_path, config, told):
+    path = written(tmp_path, config)
+    with pytest.raises(ValueError) as refusal:
+        read_sections(path)
+    assert str(refusal.value).startswith(f'parameter file {path}: ')
+    assert told in str(refusal.value)
+    assert len(str(refusal.value)) < len(path) + 200
+
+
+@pytest.mark.parametrize(
+    'text, told',
+    [
+        ('/**: {', 'it is not YAML'),
+        ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
+    ],
+)
+def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
+    with pytest.raises(ValueError, match=told):
+        read_sections(written(tmp_path, text))
+
+
+def test_a_file_that_is_not_there_is_named():
+    with pytest.raises(ValueError, match=r'^parameter file no/where.yaml: No such file or dir'):
+        read_sections('no/where.yaml')
+
+
+def test_the_shipped_configuration_has_every_parameter():
+    sections = read_sections(SHIPPED)
+    for name in NODES:
+        assert set(parameters_of(name)) <= set(values_for(sections, f'/north/{name}')), name
+
+
+def test_what_all_share_may_be_of_any_node():
+    config = section('/**', robots=3, seed=4, file='a.mcap', use_sim_time=True)
+    assert sections_of(config, {}) == {
+        '/**': {'robots': 3, 'seed': 4, 'file': 'a.mcap', 'use_sim_time': True}
+    }
+
+
+ORDERS = [
+    {**section('/**', max_steps=1), **section('planner', max_steps=2)},
+    {**section('planner', max_steps=2), **section('/**', max_steps=1)},
+    {**section('/**', max_steps=1), **section('/**/planner', max_steps=2)},
+    {**section('/*', max_steps=1), **section('/north/*', max_steps=2)},
+    {**section('/**', max_steps=1), 'north': section('planner', max_steps=2)},
+    {**section('/**', max_steps=1), **section('agent', max_steps=2)},
+    {**section('/*/planner', max_steps=1), **section('/north/planner', max_steps=2)},
+    section('planner', grid={'width': 4, 'height': 3}, await_nodes=['agent']),
+]
+
+
+@pytest.mark.parametrize('config', ORDERS, ids=str)
+@pytest.mark.parametrize('namespace', ['/', '/north'])
+def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
+    path = written(tmp_path, config)
+    context = rclpy.Context()
+    rclpy.init(context=context, args=['--ros-args', '--params-file', path])
+    node = Node('planner', namespace=namespace, context=context)
+    given = {name: each.value for name, each in node._parameter_overrides.items()}
+    full_name = node.get_fully_qualified_name()
+    node.destroy_node()
+    context.try_shutdown()
+    assert values_for(read_sections(path), full_name) == given
+
+
+@pytest.mark.parametrize(
+    'name, rule, told',
+    [
+        ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
+        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+        ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help tells'),
+        ('planner', 'planer:robots:=3', "'planer' is for no node: did you mean planner?"),
+        (
+            'planner',
+            'recorder:robots:=3',
+            'robots is unknown to the recorder: it is one of planner',
+        ),
+    ],
+)
+def test_a_bad_rule_is_refused(name, rule, told):
+    for flag in ('-p', '--param'):
+        with pytest.raises(ValueError) as refusal:
+            check_given(name, ['--ros-args', flag, rule])
+        assert told in str(refusal.value)
+        assert len(str(refusal.value)) < 150
+
+
+@pytest.mark.parametrize(
+    'arguments',
+    [
+        ['-p', 'flie:=a.mcap'],
+        ['--ros-args', '-r', 'path:=way', '-p', 'file:=a.mcap', '--log-level', 'info'],
+        ['--ros-args', '--', '-p', 'flie:=a.mcap'],
+        ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'qos_overrides./a.publisher.depth:=2'],
+        ['--ros-args', '-p', 'planner:robots:=3'],
+        ['--ros-args', '-r', '__node:=scribe', '-p', 'scribe:file:=a.mcap'],
+    ],
+    ids=' '.join,
+)
+def test_what_is_right_or_not_for_ros_passes(arguments):
+    check_given('recorder', arguments)
+
+
+def test_a_renamed_node_has_a_section_of_its_own(tmp_path):
+    path = written(tmp_path, section('/**/scribe', file='a.mcap'))
+    given = ['--ros-args', '--params-file', path]
+    check_given('recorder', [*given, '--remap', '__node:=scribe'])
+    with pytest.raises(ValueError, match='scribe.* is for no node'):
+        check_given('recorder', given)
+    path = written(tmp_path, section('/**/scribe', robots=3))
+    with pytest.raises(ValueError, match='robots is unknown to the recorder'):
+        check_given('recorder', [*given, '--remap', '__node:=scribe'])
+
+
+@pytest.mark.parametrize('config', ORDERS, ids=str)
+@pytest.mark.parametrize('namespace', ['/', '/north'])
+def test_a_rule_that_ros_would_overrule_is_refused(tmp_path, config, namespace):
+    given = ['--ros-args', '-r', f'__ns:={namespace}', '--params-file', written(tmp_path, config)]
+    given += ['-p', 'max_steps:=5']
+    context = rclpy.Context()
+    rclpy.init(context=context, args=given)
+    node = Node('planner', context=context)
+    counts = node._parameter_overrides['max_steps'].value == 5
+    node.destroy_node()
+    context.try_shutdown()
+    if counts:
+        check_given('planner', given)
+    else:
+        with pytest.raises(ValueError, match='-p max_steps:=5 would change nothing.*change max_'):
+            check_given('planner', given)
