@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kbnitp_ros.core import Grid
+from kbnitp_ros.files import open_file
 from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
 from kbnitp_ros.maps.overlap import shares
@@ -87,7 +88,8 @@ def read_array(path: Path) -> NDArray[np.float64]:
 
     """
     try:
-        array = np.load(path, allow_pickle=False)
+        with open_file(path) as file:
+            array = np.load(file, allow_pickle=False)
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
     except (ValueError, EOFError) as error:

@@ -4,20 +4,23 @@ Read an MCAP file from front to back, without its index.
 
 That works alike for a file that is finished, still being written, left behind by a killed process
 or cut short: of the last the messages that are whole are read, also those in a chunk that is cut,
-unless it is compressed. Checksums are compared where there are any.
+unless it is compressed. Checksums are compared where there are any. Nothing is read or unpacked
+that is larger than any record of a log, whatever the file says of its size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from io import BytesIO
+from itertools import chain
 import os
 from pathlib import Path
 import struct
-from typing import IO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 import zlib
 
+from kbnitp_ros.files import open_file
 from kbnitp_ros.log.bag.errors import LogError
 from kbnitp_ros.log.bag.recorded import (
     damaged,
@@ -27,15 +30,37 @@ from kbnitp_ros.log.bag.recorded import (
     RecordedMetadata,
     refuse,
 )
+import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel, DataEnd, Footer, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
+import zstandard
 
 # What a whole file starts with if rosbag2 compressed it.
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+# Bytes of a record and of what is in a chunk. A belief over 1000x1000 cells has 56 million.
+LARGEST = 2**26
+
+# Bytes of all schemas and channels of a file. All types of a large ROS system have 3 million.
+MOST_DEFINITIONS = 2**24
+
+# How much is read at a time of what is not looked at.
+BLOCK = 2**20
+
+# Kinds of records that are looked at.
+READ = {
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.METADATA,
+    Opcode.STATISTICS,
+    Opcode.DATA_END,
+    Opcode.FOOTER,
+}
 
 NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
 
@@ -45,6 +70,14 @@ HEAD = struct.Struct('<BQ')
 # Of a message: channel, sequence, log time and publish time.
 MESSAGE = struct.Struct('<HIQQ')
 MESSAGE_HEAD = MESSAGE.size
+
+# Of a chunk: the times of its first and last message, its size before compression and the checksum
+# of that. Its compression and the size of what follows come next.
+CHUNK = struct.Struct('<QQQI')
+
+# Of a footer: where the summary starts and where its offsets do. The checksum of the summary comes
+# next, and covers these.
+FOOTER = struct.Struct('<QQ')
 
 
 class Record(NamedTuple):
@@ -61,18 +94,26 @@ class Definitions:
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        self._size = 0
 
     def take(self, record: Record) -> None:
-        """Add a schema or a channel; fails if the record is none or another one has its number."""
+        """
+        Add a schema or a channel.
+
+        Fails if it is damaged, another one has its number, or all are too large together.
+        """
+        check_size('a definition', len(record.body), MOST_DEFINITIONS)
         stream = WholeStream(BytesIO(record.body))
+        known: dict[int, Any]
         if record.kind == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            if self.schemas.setdefault(schema.id, schema) != schema:
-                raise ValueError(f'schema {schema.id} is defined twice')
-        elif record.kind == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            if self.channels.setdefault(channel.id, channel) != channel:
-                raise ValueError(f'channel {channel.id} is defined twice')
+            known, defined = self.schemas, Schema.read(stream)
+        else:
+            known, defined = self.channels, Channel.read(stream)
+        if defined.id not in known:
+            self._size += len(record.body)
+            check_size('definitions', self._size, MOST_DEFINITIONS)
+        if known.setdefault(defined.id, defined) != defined:
+            raise ValueError(f'{type(defined).__name__} {defined.id} is defined twice')
 
 
 class WholeStream(ReadDataStream):
@@ -143,8 +184,9 @@ def read_definitions(path: Path) -> Definitions:
     """Return the schemas and channels of a file wherever it has them, damaged or not."""
     known = Definitions()
     for record in records(path, lambda _: None):
-        with suppress(Exception):
-            known.take(record)
+        if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+            with suppress(Exception):
+                known.take(record)
     return known
 
 
@@ -155,42 +197,97 @@ def records(path: Path, on_damage: OnDamage) -> Iterator[Record]:
     What is cut off at the end is left out, and so is what is written meanwhile. Parameters and
     errors are as for `read_mcap`.
     """
-    with path.open('rb') as file:
-        size = os.fstat(file.fileno()).st_size
-
-        def read(length: int) -> bytes:
-            return file.read(max(0, min(length, size - file.tell())))
-
-        finished = ends_finished(file, size)
-        checksum = zlib.crc32(read_start(file, path))
+    with open_file(path) as file:
+        source = Source(file, path)
+        before = source.checksum
         is_sound = True
-        while len(head := read(HEAD.size)) == HEAD.size:
+        while len(head := source.read(HEAD.size)) == HEAD.size:
             kind, length = HEAD.unpack(head)
-            body = read(length)
-            position = file.tell()
+            end = source.position + length
+            position = min(end, source.size)
             try:
                 if not kind:
-                    check_empty(head[1:] + body + read(size))
-                elif len(body) < length and finished:
+                    check_empty(chain([head], source.blocks(source.size)))
+                elif end > source.size and source.is_finished:
                     raise ValueError(f'a record of {length} bytes does not fit in')
-                elif kind == Opcode.CHUNK:
-                    for inner, content in in_chunk(body, length):
-                        yield Record(inner, content, position)
-                elif kind == Opcode.DATA_END:
-                    written = DataEnd.read(WholeStream(BytesIO(body))).data_section_crc
-                    check_crc(checksum, written if is_sound else 0)
-                elif kind == Opcode.FOOTER:
-                    if finished and position + len(MCAP0_MAGIC) != size:
-                        raise ValueError('it does not end there')
-                    return
-                elif len(body) == length:
-                    yield Record(kind, body, position)
+                elif kind in READ:
+                    check_size('a record', length)
+                    body = source.read(length)
+                    if kind == Opcode.CHUNK:
+                        for inner, content in in_chunk(body, length):
+                            yield Record(inner, content, position)
+                    elif len(body) < length:
+                        continue
+                    elif kind == Opcode.DATA_END:
+                        written = DataEnd.read(WholeStream(BytesIO(body))).data_section_crc
+                        check_crc(before, written if is_sound else 0)
+                        # What follows has a checksum of its own.
+                        source.checksum = 0
+                    elif kind == Opcode.FOOTER:
+                        written = Footer.read(WholeStream(BytesIO(body))).summary_crc
+                        found = zlib.crc32(head + body[: FOOTER.size], before)
+                        check_crc(found, written if is_sound else 0)
+                        if not MCAP0_MAGIC.startswith(source.read(len(MCAP0_MAGIC) + 1)):
+                            raise ValueError('it does not end there')
+                        return
+                    else:
+                        yield Record(kind, body, position)
             except Exception as error:
                 is_sound = False
                 on_damage(damaged(path, position, error))
-            checksum = zlib.crc32(body, zlib.crc32(head, checksum))
-        if finished and is_sound:
-            on_damage(damaged(path, file.tell(), ValueError('it ends within a record')))
+            source.skip_to(end)
+            before = source.checksum
+        if source.is_finished and is_sound:
+            on_damage(damaged(path, source.position, ValueError('it ends within a record')))
+
+
+class Source:
+    """
+    A file as long as it was when it was opened, read from front to back.
+
+    Attributes
+    ----------
+    size : int
+        How many bytes it has.
+    is_finished : bool
+        Whether it ends as its writer ends it.
+    checksum : int
+        Of what was read of it.
+
+    Raises
+    ------
+    LogError
+        If it is no MCAP file.
+
+    """
+
+    def __init__(self, file: BinaryIO, path: Path) -> None:
+        self._file = file
+        self.size = os.fstat(file.fileno()).st_size
+        self.is_finished = ends_finished(file, self.size)
+        self.checksum = zlib.crc32(read_start(file, path))
+
+    @property
+    def position(self) -> int:
+        """How many bytes of it were read."""
+        return self._file.tell()
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes, fewer at the end."""
+        data = self._file.read(max(0, min(length, self.size - self.position)))
+        self.checksum = zlib.crc32(data, self.checksum)
+        return data
+
+    def blocks(self, length: int) -> Iterator[bytes]:
+        """Yield the next bytes, fewer at the end, some at a time."""
+        while length > 0 and (block := self.read(min(length, BLOCK))):
+            yield block
+            length -= len(block)
+
+    def skip_to(self, end: int) -> None:
+        """Read on to a position."""
+        for _ in self.blocks(end - self.position):
+            pass
 
 
 def is_finished(path: Path) -> bool:
@@ -205,12 +302,11 @@ def is_finished(path: Path) -> bool:
         If it is no MCAP file.
 
     """
-    with path.open('rb') as file:
-        read_start(file, path)
-        return ends_finished(file, path.stat().st_size)
+    with open_file(path) as file:
+        return Source(file, path).is_finished
 
 
-def read_start(file: IO[bytes], path: Path) -> bytes:
+def read_start(file: BinaryIO, path: Path) -> bytes:
     """Return the first bytes of a file, which must be those of an MCAP file or cut off."""
     start = file.read(len(MCAP0_MAGIC))
     if start.startswith(ZSTD_MAGIC):
@@ -220,7 +316,7 @@ def read_start(file: IO[bytes], path: Path) -> bytes:
     return start
 
 
-def ends_finished(file: IO[bytes], size: int) -> bool:
+def ends_finished(file: BinaryIO, size: int) -> bool:
     """Return whether a file ends as its writer ends it; leaves it at its start."""
     file.seek(max(0, size - len(MCAP0_MAGIC)))
     end = file.read()
@@ -246,7 +342,7 @@ def in_chunk(body: bytes, length: int) -> Iterator[tuple[int, bytes]]:
 
     """
     is_cut = len(body) < length
-    data = cut_content(body, length) if is_cut else content(body)
+    data = content(body, length)
     start = 0
     while start + HEAD.size <= len(data):
         kind, size = HEAD.unpack_from(data, start)
@@ -254,42 +350,75 @@ def in_chunk(body: bytes, length: int) -> Iterator[tuple[int, bytes]]:
         if kind not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             raise ValueError(f'a chunk has a record of kind {kind}')
         if start <= len(data):
-            yield kind, data[begin:start]
+            yield kind, bytes(data[begin:start])
     if start != len(data) and not is_cut:
         raise ValueError('a chunk ends within a record')
 
 
-def content(body: bytes) -> bytes:
-    """Return what is in a whole chunk; fails if it cannot be decompressed or is not the same."""
-    chunk = Chunk.read(WholeStream(BytesIO(body)))
-    if chunk.compression not in ('', 'lz4', 'zstd'):
-        raise ValueError(f'a chunk has compression {chunk.compression!r}')
-    stream, size = get_chunk_data_stream(chunk)
-    data = stream.read(size)
-    if size != chunk.uncompressed_size:
-        raise ValueError(f'a chunk has {size} bytes, {chunk.uncompressed_size} were written')
-    check_crc(zlib.crc32(data), chunk.uncompressed_crc)
+def content(body: bytes, length: int) -> bytes | memoryview:
+    """
+    Return the records in a chunk as they were before compression; of one that is cut what is left.
+
+    Nothing is left of one that is cut and compressed. A chunk says in three ways how long it is.
+    If these differ its length is damaged, and the end of the file need not cut it.
+
+    Raises
+    ------
+    Exception
+        If it cannot be decompressed, is not the same as before, or is larger than any chunk.
+
+    """
+    is_cut = len(body) < length
+    stream = WholeStream(BytesIO(body))
+    try:
+        _, _, original_size, checksum = CHUNK.unpack(stream.read(CHUNK.size))
+        compression = stream.read_prefixed_string()
+        size = stream.read8()
+    except EndOfFile:
+        if is_cut:
+            return b''
+        raise
+    if stream.count + size != length or (not compression and size != original_size):
+        raise ValueError(f'a chunk of {length} bytes has content of {size}')
+    stored = memoryview(body)[stream.count :]
+    if is_cut:
+        return b'' if compression else stored
+    check_size('a chunk', original_size)
+    if compression not in UNPACK:
+        raise ValueError(f'a chunk has compression {compression!r}')
+    # One byte more shows that there is more.
+    data = UNPACK[compression](stored, original_size + 1)
+    if len(data) != original_size:
+        raise ValueError(f'a chunk has not the {original_size} bytes that were written')
+    check_crc(zlib.crc32(data), checksum)
     return data
 
 
-def cut_content(body: bytes, length: int) -> bytes:
-    """
-    Return what is there of the content of a chunk that is cut; nothing if it is compressed.
+def unpack_zstd(data: memoryview, most: int) -> bytes:
+    """Return the start of what was compressed."""
+    # A frame may ask for any window to be kept in memory.
+    reader = zstandard.ZstdDecompressor(max_window_size=LARGEST).stream_reader(data)
+    unpacked: bytes = reader.read(most)
+    return unpacked
 
-    A chunk says in three ways how long it is. If these differ its length is damaged, and the end
-    of the file need not cut it.
-    """
-    stream = WholeStream(BytesIO(body))
-    try:
-        *_, uncompressed_size, _ = struct.unpack('<QQQI', stream.read(28))
-        compression = stream.read_prefixed_string()
-        size = stream.read8()
-    except (EndOfFile, struct.error):
-        return b''
-    if stream.count + size != length or (not compression and size != uncompressed_size):
-        raise ValueError(f'a chunk of {length} bytes has content of {size}')
-    start = stream.count
-    return b'' if compression else body[start:]
+
+def unpack_lz4(data: memoryview, most: int) -> bytes:
+    """Return the start of what was compressed."""
+    unpacked: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+    return unpacked
+
+
+UNPACK: dict[str, Callable[[memoryview, int], bytes | memoryview]] = {
+    '': lambda data, _: data,
+    'lz4': unpack_lz4,
+    'zstd': unpack_zstd,
+}
+
+
+def check_size(what: str, size: int, most: int = LARGEST) -> None:
+    """Check that something is not larger than it can be."""
+    if size > most:
+        raise ValueError(f'{what} of {size} bytes: no log has more than {most}')
 
 
 def check_crc(found: int, written: int) -> None:
@@ -298,7 +427,7 @@ def check_crc(found: int, written: int) -> None:
         raise ValueError(f'the checksum is {found:#x}, {written:#x} was written')
 
 
-def check_empty(room: bytes) -> None:
+def check_empty(blocks: Iterable[bytes]) -> None:
     """Check that what comes after the last record is room that a file system made for more."""
-    if any(room):
+    if any(block.strip(b'\0') for block in blocks):
         raise ValueError('a record has no kind')

@@ -7,8 +7,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+import re
 from typing import Any
 
+from kbnitp_ros.files import open_file
 from kbnitp_ros.log.bag import mcap_file, sqlite_file
 from kbnitp_ros.log.bag.errors import LogError
 from kbnitp_ros.log.bag.parts import parts_of
@@ -22,6 +24,10 @@ from kbnitp_ros.log.bag.recorded import (
 from mcap_ros2.decoder import DecoderFactory
 
 __all__ = ['LogError', 'LoggedMessage', 'is_finished', 'log_size', 'read_log', 'read_metadata']
+
+
+# Bytes of a type and all that it refers to. The type of a whole planning scene has 30,000.
+LONGEST_DEFINITION = 2**16
 
 
 @dataclass(frozen=True)
@@ -186,7 +192,7 @@ def read_part(part: Path, on_damage: OnDamage = refuse) -> Iterator[Recorded]:
 
 def is_sqlite(part: Path) -> bool:
     """Return whether a file starts like a SQLite database."""
-    with part.open('rb') as file:
+    with open_file(part) as file:
         return file.read(len(sqlite_file.MAGIC)) == sqlite_file.MAGIC
 
 
@@ -230,6 +236,7 @@ class Decoders:
         key = encoding, schema.encoding, schema.name, schema.data
         try:
             if key not in self._decoders:
+                check_definition(schema.data)
                 self._decoders[key] = DecoderFactory().decoder_for(encoding, schema)
             decoder = self._decoders[key]
             if decoder is not None:
@@ -242,3 +249,20 @@ class Decoders:
             f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
             f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
         )
+
+
+def check_definition(definition: bytes) -> None:
+    """
+    Check that a type is of a usual size.
+
+    Raises
+    ------
+    ValueError
+        If it is defined at too great length, or has an array of no elements: any number of
+        messages that take no bytes fit into a message.
+
+    """
+    if len(definition) > LONGEST_DEFINITION:
+        raise ValueError(f'it is defined in {len(definition)} bytes')
+    if re.search(rb'\[0+\]', definition):
+        raise ValueError('it has an array of no elements')

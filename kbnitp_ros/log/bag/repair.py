@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.log.bag import mcap_file
 from kbnitp_ros.log.bag.errors import LogError
 from kbnitp_ros.log.bag.lock import LogLock
@@ -14,9 +15,7 @@ from kbnitp_ros.log.bag.metadata import BagFile, file_of, sync_folder, write_met
 from kbnitp_ros.log.bag.part import BAG_FIELD, BAG_RECORD, Definition, PartWriter
 from kbnitp_ros.log.bag.parts import check_is_new, parts_of
 from kbnitp_ros.log.bag.reader import is_finished_part, read_recorded
-from kbnitp_ros.log.bag.recorded import Recorded, RecordedMessage
-from mcap.reader import make_reader
-import yaml
+from kbnitp_ros.log.bag.recorded import Recorded, RecordedMessage, RecordedMetadata
 
 
 @dataclass(frozen=True)
@@ -113,15 +112,18 @@ def described(part: Path) -> BagFile:
     Raises
     ------
     LogError
-        If it does not say so.
+        If it is damaged anywhere, or does not say so.
+    OSError
+        If it cannot be read.
 
     """
+    records = {
+        each.name: each.values
+        for each in mcap_file.read_mcap(part)
+        if isinstance(each, RecordedMetadata)
+    }
     try:
-        with part.open('rb') as file:
-            records = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
-        contents = file_of(yaml.safe_load(records[BAG_RECORD][BAG_FIELD]))
-    except OSError:
-        raise
+        contents = file_of(parse_yaml(records[BAG_RECORD][BAG_FIELD]))
     except Exception as error:
         raise LogError(
             f'{part} does not say what is in it ({error!r}): replay --repair makes a log that does'

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
+import re
 import sqlite3
+import sys
 
+from kbnitp_ros.files import open_file
 from kbnitp_ros.log.bag.recorded import damaged, OnDamage, QOS, RecordedMessage, refuse, TYPE_HASH
 from kbnitp_ros.log.bag.schema import describe, ENCODING
 from mcap.records import Channel, Schema
@@ -16,6 +19,15 @@ MAGIC = b'SQLite format 3\0'
 
 # Changes that a process which was killed did not get to bring into the database.
 LEFT_BEHIND = ('-wal', '-journal')
+
+# What is read.
+TABLES = ('topics', 'message_definitions', 'messages')
+
+# How everything is defined that holds what was put into it.
+STORED = re.compile(r'CREATE\s+(TABLE|(UNIQUE\s+)?INDEX)\s', re.IGNORECASE)
+
+# Bytes of a value. A belief over 1000x1000 cells has 56 million.
+LARGEST = 2**26
 
 
 def read_sqlite(path: Path, on_damage: OnDamage = refuse) -> Iterator[RecordedMessage]:
@@ -38,10 +50,17 @@ def read_sqlite(path: Path, on_damage: OnDamage = refuse) -> Iterator[RecordedMe
     position = 0
     try:
         size = path.stat().st_size
+        for suffix in LEFT_BEHIND:
+            # SQLite reads them, and would wait for a pipe.
+            with suppress(FileNotFoundError), open_file(path.with_name(path.name + suffix)):
+                pass
         with closing(sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True)) as database:
             database.row_factory = sqlite3.Row
             # What stands in a damaged or foreign file is not to be run.
             database.execute('PRAGMA trusted_schema = OFF')
+            if sys.version_info >= (3, 11):
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST)
+            check_schema(database)
             topics = read_topics(database)
             (messages,) = database.execute('SELECT count(*) FROM messages').fetchone()
             rows = database.execute(
@@ -55,6 +74,27 @@ def read_sqlite(path: Path, on_damage: OnDamage = refuse) -> Iterator[RecordedMe
                 yield RecordedMessage(channel, schema, 0, time, time, data, position)
     except Exception as error:
         on_damage(damaged(path, position, error))
+
+
+def check_schema(database: sqlite3.Connection) -> None:
+    """
+    Check that what is read of a database stands in the file, as in those that rosbag2 makes.
+
+    A view or a column that is computed could stand for any number of bytes.
+
+    Raises
+    ------
+    ValueError
+        If it has a view, a trigger, a virtual table or a column that is computed.
+
+    """
+    for name, sql in database.execute('SELECT name, sql FROM sqlite_master WHERE sql NOT NULL'):
+        if not STORED.match(sql):
+            raise ValueError(f'{name!r} is neither a table nor an index')
+    for table in TABLES:
+        for column in database.execute(f'PRAGMA table_xinfo({table})'):
+            if column['hidden']:
+                raise ValueError(f'{column["name"]!r} of {table} is computed')
 
 
 def read_topics(database: sqlite3.Connection) -> dict[int, tuple[Channel, Schema]]:
@@ -102,7 +142,7 @@ def is_finished(path: Path) -> bool:
     """Return whether the file has all its pages and nothing was left beside it to be put in."""
     if any(path.with_name(path.name + suffix).exists() for suffix in LEFT_BEHIND):
         return False
-    with path.open('rb') as file:
+    with open_file(path) as file:
         head = file.read(100)
     if len(head) < 100:
         return False

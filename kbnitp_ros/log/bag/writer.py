@@ -114,6 +114,7 @@ class LogWriter:
             parts = parts_of(path)
             self.path = parts[0]
             check_goes_on(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
             self._lock = LogLock(self.path)
             try:
                 # There may have been one more since, by a writer that has just ended.
@@ -128,6 +129,7 @@ class LogWriter:
         else:
             self.path = self.current_path = Path(path)
             check_is_new(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
             part = PartWriter(self.path, compression)
             try:
                 self._lock = LogLock(self.path)
@@ -135,7 +137,6 @@ class LogWriter:
                 part.abandon()
                 raise
         self._part: PartWriter | None = part
-        self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """

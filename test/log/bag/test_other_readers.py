@@ -83,6 +83,9 @@ def test_a_split_log(path, sent, compression):
 def test_a_log_that_was_gone_on_with(path, sent):
     log = LogWriter(path)
     record_to(log, sent[:20], synced=True)
+    unfinished = path.read_bytes()
+    log.close()
+    path.write_bytes(unfinished)
     with LogWriter(path, resume=True) as log:
         record_to(log, sent[20:])
     check(path, sent)

@@ -402,3 +402,40 @@ def test_a_folder_that_vanishes_stops_the_log_at_the_next_file(tmp_path, whole_m
     read = [each.data for each in read_log(tmp_path / 'moved' / 'mission.mcap')]
     assert read == [each.data for each in whole_mission.sent[: len(read)]]
     assert len(read) > 5
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_damage_anywhere_is_noticed_before_a_log_is_gone_on_with(
+    whole_mission, compression, tmp_path
+):
+    """Wherever the damage is, in what was finished: in chunks, between them or in the summary."""
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path, compression=compression) as log:
+        log.add_metadata('run', {'seed': '7'})
+        record_to(log, whole_mission.sent[:6])
+        log.sync()
+        record_to(log, whole_mission.sent[6:9])
+    content = path.read_bytes()
+    for at in [*range(0, len(content), 97), *range(len(content) - 40, len(content))]:
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :])
+        with pytest.raises(LogError, match=r'is damaged near byte|is no MCAP file'):
+            LogWriter(path, resume=True)
+        assert [file.name for file in sorted(tmp_path.iterdir())] == [
+            'metadata.yaml',
+            'mission.mcap',
+        ]
+    path.write_bytes(content)
+    LogWriter(path, resume=True).close()
+
+
+def test_a_damaged_later_part_is_not_gone_on_with(whole_mission, tmp_path):
+    path = tmp_path / 'mission.mcap'
+    record(path, whole_mission.sent[:6])
+    with LogWriter(path, resume=True) as log:
+        record_to(log, whole_mission.sent[6:9])
+    part = tmp_path / 'mission_1.mcap'
+    content = bytearray(part.read_bytes())
+    content[len(content) // 3] ^= 1
+    part.write_bytes(content)
+    with pytest.raises(LogError, match=r'mission_1\.mcap is damaged near byte'):
+        LogWriter(path, resume=True)
