@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 PYTHON_PACKAGES = {
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'joblib': ('python3-joblib', 'joblib'),
+    'lz4': ('mcap-ros2-support', 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
     'mcap_ros2': ('mcap-ros2-support', 'mcap-ros2-support'),
@@ -32,6 +33,7 @@ PYTHON_PACKAGES = {
     'threadpoolctl': (None, 'threadpoolctl'),
     'tqdm': ('python3-tqdm', 'tqdm'),
     'yaml': ('python3-yaml', 'PyYAML'),
+    'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
 
 # Imported only by those who ask for them.
