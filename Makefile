@@ -12,6 +12,9 @@ SHELL := bash
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
 
+# Processes that run tests; those of nodes each take a ROS domain that is free.
+WORKERS ?= logical
+
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
   $(wildcard msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
@@ -28,7 +31,7 @@ results: build
 	done && python3 -m kbnitp_ros.study.page runs/study docs
 
 test: build .venv/.dev
-	. ./env.sh && python3 -m pytest
+	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal
 
 check: .venv/.dev
 	.venv/bin/ruff check .

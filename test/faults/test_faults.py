@@ -6,11 +6,16 @@ from __future__ import annotations
 from collections import Counter
 
 from campaign import run_missions
+from extent import FULL
 from schedule import KINDS, NODES, STRUCK
+
+# Missions under faults of all kinds, beside one of each kind.
+MIXED = 24 if FULL else 1
 
 
 def test_missions_under_faults_end_as_if_unbroken(tmp_path):
-    jobs = [(1, kind, tmp_path) for kind in KINDS] + [(2, 'mixed', tmp_path)]
+    jobs = [(1, kind, tmp_path) for kind in KINDS]
+    jobs += [(2 + seed, 'mixed', tmp_path) for seed in range(MIXED)]
     outcomes = run_missions(jobs)
     assert len(outcomes) == len(jobs)
     assert not [str(outcome) for outcome in outcomes if outcome.findings]
