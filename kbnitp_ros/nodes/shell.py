@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-import faulthandler
 import signal
 import sys
 import time
@@ -13,6 +12,7 @@ import time
 from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.diagnostics import Diagnostics
+from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
 from kbnitp_ros.nodes.given import check_given
 from kbnitp_ros.nodes.parameters import declare
 import rclpy
@@ -131,21 +131,24 @@ def run(
     except START_ERRORS as error:
         _complain(name, error)
         _say_why_not_started(name, arguments, error)
-        _leave()
+        _leave(2)
         return 2
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    code = 1
     try:
         broken = _live(node, executor, signals, linger)
         if broken:
             _complain(name, broken)
             node.diagnostics.fail(broken)
+        else:
+            code = 0
     finally:
-        _leave(executor, node)
+        _leave(code, executor, node)
         # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-    return 1 if broken else 0
+    return code
 
 
 def _live(
@@ -185,18 +188,19 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
         Diagnostics(node).fail(error)
 
 
-def _leave(executor: SingleThreadedExecutor | None = None, node: Shell | None = None) -> None:
+def _leave(
+    code: int, executor: SingleThreadedExecutor | None = None, node: Shell | None = None
+) -> None:
     """
-    Leave the graph.
+    Leave the graph; should that not end, the process does, with its exit code.
 
     Everything that matters is closed by now. When several processes leave at once, Fast DDS 2.14
     may wait here for good, about once in a thousand times: `set_listener` for a callback, and
     that for its lock.
     """
-    faulthandler.dump_traceback_later(TEARDOWN, exit=True)
-    if executor:
-        executor.shutdown()
-    if node:
-        node.destroy_node()
-    rclpy.try_shutdown()
-    faulthandler.cancel_dump_traceback_later()
+    with exit_at_the_latest(TEARDOWN, code):
+        if executor:
+            executor.shutdown()
+        if node:
+            node.destroy_node()
+        rclpy.try_shutdown()
