@@ -98,7 +98,7 @@ def run_until_reported(folder, reports, missions):
         finally:
             for mission in running:
                 mission.send_signal(signal.SIGINT)
-            status = {mission.wait(timeout=15) for mission in running}
+            status = {mission.wait(timeout=60) for mission in running}
     assert status == {0}
     for log in missions:
         report = replay(folder / log)
@@ -150,6 +150,6 @@ def test_two_teams_are_launched_side_by_side(tmp_path, configured):
 @pytest.mark.parametrize('agents', ['0', 'two'])
 def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents, capfd):
     with free_domain() as domain:
-        assert launched(tmp_path, domain, f'agents:={agents}').wait(timeout=30) == 1
+        assert launched(tmp_path, domain, f'agents:={agents}').wait(timeout=60) == 1
     told = capfd.readouterr().out
     assert f"agents is '{agents}': it must be a whole number, at least 1" in told

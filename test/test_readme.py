@@ -35,7 +35,7 @@ def test_the_demo_and_its_replay(tmp_path):
     typed = commands('demo', 'replay')
     assert [words[2] for words in typed] == ['demo', 'replay', 'demo', 'demo', 'replay']
     for command in typed:
-        assert start(command, tmp_path).wait(timeout=120) == 0
+        assert start(command, tmp_path).wait(timeout=300) == 0
 
 
 def test_the_study_starts(tmp_path):
@@ -46,7 +46,7 @@ def test_the_study_starts(tmp_path):
     while not list(out.glob('trials/*.npz')) and time.monotonic() < deadline:
         time.sleep(0.1)
     study.send_signal(signal.SIGINT)
-    assert study.wait(timeout=60) == 130
+    assert study.wait(timeout=180) == 130
     assert list(out.glob('trials/*.npz'))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
-PATIENCE = 60.0
+PATIENCE = 180.0
 
 
 def run_demo(*options):

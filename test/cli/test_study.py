@@ -22,7 +22,7 @@ import pytest
 import yaml
 
 STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
-PATIENCE = 120.0
+PATIENCE = 300.0
 LEFT = ['table.parquet', 'entropy.png', 'log_loss.png', 'reliability.png', 'summary.json']
 LEFT += ['summary.md', 'scenario.yaml']
 

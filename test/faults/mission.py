@@ -21,7 +21,7 @@ from schedule import NODES
 from unbroken import core_mission, folded, with_defaults
 
 # How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
-PATIENCE = 60.0
+PATIENCE = 180.0
 
 # The recorder does not listen in on what is outside.
 NAMESPACE = '/mission'

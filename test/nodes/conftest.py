@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-PATIENCE = 20.0  # seconds; nothing here takes a tenth of it unless it is broken
+PATIENCE = 60.0  # seconds; on a quiet machine nothing takes a tenth of it unless it is broken
 
 
 class Field:
@@ -146,7 +146,7 @@ def field(tmp_path, monkeypatch):
         field = Field(stack.enter_context(Processes(domain)), node, tmp_path)
         yield field
         ended_before = field.processes.ended()
-        for name, code in field.processes.stop().items():
+        for name, code in field.processes.stop(PATIENCE).items():
             said = field.said(name)
             assert name in ended_before or code == 0, f'{name} ended with {code}: {said}'
             assert 'Traceback' not in said, said

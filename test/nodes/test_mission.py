@@ -52,7 +52,7 @@ def wait_for_end(field, parameters, heard):
     paths, reports, beliefs = heard
     robots = parameters['robots']
     field.until(
-        lambda: min(len(paths), len(reports), len(beliefs) - 1) >= robots, 'end', patience=60
+        lambda: min(len(paths), len(reports), len(beliefs) - 1) >= robots, 'end', patience=180
     )
 
 

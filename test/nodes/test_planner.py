@@ -402,7 +402,7 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         ('/b', field.folder / 'none.mcap', 'none.mcap cannot be read'),
     ):
         planner = field.start('planner', {'resume': str(resumed)}, namespace)
-        assert planner.wait(timeout=20) == 2
+        assert planner.wait(timeout=60) == 2
         assert told in field.said(f'{namespace}/planner')
 
 
@@ -443,7 +443,7 @@ def test_a_log_of_more_robots_than_asked_for_is_not_resumed(field):
             path = path_message(GRID, [0, 1, 0], stamp)
             writer.write('/scout_1/path', serialize_message(path), stamp, stamp)
     planner = field.start('planner', {**PARAMETERS, 'robots': 1, 'resume': str(log)})
-    assert planner.wait(timeout=20) == 2
+    assert planner.wait(timeout=60) == 2
     assert 'robots is 1: 2 robots have left, and it must be at least that' in field.said(
         '/planner'
     )

@@ -24,7 +24,7 @@ def run(*arguments):
         [sys.executable, '-m', 'kbnitp_ros', *arguments],
         capture_output=True,
         text=True,
-        timeout=20,
+        timeout=60,
     )
 
 
@@ -116,7 +116,7 @@ def test_a_signal_ends_every_node_well(field, number):
     for process in nodes.values():
         process.send_signal(number)
     for name, process in nodes.items():
-        assert process.wait(timeout=5) == 0, name
+        assert process.wait(timeout=60) == 0, name
         assert field.said(f'/{name}') == ''
     assert is_finished(log)
 
@@ -130,7 +130,7 @@ def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     for process in nodes.values():
         process.send_signal(number)
     for name, process in nodes.items():
-        assert process.wait(timeout=5) == 0, name
+        assert process.wait(timeout=60) == 0, name
         assert field.said(name) == ''
     assert is_finished(log)
 
@@ -140,7 +140,7 @@ def test_the_second_signal_changes_nothing(field):
     field.until(lambda: field.diagnosed('/recorder').values, 'diagnostics')
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         os.kill(recorder.pid, number)
-    assert recorder.wait(timeout=5) == 0
+    assert recorder.wait(timeout=60) == 0
     assert is_finished(field.folder / 'mission.mcap')
 
 

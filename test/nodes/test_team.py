@@ -51,7 +51,7 @@ class Team:
         else:
             field.start('team', playing, namespace)
 
-    def until_done(self, patience=60):
+    def until_done(self, patience=180):
         """Wait until the planner says that all robots are deployed."""
         planner = f'{self.namespace}/planner'
         self.field.until(lambda: 'done' in self.field.state(planner), 'end', patience)
@@ -150,7 +150,7 @@ def test_a_team_carries_on_when_an_agent_leaves(field):
     field.until(lambda: all(len(each) > 2 for each in team.reports.values()), 'reports')
     gone = field.processes.started.pop('/m/scout_2/agent')
     gone.send_signal(signal.SIGINT)
-    assert gone.wait(timeout=10) == 0
+    assert gone.wait(timeout=60) == 0
     field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of the agent gone')
     assert 'agent scout_2 has left' in field.diagnosed('/m/planner').message
     before = {agent: len(each) for agent, each in team.reports.items()}
@@ -175,7 +175,7 @@ def test_a_team_carries_on_when_an_agent_leaves(field):
 )
 def test_teams_that_cannot_be_are_refused(field, node, parameters, told):
     process = field.start(node, {**FIELD, **parameters})
-    assert process.wait(timeout=20) == 2
+    assert process.wait(timeout=60) == 2
     assert told in field.said(f'/{node}')
 
 

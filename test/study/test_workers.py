@@ -16,7 +16,7 @@ import pyarrow
 from pyarrow import parquet
 import pytest
 
-PATIENCE = 60.0
+PATIENCE = 180.0
 
 
 @pytest.fixture
