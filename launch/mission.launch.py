@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch a mission of one agent or a team, recorded unless told not to, in RViz if told to."""
 
+import signal
+
+from kbnitp_ros.nodes.given import read_sections
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -24,11 +27,16 @@ SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
+# How processes may end that launch was told to end: one that did not listen yet was killed, and of
+# one that ended while launch was about to signal it, asyncio says 255.
+ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
+
 RESUME = {'resume': ParameterValue(LaunchConfiguration('resume'), value_type=str)}
 RECORDED = {'recorded': ParameterValue(LaunchConfiguration('record'), value_type=bool)}
 
 
 def generate_launch_description():
+    hear_interrupts_once()
     arguments = [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
@@ -53,7 +61,8 @@ def generate_launch_description():
         DeclareLaunchArgument(
             'file',
             default_value='',
-            description='The log to write; empty for the one that the parameters name.',
+            description='The log to write; empty for the one that the parameters name, or if they '
+            'name none, runs/TIME/mission.mcap.',
         ),
         DeclareLaunchArgument(
             'resume',
@@ -80,11 +89,24 @@ def generate_launch_description():
     return LaunchDescription([*arguments, discovery, mission])
 
 
+def hear_interrupts_once():
+    """
+    Keep Python from raising KeyboardInterrupt, too, on signals that launch handles by itself.
+
+    It would strike whichever task of launch runs at that moment, such as one that waits for the
+    end of a node, and launch would wait for that task for ever.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda *_: None)
+
+
 def nodes(context):
     """Return the nodes, which depend on how many agents there are."""
-    agents, namespace, file = (
-        LaunchConfiguration(name).perform(context) for name in ('agents', 'namespace', 'file')
+    agents, namespace, file, params_file = (
+        LaunchConfiguration(name).perform(context)
+        for name in ('agents', 'namespace', 'file', 'params_file')
     )
+    read_sections(params_file)
     if not agents.isdecimal() or not int(agents):
         raise ValueError(f'agents is {agents!r}: it must be a whole number, at least 1')
     count = int(agents)
@@ -93,6 +115,7 @@ def nodes(context):
     names = [f'scout_{number}' for number in range(1, count + 1)]
     team = {'agents': names}
     view = 'team.rviz' if count > 1 else 'mission.rviz'
+    failures = []
     return [
         # First, so that nothing runs yet when it turns out not to be installed.
         Node(
@@ -103,14 +126,16 @@ def nodes(context):
             remappings=poses,
         ),
         mission_node(
+            failures,
             'recorder',
             RESUME | ({'file': file} if file else {}),
             condition=IfCondition(LaunchConfiguration('record')),
         ),
-        mission_node('estimator', team, awaits=['planner']),
-        mission_node('planner', team | RESUME | RECORDED, awaits=['agent', 'estimator']),
+        mission_node(failures, 'estimator', team, awaits=['planner']),
+        mission_node(failures, 'planner', team | RESUME | RECORDED, awaits=['agent', 'estimator']),
         *(
             mission_node(
+                failures,
                 'agent',
                 team | RESUME | RECORDED | {'agent': name},
                 awaits=['planner', 'estimator'],
@@ -125,7 +150,7 @@ def nodes(context):
 
 
 def mission_node(
-    name, own, awaits=(), condition=None, namespace='', remappings=(), ends_mission=True
+    failures, name, own, awaits=(), condition=None, namespace='', remappings=(), ends_mission=True
 ):
     """Return a node with these parameters of its own; it also awaits the recorder, if any."""
     own = dict(own)
@@ -133,6 +158,18 @@ def mission_node(
         recorded, alone = str([*awaits, 'recorder']), str(awaits)
         listeners = IfElseSubstitution(LaunchConfiguration('record'), recorded, alone)
         own['await_nodes'] = ParameterValue(listeners, value_type=list[str])
+
+    def end(event, context):
+        """End the mission with this node; with an error if any node has failed by then."""
+        if event.returncode not in (ENDED if context.is_shutdown else (0,)):
+            failures.append(f'{event.process_name} ended with exit code {event.returncode}')
+        if failures and (ends_mission or context.is_shutdown):
+            # Nothing else makes the exit code of launch another one than 0.
+            told = ', '.join(failures)
+            failures.clear()
+            raise RuntimeError(f'the mission failed: {told}; see above what was said')
+        return Shutdown() if ends_mission else None
+
     return Node(
         package='kbnitp_ros',
         executable=name,
@@ -142,5 +179,5 @@ def mission_node(
         condition=condition,
         remappings=remappings,
         output='screen',
-        on_exit=Shutdown() if ends_mission else None,
+        on_exit=end,
     )

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file, the configuration and the RViz view fit the nodes."""
 
+from contextlib import suppress
+import os
 from pathlib import Path
 import re
 import signal
@@ -75,10 +77,10 @@ def reports_in(log):
         return 0
 
 
-def launched(folder, domain, *arguments):
+def launched(folder, domain, *arguments, **options):
     """Start the launch file with these arguments; the paths in them are relative to a folder."""
     command = [sys.executable, '-c', LAUNCH, ROOT / 'launch' / 'mission.launch.py', *arguments]
-    return subprocess.Popen(command, cwd=folder, env=environment(domain))
+    return subprocess.Popen(command, cwd=folder, env=environment(domain), **options)
 
 
 def run_until_reported(folder, reports, missions):
@@ -90,7 +92,7 @@ def run_until_reported(folder, reports, missions):
     with free_domain() as domain:
         running = [launched(folder, domain, *arguments) for arguments in missions.values()]
         try:
-            deadline = time.monotonic() + 30
+            deadline = time.monotonic() + 60
             while any(reports_in(folder / log) < reports for log in missions):
                 assert time.monotonic() < deadline
                 assert {mission.poll() for mission in running} == {None}
@@ -113,7 +115,8 @@ def configured(tmp_path):
 
     def change(**values):
         config = CONFIG.read_text()
-        for name, value in values.items():
+        # Planned in no time, so that nodes are not at it when they are to end.
+        for name, value in {'width': 4, 'height': 4, 'max_steps': 6, **values}.items():
             config = re.sub(rf'(?m)^( *{name}:) \S+', rf'\1 {value}', config)
         (tmp_path / 'short.yaml').write_text(config)
 
@@ -121,7 +124,7 @@ def configured(tmp_path):
 
 
 def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path, configured):
-    arguments = ['params_file:=short.yaml', 'namespace:=north']
+    arguments = ['params_file:=short.yaml', 'namespace:=north', 'file:=mission.mcap']
     configured(robots=3)
     run_until_reported(tmp_path, 3, {'mission.mcap': arguments})
     configured(robots=5)
@@ -147,9 +150,126 @@ def test_two_teams_are_launched_side_by_side(tmp_path, configured):
         assert {each.topic for each in logged} == {*reports, f'/{team}/tf'}
 
 
-@pytest.mark.parametrize('agents', ['0', 'two'])
-def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents, capfd):
+def output_of(folder, *arguments):
+    """Launch a mission that cannot be, and return its exit code and all it says."""
     with free_domain() as domain:
-        assert launched(tmp_path, domain, f'agents:={agents}').wait(timeout=60) == 1
-    told = capfd.readouterr().out
-    assert f"agents is '{agents}': it must be a whole number, at least 1" in told
+        mission = launched(
+            folder, domain, *arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        told, _ = mission.communicate(timeout=60)
+    return mission.returncode, told
+
+
+@pytest.mark.parametrize(
+    'content, told',
+    [
+        (None, 'parameter file short.yaml: No such file or directory'),
+        (
+            '/**/plannr: {ros__parameters: {robots: 3}}',
+            "'/**/plannr' is for no node: did you mean",
+        ),
+        ('recorder: {ros__parameters: {step_period: 1.0}}', 'step_period is unknown to the recor'),
+    ],
+)
+def test_a_bad_parameter_file_starts_nothing(tmp_path, configured, content, told):
+    if content:
+        (tmp_path / 'short.yaml').write_text(content)
+    code, said = output_of(tmp_path, 'params_file:=short.yaml')
+    assert code == 1
+    assert told in said
+    assert 'process started' not in said
+
+
+def test_a_log_is_not_written_over_and_launch_fails(tmp_path, configured):
+    (tmp_path / 'mission.mcap').touch()
+    code, said = output_of(tmp_path, 'file:=mission.mcap')
+    assert code == 1
+    assert 'recorder: mission.mcap exists, and no log is written over: name another' in said
+    assert 'the mission failed: recorder-1 ended with exit code 2' in said
+
+
+@pytest.mark.parametrize('agents', ['0', 'two'])
+def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents):
+    code, said = output_of(tmp_path, f'agents:={agents}')
+    assert code == 1
+    assert f"agents is '{agents}': it must be a whole number, at least 1" in said
+
+
+def nodes_of(mission):
+    """Return the nodes that launch has started, by namespace and name, as process numbers."""
+    children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
+    found = {}
+    for child in children:
+        command = Path(f'/proc/{child}/cmdline').read_text()
+        names = re.findall(r'__node:=(\w+)\0-r\0__ns:=([/\w]*)', command)
+        found |= {f'{space.rstrip("/")}/{name}': int(child) for name, space in names}
+    return found
+
+
+def launched_until(folder, domain, condition, *arguments):
+    """Launch a mission, and return it and its log, named by nobody, when a condition holds."""
+    mission = launched(folder, domain, *arguments)
+    deadline = time.monotonic() + 60
+    while not (logs := list(folder.glob('runs/*/mission.mcap'))) or not condition(*logs):
+        assert time.monotonic() < deadline
+        assert mission.poll() is None
+        time.sleep(0.1)
+    return mission, *logs
+
+
+def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
+    configured(robots=2)
+    for _ in range(2):
+        known = set(tmp_path.glob('runs/*'))
+        with free_domain() as domain:
+            mission = launched(tmp_path, domain, 'params_file:=short.yaml')
+            deadline = time.monotonic() + 60
+            while not any(reports_in(log) == 2 for log in set(tmp_path.glob('runs/*')) - known):
+                assert time.monotonic() < deadline
+                time.sleep(0.2)
+            mission.send_signal(signal.SIGINT)
+            assert mission.wait(timeout=60) == 0
+    logs = list(tmp_path.glob('runs/*/mission.mcap'))
+    assert [replay(log).reproduced for log in logs] == [True, True]
+
+
+def test_a_node_that_dies_ends_the_mission_and_fails_it(tmp_path, configured):
+    configured(robots=1000)
+    with free_domain() as domain:
+        mission, _ = launched_until(tmp_path, domain, reports_in, 'params_file:=short.yaml')
+        os.kill(nodes_of(mission)['/estimator'], signal.SIGKILL)
+        assert mission.wait(timeout=60) == 1
+
+
+def test_an_agent_of_a_team_that_dies_fails_the_mission_when_that_ends(tmp_path, configured):
+    configured(robots=1000, step_period=0.02)
+    with free_domain() as domain:
+        arguments = ['params_file:=short.yaml', 'agents:=2']
+        mission, log = launched_until(tmp_path, domain, reports_in, *arguments)
+        os.kill(nodes_of(mission)['/scout_2/agent'], signal.SIGKILL)
+        before, deadline = reports_in(log), time.monotonic() + 60
+        while reports_in(log) < before + 5:
+            assert time.monotonic() < deadline
+            assert mission.poll() is None
+            time.sleep(0.2)
+        mission.send_signal(signal.SIGINT)
+        assert mission.wait(timeout=60) == 1
+
+
+@pytest.mark.parametrize('trial', range(5))
+def test_any_number_of_interrupts_ends_a_mission(tmp_path, configured, trial):
+    with free_domain() as domain:
+        mission = launched(tmp_path, domain, start_new_session=True)
+        deadline = time.monotonic() + 60
+        while len(nodes_of(mission)) < 4:
+            assert time.monotonic() < deadline
+        # As a terminal does it, to launch and all its nodes.
+        for _ in range(200):
+            with suppress(ProcessLookupError):
+                os.killpg(mission.pid, signal.SIGINT)
+            time.sleep(0.003)
+        try:
+            # Python itself may be ending when the last of them comes.
+            assert mission.wait(timeout=60) in (0, 1, -signal.SIGINT)
+        finally:
+            mission.kill()

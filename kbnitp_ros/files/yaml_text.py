@@ -29,6 +29,18 @@ DEEPEST = 100
 LONGEST = 10_000
 
 
+class Loader(yaml.CSafeLoader):
+    """Makes the types of YAML 1.1, and lists of the tuples in the parameter files of launch."""
+
+
+def as_list(loader: Loader, node: yaml.SequenceNode) -> list[Any]:
+    """Return what a sequence holds."""
+    return loader.construct_sequence(node, deep=True)
+
+
+Loader.add_constructor('tag:yaml.org,2002:python/tuple', as_list)
+
+
 class NotYamlError(ValueError):
     """A text that is no YAML, such as one that was cut off."""
 
@@ -69,7 +81,7 @@ def parse_yaml(text: str | bytes) -> Any:
     except yaml.YAMLError as error:
         raise not_yaml(error) from error
     try:
-        return yaml.load(text, Loader=yaml.CSafeLoader)
+        return yaml.load(text, Loader=Loader)
     except Exception as error:
         # PyYAML fails in many ways on a value that does not fit its tag.
         raise not_yaml(error) from error

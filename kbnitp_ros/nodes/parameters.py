@@ -431,8 +431,9 @@ TABLE = (
     ),
     Parameter(
         'file',
-        'mission.mcap',
-        'The log to write; it must not exist yet. Not used with resume.',
+        '',
+        'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used '
+        'with resume.',
         ('recorder',),
     ),
     Parameter(

@@ -13,6 +13,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from kbnitp_ros.log.bag import LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
+from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes import qos
@@ -46,8 +47,12 @@ class RecorderNode(Shell):
     def __init__(self) -> None:
         super().__init__('recorder')
         resume = self.values['resume']
+        path = resume or self.values['file']
+        if not path:
+            path = new_log()
+            self.get_logger().info(f'recording to {path}')
         self._log = LogWriter(
-            resume or self.values['file'],
+            path,
             resume=bool(resume),
             compression=self.values['compression'],
             max_file_size=self.values['max_file_size'],
@@ -55,8 +60,9 @@ class RecorderNode(Shell):
         )
         if self._log.shares_folder:
             self.get_logger().warning(
-                f'{self._log.path.parent} is the bag of another log, which it stays: others '
-                'know this one by its files only'
+                f'folder {self._log.path.parent} is the bag of another log and stays it: ros2 bag '
+                f'finds this one by the names of its files, such as {self._log.path}; a folder '
+                'for each log avoids that'
             )
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True

@@ -91,6 +91,15 @@ def test_the_shipped_configuration_has_every_parameter():
         assert set(parameters_of(name)) <= set(values_for(sections, f'/north/{name}')), name
 
 
+def test_the_tuples_that_launch_writes_are_lists(tmp_path):
+    values = {'agents': ('a', 'b'), 'grid.blocked': (3,)}
+    text = yaml.dump({'/planner': {'ros__parameters': values}}, default_flow_style=False)
+    assert 'python/tuple' in text
+    assert read_sections(written(tmp_path, text)) == {
+        '/planner': {'agents': ['a', 'b'], 'grid.blocked': [3]}
+    }
+
+
 def test_what_all_share_may_be_of_any_node():
     config = section('/**', robots=3, seed=4, file='a.mcap', use_sim_time=True)
     assert sections_of(config, {}) == {

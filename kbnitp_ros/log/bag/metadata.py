@@ -131,7 +131,8 @@ def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
     if is_of_another_bag(folder, files[0].name):
         return False
     target = folder / METADATA
-    new = target.with_suffix('.yaml.new')
+    # Another log in the folder may be finished at the same time.
+    new = target.with_name(f'{files[0].name}.{METADATA}.new')
     with new.open('w') as file:
         yaml.safe_dump({INFORMATION: information(files)}, file, sort_keys=False)
         file.flush()

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the log of a mission goes when nobody says where."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+NAME = 'mission.mcap'
+
+
+def new_log(folder: Path | None = None) -> Path:
+    """
+    Return where the log of a mission that begins now goes, in a folder of its own.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Made if it is not there; runs/TIME when None.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made.
+
+    """
+    folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f'folder {folder} cannot be made ({error.strerror}): name another'
+        ) from error
+    return folder / NAME
