@@ -4,7 +4,9 @@
 from importlib import import_module
 import sys
 
-# Each module has main(argv=None), whose result is the exit status; None is 0.
+from kbnitp_ros.cli.output import command, complain, say
+
+# Each module has main(argv=None), whose result is the exit status.
 COMMANDS = {
     'demo': 'kbnitp_ros.cli.demo',
     'study': 'kbnitp_ros.cli.study',
@@ -19,13 +21,14 @@ COMMANDS = {
 USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(COMMANDS)}'
 
 
-def main(argv: list[str] | None = None) -> int | None:
+@command('kbnitp_ros')
+def main(argv: list[str] | None = None) -> int:
     name, *arguments = (sys.argv[1:] if argv is None else argv) or ['']
     if name in ('-h', '--help'):
-        print(USAGE)
+        say(USAGE)
         return 0
     if name not in COMMANDS:
-        print(f'{name!r} is no command. {USAGE}' if name else USAGE, file=sys.stderr)
+        complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)
         return 2
     return import_module(COMMANDS[name]).main(arguments)
 

@@ -15,10 +15,11 @@ import sys
 from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Belief, DeploymentKey, Grid, team_size
-from kbnitp_ros.log.bag import LogError, LogLock, parts_of
+from kbnitp_ros.log.bag import check_is_new, LogError, LogLock, parts_of
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
@@ -60,6 +61,7 @@ OPTIONS = {
 }
 
 
+@command('demo')
 def main(argv: Sequence[str] | None = None) -> int:
     """
     Run the command.
@@ -81,9 +83,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             parameters = chosen_parameters(options)
             log = new_log(options.out)
+            check_is_new(log)
             parameters['recorder'] = {'file': str(log)}
     except (ValueError, OSError) as error:
-        print(f'demo: {error}', file=sys.stderr)
+        complain('demo', error)
         return 2
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -92,10 +95,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         deploy(parameters)
         return conclude(log)
     except KeyboardInterrupt:
-        print(f'demo: interrupted; {log} holds the mission so far', file=sys.stderr)
+        complain('demo', f'interrupted; {log} holds the mission so far')
         return 130
     except (RuntimeError, LogError, OSError) as error:
-        print(f'demo: {error}', file=sys.stderr)
+        complain('demo', error)
         return 1
 
 
@@ -318,7 +321,7 @@ def conclude(log: Path) -> int:
     mission_maps(maps, history.grid, history.beliefs[-1], history.world, history.observations)
     mission_progress(progress, history.beliefs, history.world, history.observations)
     first, last = history.beliefs[0].entropy(), history.beliefs[-1].entropy()
-    print('\n'.join(lines(report)))
-    print(f'entropy {first:.1f} -> {last:.1f} nats')
-    print(*(f'wrote {path}' for path in (log, maps, progress)), sep='\n')
+    say(*lines(report))
+    say(f'entropy {first:.1f} -> {last:.1f} nats')
+    say(*(f'wrote {path}' for path in (log, maps, progress)))
     return 0 if report.reproduced else 1

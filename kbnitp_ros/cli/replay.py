@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-import sys
 from typing import TypeVar
 
+from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.log.replay import replay, ReplayReport
 from tqdm import tqdm
@@ -18,6 +18,7 @@ from tqdm import tqdm
 T = TypeVar('T', LoggedMessage, Recorded)
 
 
+@command('replay')
 def main(argv: Sequence[str] | None = None) -> int:
     """
     Run the command.
@@ -46,14 +47,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if options.repair:
             repaired = repair(log, options.repair, partial(with_progress, log_size(log)))
-            print(f'{repaired.messages} messages of {log} are saved in {options.repair}')
-            print('\n'.join(f'lost: {loss}' for loss in repaired.lost) or 'nothing was lost')
+            say(f'{repaired.messages} messages of {log} are saved in {options.repair}')
+            say(*([f'lost: {loss}' for loss in repaired.lost] or ['nothing was lost']))
             log = options.repair
         report = replay(log, partial(with_progress, log_size(log)))
     except (LogError, OSError) as error:
-        print(f'replay: {error}', file=sys.stderr)
+        complain('replay', error)
         return 2
-    print('\n'.join(lines(report)))
+    say(*lines(report))
     return 0 if report.reproduced else 1
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import signal
 import sys
 
+from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import share
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
@@ -20,6 +21,7 @@ from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm
 
 
+@command('study')
 def main(argv: Sequence[str] | None = None) -> int:
     """
     Run the command.
@@ -38,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return study(options)
     except KeyboardInterrupt:
-        print(f'study: interrupted; the same command goes on from {options.out}', file=sys.stderr)
+        complain('study', f'interrupted; the same command goes on from {options.out}')
         return 130
 
 
@@ -113,7 +115,7 @@ def study(options: argparse.Namespace) -> int:
                 workers(options.backend, options.workers, options.scheduler)
             )
         except (ValueError, OSError) as error:
-            print(f'study: {error}', file=sys.stderr)
+            complain('study', error)
             return 2
         outcomes = folder.outcomes()
         trials = trials_of(scenario)
@@ -127,7 +129,7 @@ def study(options: argparse.Namespace) -> int:
                     bar.update()
             written = write_report(Results(scenario, outcomes), options.out)
         except (RuntimeError, OSError) as error:
-            print(f'study: {error}', file=sys.stderr)
+            complain('study', error)
             return 1
-    print(*(f'wrote {path}' for path in written), sep='\n')
+    say(*(f'wrote {path}' for path in written))
     return 0

@@ -3,7 +3,7 @@
 
 from kbnitp_ros.log.bag.errors import LogError, same_types
 from kbnitp_ros.log.bag.lock import LogLock
-from kbnitp_ros.log.bag.parts import parts_of
+from kbnitp_ros.log.bag.parts import check_is_new, parts_of
 from kbnitp_ros.log.bag.reader import is_finished, log_size, LoggedMessage, read_log, read_metadata
 from kbnitp_ros.log.bag.recorded import Recorded
 from kbnitp_ros.log.bag.repair import repair
@@ -16,6 +16,7 @@ __all__ = [
     'LogWriter',
     'LoggedMessage',
     'Recorded',
+    'check_is_new',
     'is_finished',
     'log_size',
     'parts_of',

@@ -152,7 +152,7 @@ def check_is_new(first: Path) -> None:
     Raises
     ------
     LogError
-        If it is not named as an MCAP file.
+        If it is not named as an MCAP file, or not in UTF-8.
     FileExistsError
         If it is there, would be taken for a part of another log, or there are files for parts of
         this one.
@@ -160,6 +160,10 @@ def check_is_new(first: Path) -> None:
     """
     if first.suffix != '.mcap':
         raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
+    try:
+        str(first).encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f'{str(first)!r} is no name for a log: it must be UTF-8') from error
     if first.exists():
         raise FileExistsError(f'{first} exists, and no log is written over: name another file')
     if is_later_part(first):

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How commands say what they have to say, also where nobody can hear it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import wraps
+from io import TextIOWrapper
+import os
+import signal
+import sys
+
+Main = Callable[[Sequence[str] | None], int]
+
+
+class OutputError(Exception):
+    """Standard output takes nothing: it is a closed pipe, or a file on a full disk."""
+
+
+def say(*lines: str) -> None:
+    """
+    Print lines.
+
+    Raises
+    ------
+    OutputError
+        If that is not possible.
+
+    """
+    with writing():
+        print(*lines, sep='\n', flush=True)
+
+
+def complain(name: str, error: object) -> None:
+    """Print a line on standard error, which begins with the command; nothing if that is closed."""
+    with suppress(OSError):
+        print(f'{name}: {error}', file=sys.stderr, flush=True)
+
+
+def command(name: str) -> Callable[[Main], Main]:
+    """
+    Return what makes a command of a function: where it cannot print it ends without a traceback.
+
+    It then returns 141, as after SIGPIPE, if nobody reads what it prints, and `os.EX_IOERR` if
+    there is no room for it. Without enough memory it returns 1.
+    """
+
+    def decorate(main: Main) -> Main:
+        @wraps(main)
+        def run(argv: Sequence[str] | None = None) -> int:
+            if isinstance(sys.stdout, TextIOWrapper):
+                # The names of files need not be text.
+                sys.stdout.reconfigure(errors='backslashreplace')
+            try:
+                try:
+                    return main(argv)
+                finally:
+                    flush()
+            except MemoryError as error:
+                complain(name, f'there is not enough memory: {error}')
+                return 1
+            except OutputError as error:
+                discard_output()
+                reason = error.__cause__
+                if isinstance(reason, BrokenPipeError):
+                    return 128 + signal.SIGPIPE
+                why = reason.strerror if isinstance(reason, OSError) else reason
+                complain(name, f'nothing can be printed: {why}')
+                return os.EX_IOERR
+
+        return run
+
+    return decorate
+
+
+@contextmanager
+def writing() -> Iterator[None]:
+    """Raise an OutputError where standard output takes nothing."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError from error
+
+
+def flush() -> None:
+    """Print what waits for more; raises OutputError."""
+    if sys.stdout is not None:
+        with writing():
+            sys.stdout.flush()
+
+
+def discard_output() -> None:
+    """Have what cannot be printed disappear, which Python would try to print when it ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands end in a sentence, or in silence, where what they print goes nowhere."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from kbnitp_ros.__main__ import COMMANDS
+from kbnitp_ros.cli.output import command
+from mission_log import mission, record
+import pytest
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory):
+    return record(tmp_path_factory.mktemp('run') / 'mission.mcap', mission(robots=2).sent)
+
+
+@pytest.fixture
+def arguments(log, tmp_path):
+    """Return of each command some that have it print."""
+    helps = {name: [name, '--help'] for name in COMMANDS}
+    repaired = tmp_path / 'repaired.mcap'
+    return {
+        **helps,
+        'help': ['--help'],
+        'replayed': ['replay', log],
+        'repaired': ['replay', log, '--repair', repaired],
+    }
+
+
+KINDS = [*COMMANDS, 'help', 'replayed', 'repaired']
+
+
+# With LANG=C names of files are printed that are no text.
+STRICT = {**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'}
+
+# argparse keeps it to itself if it cannot print, which it learns if nothing is buffered.
+STRICT.pop('PYTHONUNBUFFERED', None)
+
+
+def run(arguments, **options):
+    return subprocess.run(
+        [sys.executable, '-m', 'kbnitp_ros', *arguments],
+        stderr=subprocess.PIPE,
+        env=STRICT,
+        timeout=60,
+        **options,
+    )
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_pipe_that_nobody_reads_ends_a_command_in_silence(kind, arguments):
+    read, write = os.pipe()
+    os.close(read)
+    done = run(arguments[kind], stdout=write)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, b'')
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_full_disk_is_told(kind, arguments):
+    with Path('/dev/full').open('wb') as full:
+        done = run(arguments[kind], stdout=full)
+    (told,) = done.stderr.decode().splitlines()
+    assert told.endswith(': nothing can be printed: No space left on device')
+    assert done.returncode == os.EX_IOERR
+
+
+def test_a_closed_output_is_no_error(arguments):
+    done = run(arguments['replayed'], preexec_fn=lambda: os.close(1))
+    assert (done.returncode, done.stderr) == (0, b'')
+
+
+def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path):
+    command = [sys.executable, '-m', 'kbnitp_ros', 'replay', tmp_path / 'nothing.mcap']
+    with Path('/dev/full').open('wb') as full:
+        assert subprocess.run(command, stderr=full, timeout=60).returncode == 2
+
+
+def test_a_name_that_is_no_text_is_printed(log, tmp_path):
+    strange = os.fsencode(tmp_path) + b'/\xff.mcap'
+    Path(os.fsdecode(strange)).write_bytes(log.read_bytes())
+    target = tmp_path / 'repaired.mcap'
+    done = run(['replay', strange, '--repair', target], stdout=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (0, b'')
+    assert b'\\udcff.mcap are saved in' in done.stdout
+
+
+@pytest.mark.parametrize('name', ['replay', 'demo'])
+def test_no_log_is_made_whose_name_is_no_text(name, log, tmp_path):
+    """The metadata.yaml of its folder, and the parameters of a node, are text."""
+    strange = os.fsencode(tmp_path) + b'/\xff.mcap'
+    options = {'replay': [log, '--repair', strange], 'demo': ['--out', strange]}
+    done = run([name, *options[name]], stdout=subprocess.PIPE)
+    (told,) = done.stderr.decode().splitlines()
+    assert told.startswith(f'{name}: ')
+    assert told.endswith('is no name for a log: it must be UTF-8')
+    assert done.returncode == 2
+
+
+def test_too_little_memory_is_told(capsys):
+    @command('some')
+    def main(argv=None):
+        raise MemoryError('Unable to allocate 14.6 TiB')
+
+    assert main() == 1
+    assert (
+        capsys.readouterr().err
+        == 'some: there is not enough memory: Unable to allocate 14.6 TiB\n'
+    )
