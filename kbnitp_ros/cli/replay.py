@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.core import versions
 from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.log.replay import replay, ReplayReport
 from tqdm import tqdm
@@ -70,9 +71,11 @@ def lines(report: ReplayReport) -> Iterator[str]:
     """Yield what a replay found: a summary, then what is not reproduced, then what is missing."""
     evidence = report.evidence
     deployments, survived = len(evidence.complete), evidence.survived
+    is_earlier = report.version and report.version < versions(report.method)[-1]
     yield (
         f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
         f'method {report.method or "not on record"}'
+        f'{f", version {report.version}" if is_earlier else ""}'
     )
     missed = Counter(mismatch.topic for mismatch in report.mismatches)
     for topic, compared in sorted(report.compared.items()):

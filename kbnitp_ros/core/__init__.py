@@ -20,6 +20,7 @@ from kbnitp_ros.core.inference import (
     METHODS,
     Report,
     update,
+    versions,
 )
 from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.planning import (
@@ -64,4 +65,5 @@ __all__ = [
     'team_information',
     'team_size',
     'update',
+    'versions',
 ]

@@ -17,7 +17,7 @@ from itertools import chain, islice, product
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
+from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import Difference, differences
 from kbnitp_ros.log.evidence import Evidence, Reported
@@ -81,6 +81,8 @@ class ReplayReport:
     ----------
     method : str
         The estimator's; empty if no prior is on record.
+    version : int or None
+        Which of the method's `versions` computed what was compared; None if there was nothing.
     evidence : Evidence
         The deployments on record.
     compared : dict
@@ -97,6 +99,7 @@ class ReplayReport:
     """
 
     method: str
+    version: int | None
     evidence: Evidence
     compared: dict[str, int]
     mismatches: list[Mismatch]
@@ -121,6 +124,9 @@ def replay(
     """
     Compute a log's beliefs again and compare them with those on record.
 
+    A log does not say which version of its method it was recorded with. It is replayed with the
+    last one, and with those before it until one reproduces it.
+
     Parameters
     ----------
     path : str or Path
@@ -135,7 +141,24 @@ def replay(
         of one mission.
 
     """
-    fold = Fold()
+    report = replay_with(None, path, progress)
+    known = versions(report.method) if report.method in METHODS else range(0)
+    for version in reversed(known[:-1]):
+        if report.reproduced:
+            break
+        earlier = replay_with(version, path, progress)
+        if earlier.reproduced:
+            report = earlier
+    return report
+
+
+def replay_with(
+    version: int | None,
+    path: str | Path,
+    progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]],
+) -> ReplayReport:
+    """Do what `replay` does with one version of the method, the last one if None."""
+    fold = Fold(version)
     with same_types(path):
         for logged in progress(read_log(path, (BELIEF, GRID, PATH, REPORT))):
             fold.take(logged)
@@ -144,6 +167,7 @@ def replay(
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     return ReplayReport(
         method=fold.prior.method if fold.prior else '',
+        version=fold.ledger.estimator.version if fold.ledger else None,
         evidence=fold.evidence,
         compared=dict(fold.compared),
         mismatches=fold.mismatches,
@@ -168,9 +192,16 @@ class Fold:
 
     Topics may be interleaved in any way: a belief waits until the deployments it holds have been
     read, and a view until its belief has been computed.
+
+    Parameters
+    ----------
+    version : int, optional
+        Which of the method's `versions` to compute with; the last unless given.
+
     """
 
-    def __init__(self) -> None:
+    def __init__(self, version: int | None = None) -> None:
+        self.version = version
         self.evidence = Evidence()
         self.topic = ''
         self.prior: Snapshot | None = None
@@ -323,7 +354,7 @@ class Fold:
         newest, stamp = newest_deployment(belief), from_stamp(belief.header.stamp)
         if newest is None:
             self.prior = read_belief_maps(belief)
-            yield started(self.prior)
+            yield started(self.prior, self.version)
             return
         if self.prior is None or self.ledger is None:
             raise ValueError('the prior it started from is not on record')
@@ -331,7 +362,7 @@ class Fold:
         # It may be the same belief again, go on from the one before, or be of an estimator that
         # was restarted and took in everything again.
         count = belief.deployments
-        starts = self.ledger, started(self.prior)
+        starts = self.ledger, started(self.prior, self.version)
         said = [(start, self.evidence.news(start)) for start in starts]
         # Of an agent whose losses are silent the planner reports these, and itself its returns.
         said += [(start, list(chain(*map(by_outcome, news)))) for start, news in said]
@@ -389,15 +420,15 @@ def by_outcome(said: list[Reported]) -> list[list[Reported]]:
     return [[each for each in said if each[1].survived == outcome] for outcome in (False, True)]
 
 
-def started(prior: Snapshot) -> Ledger:
+def started(prior: Snapshot, version: int | None) -> Ledger:
     """
-    Return the ledger of an estimator with this prior.
+    Return the ledger of an estimator with this prior and this version of its method.
 
     Raises
     ------
     ValueError
-        If the method is unknown.
+        If the method or the version is unknown.
 
     """
-    estimator = Estimator(prior.belief, prior.model, prior.method)
+    estimator = Estimator(prior.belief, prior.model, prior.method, version=version)
     return Ledger(prior.grid, prior.max_steps, estimator)

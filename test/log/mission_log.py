@@ -64,18 +64,19 @@ class Mission:
     Its clock ticks a microsecond with every message.
     """
 
-    def __init__(self, method='kappa_bnitp', namespace='', grid=GRID):
+    def __init__(self, method='kappa_bnitp', namespace='', grid=GRID, version=None):
         self.sent = []
         self.grid = grid
         self.namespace = namespace
         self.method = method
+        self.version = version
         self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
 
     def start_estimator(self):
         """Publish the prior, as an estimator does when it is started."""
-        estimator = Estimator(self.prior, MODEL, self.method)
+        estimator = Estimator(self.prior, MODEL, self.method, version=self.version)
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
         self.started = self.now
         self.publish_belief()

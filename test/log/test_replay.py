@@ -10,7 +10,7 @@ import re
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import main
-from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation
+from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation, versions
 from kbnitp_ros.log.bag import writer
 from kbnitp_ros.log.bag.reader import LogError
 from kbnitp_ros.log.bag.schema import describe
@@ -88,6 +88,33 @@ def test_a_mission_is_reproduced(replayed, method):
     assert 0 < report.evidence.survived < ROBOTS
     assert report.passed_over == report.not_yet_held == report.evidence.without_report == []
     assert report.evidence.without_path == report.evidence.refused == []
+
+
+@pytest.mark.parametrize('version', versions('kappa_bnitp_smoothed'))
+def test_a_log_is_reproduced_by_the_version_that_it_was_recorded_with(
+    replayed, tmp_path, capsys, version
+):
+    whole = Mission('kappa_bnitp_smoothed', version=version)
+    for deployment in observations(ROBOTS):
+        whole.deploy(deployment.observation)
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared == REPRODUCED
+    assert report.version == version
+    assert main([str(tmp_path / 'mission.mcap')]) == 0
+    assert (', version 1' in capsys.readouterr().out) == (version == 1)
+
+
+def test_a_log_that_no_version_reproduces_is_told_of_by_the_last(replayed):
+    whole = Mission('kappa_bnitp_smoothed', version=1)
+    for deployment in observations(ROBOTS):
+        whole.deploy(deployment.observation)
+    last = beliefs(whole.sent)[-1]
+    sent = [each for each in whole.sent if each is not last]
+    changed = replace(last, message=flipped(last.message, 'hazard', 3, 20))
+    report = replayed([*sent, changed])
+    assert not report.reproduced
+    assert report.version == 2
 
 
 def test_another_grid_is_reproduced(replayed):

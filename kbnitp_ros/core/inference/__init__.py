@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is learnt of the field: the belief after deployments."""
 
-from kbnitp_ros.core.inference.estimator import Estimator, METHODS
+from kbnitp_ros.core.inference.estimator import Estimator, METHODS, versions
 from kbnitp_ros.core.inference.evidence import condition
 from kbnitp_ros.core.inference.exact import lost_likelihood
 from kbnitp_ros.core.inference.ledger import (
@@ -24,4 +24,5 @@ __all__ = [
     'deployment_order',
     'lost_likelihood',
     'update',
+    'versions',
 ]

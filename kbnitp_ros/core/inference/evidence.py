@@ -3,9 +3,26 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import Belief, SensorModel, times_log, Visits
+from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
 import numpy as np
 from numpy.typing import NDArray
+
+
+def check_cells(belief: Belief, observation: Observation) -> None:
+    """
+    Check that a path lies in the field that a belief is of.
+
+    Raises
+    ------
+    ValueError
+        If it does not; names the first cell beyond.
+
+    """
+    beyond = observation.path[observation.path >= belief.cells]
+    if beyond.size:
+        raise ValueError(
+            f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
+        )
 
 
 def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.float64]:

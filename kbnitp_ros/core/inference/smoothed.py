@@ -8,68 +8,130 @@ log-likelihood. Sum-product messages between them give the marginals. Where loss
 the graph has cycles and plain messages count evidence twice; the cells that carry most of it are
 therefore fixed to each of their joint values in turn (cutset conditioning, Pearl 1988), and the
 answers are averaged with the Bethe approximation of each value's evidence as weights.
+
+All messages are kept from one deployment to the next, and only factors whose cells have something
+new to tell send again. So a deployment costs what it changes, however many came before it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from itertools import product
+from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
-from kbnitp_ros.core.inference.evidence import condition, returned_log_likelihood
+from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
+from kbnitp_ros.core.inference.evidence import (
+    check_cells,
+    condition,
+    returned_log_likelihood,
+    survived_log_likelihood,
+)
+from kbnitp_ros.core.inference.losses import Losses
+from kbnitp_ros.core.inference.message_kernels import settle, State
 import numpy as np
 from numpy.typing import NDArray
 
-# How far messages move in a sweep. All the way, they may swing between two answers for good where
-# many losses share their cells.
-STEP = 0.7
-SWEEPS = 10
-# A change of messages, in log odds, too small to go on for.
-SETTLED = 1e-4
+# The relative change of a cell's chance to destroy a robot that its factors are told of.
+TOLERANCE = 1e-4
+ROUNDS = 30
 CONDITIONED_CELLS = 4
-# Log odds beyond which a cell is as good as certain: keeps infinities out of the messages.
-CERTAIN = 500.0
-SMALLEST = np.finfo(np.float64).tiny
+# Decimals to which cells are compared before some are fixed, so that rounding decides nothing.
+DECIMALS = 8
 
 
 @dataclass(frozen=True)
-class Losses:
+class Messages:
     """
-    The lost paths, one entry for each cell of each.
+    What cells and factors tell each other, in rows: one for each value of the fixed cells.
 
     Attributes
     ----------
-    cell, factor : ndarray of int, shape (entries,)
-        The cell, and which path it is a cell of.
-    log_spared : ndarray, shape (entries, 2)
-        log s_z^n of the path's n visits to the cell.
-    count : int
-        How many paths.
+    losses : Losses
+        The factors.
+    silent : int
+        The first factor that has sent nothing yet.
+    rows : State
+        Each array has one row for each value.
 
     """
 
-    cell: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    factor: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    log_spared: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
-    count: int = 0
+    losses: Losses
+    silent: int
+    rows: State
 
-    def and_one_of(self, visits: Visits, model: SensorModel) -> Losses:
-        """Return the losses and one more, of a robot that made these visits."""
-        return Losses(
-            np.concatenate([self.cell, visits.cells]),
-            np.concatenate([self.factor, np.full(visits.cells.size, self.count)]),
-            np.concatenate(
-                [self.log_spared, times_log(visits.counts[:, None], model.log_survival)]
-            ),
-            self.count + 1,
+    @classmethod
+    def none(cls, losses: Losses) -> Messages:
+        """Return one row, for no losses."""
+        nothing = np.empty((1, 0))
+        return cls(losses, 0, State(nothing, nothing, nothing, nothing, np.zeros((1, 1))))
+
+    def repeated(self, count: int) -> Messages:
+        """Return so many rows, each a copy of the one that there is; all factors have sent."""
+        rows = State(*(np.repeat(each, count, axis=0) for each in self.rows))
+        return Messages(self.losses, self.losses.factors, rows)
+
+    def grown(self, losses: Losses, odds: NDArray[np.float64]) -> Messages:
+        """
+        Return a copy for one more loss, or none.
+
+        Parameters
+        ----------
+        losses : Losses
+            All of them now.
+        odds : ndarray, shape (cells of the losses,)
+            Log odds without the losses, which is what new cells tell.
+
+        """
+        known, graph = self.rows, losses.graph
+        rows = State(
+            told=padded(known.told, odds),
+            sent=padded(known.sent, np.zeros(len(graph.node))),
+            said=padded(known.said, np.zeros(len(odds))),
+            terms=padded(known.terms, np.zeros(losses.factors)),
+            evidence=known.evidence.copy(),
         )
+        silent = self.losses.factors
+        for factor in np.flatnonzero(graph.copies[:silent] > self.losses.graph.copies).tolist():
+            entries = losses.entries(factor)
+            rows.said[:, graph.node[entries]] += rows.sent[:, entries]
+            rows.evidence[:, 0] += rows.terms[:, factor]
+        return Messages(losses, silent, rows)
+
+    def settle(self, odds: NDArray[np.float64], model: SensorModel, in_turn: bool) -> None:
+        """
+        Send messages until they hardly change.
+
+        Parameters
+        ----------
+        odds : ndarray, shape (rows, cells of the losses)
+            Log odds without the losses.
+        model : SensorModel
+            What the robots are believed to be like.
+        in_turn : bool
+            Whether each row starts from where the row before it ends.
+
+        """
+        destroyed = -np.expm1(model.log_survival)
+        for row, row_odds in enumerate(odds):
+            if in_turn and row:
+                for each in self.rows:
+                    each[row] = each[row - 1]
+            state = State(*(each[row] for each in self.rows))
+            settle(self.losses.graph, state, self.silent, row_odds, destroyed, TOLERANCE, ROUNDS)
+
+    def log_evidence(self, odds: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the Bethe log evidence of the losses, shape (rows,)."""
+        said = self.rows.said
+        with np.errstate(invalid='ignore'):
+            cells = softplus(odds + said) - softplus(odds)
+        cells = np.where(odds == np.inf, said, np.where(odds == -np.inf, 0.0, cells))
+        evidence: NDArray[np.float64] = self.rows.evidence[:, 0] + cells.sum(axis=1)
+        return evidence
 
 
 class Smoother:
     """
     The evidence of a mission and the belief it gives.
 
-    No array is changed once it is made, so a shallow copy is a smoother of its own.
+    No array is changed once a deployment is taken in, so a shallow copy is a smoother of its own.
 
     Parameters
     ----------
@@ -85,157 +147,132 @@ class Smoother:
         self._model = model
         with np.errstate(divide='ignore'):
             self._log_prior = np.log(prior.joint)
-        self._returned = np.zeros((prior.cells, 2, 2))
-        self._losses = Losses()
-        self._messages: NDArray[np.float64] = np.empty((1, 0))
+        # What returns and last contacts say of single cells, and the hazards' log odds given that.
+        self._local = np.zeros((prior.cells, 2, 2))
+        self._odds = log_odds(self._log_prior)
+        self._losses = Losses.none(prior.cells)
+        self._plain = Messages.none(self._losses)
+        self._fixed: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self._conditioned = self._plain
         self._visited = np.zeros(prior.cells, dtype=bool)
 
     def assimilate(self, observation: Observation) -> Belief:
         """
-        Return the belief after one more deployment, at the cost of a few message sweeps.
+        Return the belief after one more deployment, at the cost of the messages that it changes.
 
         Raises
         ------
         ValueError
-            If the outcome is impossible; the evidence then stays as it was.
+            If its path leaves the field or the outcome is impossible; the evidence then stays as
+            it was.
 
         """
-        visits = Visits.of(observation.path)
-        returned, losses = self._returned, self._losses
+        check_cells(self._prior, observation)
+        losses = self._losses
         if observation.readings is not None:
-            returned = returned.copy()
-            returned[visits.cells] += returned_log_likelihood(
-                self._model, visits, observation.readings
-            )
+            visits = Visits.of(observation.path)
+            said = returned_log_likelihood(self._model, visits, observation.readings)
         else:
-            losses = losses.and_one_of(visits, self._model)
-        self._check_possible(returned, losses)
-        self._returned, self._losses = returned, losses
-        self._messages = np.pad(
-            self._messages, ((0, 0), (0, losses.cell.size - self._messages.shape[1]))
-        )
+            visits = Visits.of(observation.path[: observation.steps_survived + 1])
+            said = survived_log_likelihood(self._model, visits)[:, :, None]
+            lost = Visits.of(observation.path[observation.steps_survived :])
+            losses = losses.and_one_of(lost, self._model)
+        local, odds = self._local.copy(), self._odds.copy()
+        local[visits.cells] += said
+        odds[visits.cells] = log_odds((self._log_prior + local)[visits.cells])
+        check_possible(odds, losses, self._model)
+        self._local, self._odds, self._losses = local, odds, losses
         self._visited = self._visited.copy()
-        self._visited[visits.cells] = True
+        self._visited[observation.path[1:]] = True
         return self._belief()
 
-    def _check_possible(self, returned: NDArray[np.float64], losses: Losses) -> None:
-        """Refuse evidence that not even a hazard in every cell that may have one explains."""
-        by_hazard = np.logaddexp.reduce(self._log_prior + returned, axis=2)
-        explained = np.isfinite(by_hazard.max(axis=1)).all()
-        hazardous = np.isfinite(by_hazard[losses.cell, 1]).astype(np.intp)
-        spared = losses.log_spared[np.arange(losses.cell.size), hazardous]
-        if not (explained and (sum_by(losses.factor, spared[None], losses.count) < 0.0).all()):
-            raise ValueError(
-                'the outcome is impossible under this prior, sensor model and what came before: '
-                'allow for it with probabilities that are not exactly 0 or 1'
-            )
-
-    def _local_odds(self) -> NDArray[np.float64]:
-        """Return the log odds of each hazard without the losses, shape (cells,)."""
-        by_hazard = np.logaddexp.reduce(self._log_prior + self._returned, axis=2)
-        odds: NDArray[np.float64] = by_hazard[:, 1] - by_hazard[:, 0]
-        return odds
-
     def _belief(self) -> Belief:
-        odds = self._local_odds().clip(-CERTAIN, CERTAIN)
-        evidence = self._returned.copy()
-        evidence[:, 1] += (self._smoothed_odds(odds) - odds)[:, None]
+        evidence = self._local.copy()
+        if self._losses.factors:
+            evidence[self._losses.cells, 1] += self._smoothed()[:, None]
         joint = self._prior.joint.copy()
         joint[self._visited] = condition(joint[self._visited], evidence[self._visited])
         return Belief(joint)
 
-    def _smoothed_odds(self, odds: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the log odds of each hazard given all evidence, from those without the losses."""
-        if not self._losses.count:
-            return odds
-        self._messages = self._settled(odds[None], self._messages)
-        fixed = self._most_entangled(odds)
-        values = np.array(list(product((0.0, 1.0), repeat=fixed.size)), ndmin=2)
+    def _smoothed(self) -> NDArray[np.float64]:
+        """Return what the losses add to the log odds of their cells."""
+        odds = self._odds[self._losses.cells]
+        self._plain = self._plain.grown(self._losses, odds)
+        self._plain.settle(odds[None], self._model, False)
+        fixed = most_entangled(odds, self._plain.rows.said[0])
+        values = gray_code(fixed.size)
         conditioned = np.tile(odds, (len(values), 1))
-        conditioned[:, fixed] = np.where(values, CERTAIN, -CERTAIN)
-        messages = self._settled(conditioned, np.tile(self._messages, (len(values), 1)))
-        weight = self._log_evidence(conditioned, messages)
+        conditioned[:, fixed] = np.where(values, np.inf, -np.inf)
+        is_new = not np.array_equal(fixed, self._fixed)
+        if is_new:
+            self._conditioned = self._plain.repeated(len(values))
+        else:
+            self._conditioned = self._conditioned.grown(self._losses, odds)
+        self._fixed = fixed
+        self._conditioned.settle(conditioned, self._model, is_new)
+        weight = self._conditioned.log_evidence(conditioned)
         weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
-        total = self._total_odds(conditioned, messages)
+        total = conditioned + self._conditioned.rows.said
         hazardous: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(-total))
         safe: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(total))
-        return hazardous - safe
+        is_open = np.isfinite(odds)
+        return np.subtract(hazardous - safe, odds, out=np.zeros(odds.size), where=is_open)
 
-    def _most_entangled(self, odds: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the undecided cells that the losses say most about."""
-        total = self._total_odds(odds[None], self._messages)[0]
-        hazard = np.exp(-softplus(-total))
-        said = np.bincount(self._losses.cell, np.abs(self._messages[0]), minlength=odds.size)
-        score = said * hazard * (1.0 - hazard)
-        best: NDArray[np.intp] = np.argsort(-score, kind='stable')[:CONDITIONED_CELLS]
-        return best[: np.count_nonzero(score[best])]
 
-    def _total_odds(
-        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return each cell's log odds with all messages to it, shape (values, cells)."""
-        return odds + sum_by(self._losses.cell, messages, odds.shape[1])
+def check_possible(odds: NDArray[np.float64], losses: Losses, model: SensorModel) -> None:
+    """
+    Refuse evidence that not even a hazard in every cell that may have one explains.
 
-    def _cavity_survival(
-        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return log odds and log S of each entry, without what its own factor says."""
-        cavity = self._total_odds(odds, messages)[:, self._losses.cell] - messages
-        hazard = 0.5 + 0.5 * np.tanh(0.5 * cavity)
-        lost = -np.expm1(self._losses.log_spared)
-        loss = lost[:, 0] + hazard * (lost[:, 1] - lost[:, 0])
-        return cavity, np.log((1.0 - loss).clip(min=SMALLEST))
+    Parameters
+    ----------
+    odds : ndarray, shape (cells,)
+        Log odds of each hazard without the losses; NaN where neither value is possible.
+    losses : Losses
+        The lost paths.
+    model : SensorModel
+        What the robots are believed to be like.
 
-    def _settled(
-        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the messages after enough damped sweeps that they hardly change, or `SWEEPS`."""
-        for _ in range(SWEEPS):
-            change = STEP * (self._sweep(odds, messages) - messages)
-            messages = messages + change
-            if np.abs(change).max() < SETTLED:
-                break
-        return messages
+    Raises
+    ------
+    ValueError
+        If it is impossible.
 
-    def _sweep(
-        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """
-        Return the next messages of all factors at once.
-
-        The message to cell i is log(1 - s1^n prod S_k) - log(1 - s0^n prod S_k), the products
-        over the factor's other cells.
-
-        Parameters
-        ----------
-        odds : ndarray, shape (values, cells)
-            Log odds of each hazard without the losses, for each value of the fixed cells.
-        messages : ndarray, shape (values, entries)
-            Before.
-
-        """
-        _, survival = self._cavity_survival(odds, messages)
-        others = (
-            sum_by(self._losses.factor, survival, self._losses.count)[:, self._losses.factor]
-            - survival
+    """
+    unexplained = False
+    # Malfunctions explain every loss.
+    if model.malfunction == 0.0:
+        graph = losses.graph
+        explained = (graph.lost[:, 1] > 0.0) & (odds[losses.cells[graph.node]] > -np.inf)
+        unexplained = not np.logical_or.reduceat(explained, graph.first[:-1]).all()
+    if np.isnan(odds).any() or unexplained:
+        raise ValueError(
+            'the outcome is impossible under this prior, sensor model and what came before: '
+            'allow for it with probabilities that are not exactly 0 or 1'
         )
-        lost = -np.expm1(self._losses.log_spared + others[..., None])
-        log_lost = np.log(lost.clip(min=SMALLEST))
-        message: NDArray[np.float64] = log_lost[..., 1] - log_lost[..., 0]
-        return message
 
-    def _log_evidence(
-        self, odds: NDArray[np.float64], messages: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the Bethe log evidence of the losses, shape (values,)."""
-        cavity, survival = self._cavity_survival(odds, messages)
-        total = self._total_odds(odds, messages)
-        lost = -np.expm1(sum_by(self._losses.factor, survival, self._losses.count))
-        factors = np.log(lost.clip(min=SMALLEST)).sum(axis=1)
-        cells = (softplus(total) - softplus(odds)).sum(axis=1)
-        entries = (softplus(cavity + messages) - softplus(cavity)).sum(axis=1)
-        evidence: NDArray[np.float64] = factors + cells - entries
-        return evidence
+
+def most_entangled(odds: NDArray[np.float64], said: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the undecided cells that the losses say most about, at most `CONDITIONED_CELLS`."""
+    total = odds + said
+    hazard = np.exp(-softplus(-total))
+    score = np.round(said * hazard * np.exp(-softplus(total)), DECIMALS)
+    best: NDArray[np.intp] = np.argsort(-score, kind='stable')[:CONDITIONED_CELLS]
+    return np.sort(best[: np.count_nonzero(score[best])])
+
+
+def gray_code(bits: int) -> NDArray[np.bool_]:
+    """Return all values of so many bits, shape (values, bits), each one bit from the next."""
+    number = np.arange(2**bits)
+    code: NDArray[np.bool_] = ((number ^ number >> 1)[:, None] >> np.arange(bits) & 1).astype(bool)
+    return code
+
+
+def log_odds(log_joint: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the log odds of Z, shape (n,), from log P(Z, X); NaN where nothing is possible."""
+    by_hazard = np.logaddexp.reduce(log_joint, axis=2)
+    with np.errstate(invalid='ignore'):
+        odds: NDArray[np.float64] = by_hazard[:, 1] - by_hazard[:, 0]
+    return odds
 
 
 def softplus(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -244,11 +281,9 @@ def softplus(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def sum_by(
-    group: NDArray[np.intp], values: NDArray[np.float64], groups: int
-) -> NDArray[np.float64]:
-    """Return the sums of `values`, shape (rows, entries), over equal `group`, (rows, groups)."""
-    rows = len(values)
-    place = np.arange(rows)[:, None] * groups + group
-    sums = np.bincount(place.ravel(), values.ravel(), rows * groups)
-    return sums.reshape(rows, groups).astype(np.float64, copy=False)
+def padded(rows: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return new rows, each as long as `end` and with its last values where it was shorter."""
+    grown = np.empty((len(rows), len(end)))
+    grown[:, : rows.shape[1]] = rows
+    grown[:, rows.shape[1] :] = end[rows.shape[1] :]
+    return grown

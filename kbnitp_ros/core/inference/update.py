@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
 from kbnitp_ros.core.inference.evidence import (
+    check_cells,
     given,
     returned_log_likelihood,
     survived_log_likelihood,
@@ -51,11 +52,7 @@ def update(
             f'method is {method!r}: known for one deployment are {", ".join(ONE_PASS)}; '
             'kappa_bnitp_smoothed needs them all, in an Estimator'
         )
-    beyond = observation.path[observation.path >= belief.cells]
-    if beyond.size:
-        raise ValueError(
-            f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
-        )
+    check_cells(belief, observation)
     if not ONE_PASS[method].correlated:
         belief = _independent(belief, observation.path[1:])
     if observation.readings is not None:

@@ -134,12 +134,13 @@ def mission(robots, rng):
         yield DeploymentKey('scout', number), path, report
 
 
+@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
 @pytest.mark.parametrize('lateness', [2, 30, 1000])
-def test_a_long_mission_may_come_in_any_disorder(lateness):
+def test_a_long_mission_may_come_in_any_disorder(method, lateness):
     rng = np.random.default_rng(lateness)
     deployments = list(mission(200, rng))
-    ledger = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL))
-    evidence = Evidence('kappa_bnitp')
+    ledger = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL, method))
+    evidence = Evidence(method)
     for index in np.argsort(np.arange(200) + rng.uniform(0, lateness, 200)):
         key, *both = deployments[index]
         for said in both:

@@ -1,8 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """All losses held together, against the posterior given all evidence at once."""
 
+import os
+import subprocess
+import sys
+import tracemalloc
+
 import brute_force
-from kbnitp_ros.core import Belief, Estimator, Grid, Observation, SensorModel, update, World
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    METHODS,
+    Observation,
+    SensorModel,
+    update,
+    versions,
+    World,
+)
+from kbnitp_ros.core.inference import smoothed as smoothed_module
+from kbnitp_ros.core.inference import swept
 import numpy as np
 import pytest
 
@@ -152,3 +169,181 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
         far.append(divergence(exact, one_pass.belief.joint))
     assert np.mean(near) < 1e-4
     assert np.mean(near) < 0.01 * np.mean(far)
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_a_last_contact_is_taken_in_exactly(seed):
+    rng = np.random.default_rng(seed)
+    joint, model, _ = random_mission(rng, 3, 3, 1)
+    path = brute_force.random_path(rng, 3, 3, 0, 5)
+    observation = Observation(path, False, steps_survived=int(rng.integers(len(path) - 1)))
+    estimator = Estimator(Belief(joint), model, 'kappa_bnitp_smoothed')
+    estimator.assimilate(observation)
+    exact = update(Belief(joint), model, observation).joint
+    np.testing.assert_allclose(estimator.belief.joint, exact, rtol=0, atol=1e-9)
+
+
+def long_mission(robots, lethality, side=6, seed=1):
+    """Return a prior, a model and what robots on random walks from a corner met."""
+    grid, rng = Grid(side, side), np.random.default_rng(seed)
+    model, prior = SensorModel(lethality), Belief.prior(grid, 0.5, 0.45, 0.8)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    # Some walks are taken again and again, as by a planner that has learnt what it can.
+    walks = [brute_force.random_path(rng, side, side, 0, rng.integers(2, 13)) for _ in range(30)]
+    paths = [
+        walks[number % 30]
+        if number % 3 == 0
+        else brute_force.random_path(rng, side, side, 0, rng.integers(2, 13))
+        for number in range(robots)
+    ]
+    return prior, model, [world.traverse(path, model, rng) for path in paths]
+
+
+@pytest.mark.parametrize('lethality', [0.1, 0.5, 0.9])
+def test_messages_kept_are_those_sent_from_scratch_to_convergence(lethality, monkeypatch):
+    """The first version is another implementation, and can be made to go on until it settles."""
+    prior, model, observations = long_mission(400, lethality)
+    estimator = Estimator(prior, model, 'kappa_bnitp_smoothed')
+    for robots, observation in enumerate(observations, 1):
+        estimator.assimilate(observation)
+        if robots not in (50, 150, 400):
+            continue
+        scratch = Estimator(prior, model, 'kappa_bnitp_smoothed', version=1)
+        monkeypatch.setattr(swept, 'SWEEPS', 0)
+        for each in observations[: robots - 1]:
+            scratch.assimilate(each)
+        monkeypatch.setattr(swept, 'SWEEPS', 2000)
+        monkeypatch.setattr(swept, 'SETTLED', 1e-9)
+        monkeypatch.setattr(swept, 'STEP', 0.3)
+        scratch.assimilate(observations[robots - 1])
+        assert abs(estimator.belief.joint - scratch.belief.joint).max() < 2e-4
+
+
+def test_a_deployment_costs_no_more_for_those_before_it(monkeypatch):
+    """Counted in how often a factor sends its messages."""
+    times = []
+    settle = smoothed_module.settle
+    monkeypatch.setattr(
+        smoothed_module, 'settle', lambda *arguments: times.append(settle(*arguments))
+    )
+    prior, model, observations = long_mission(1500, 0.5)
+    estimator, sent = Estimator(prior, model, 'kappa_bnitp_smoothed'), []
+    for observation in observations:
+        estimator.assimilate(observation)
+        sent.append(sum(times))
+        times.clear()
+    assert np.mean(sent[-200:]) < 3 * np.mean(sent[100:300])
+
+
+def test_memory_grows_by_the_deployment_alone():
+    prior, model, observations = long_mission(1200, 0.5)
+    estimator = Estimator(prior, model, 'kappa_bnitp_smoothed')
+    tracemalloc.start()
+    sizes = []
+    for robots, observation in enumerate(observations, 1):
+        estimator.assimilate(observation)
+        if robots % 400 == 0:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert sizes[2] - sizes[1] < 1.1 * (sizes[1] - sizes[0])
+    assert (sizes[2] - sizes[1]) / 400 < 2000
+
+
+def test_equal_paths_share_a_factor():
+    prior, model = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8), SensorModel(0.5)
+    estimator = Estimator(prior, model, 'kappa_bnitp_smoothed')
+    paths = [[0, 1, 4, 3, 0], [0, 3, 4, 1, 0], [0, 1, 1, 4, 3, 0], [0, 1, 4, 3, 0]]
+    for path in paths:
+        estimator.assimilate(Observation(path, False))
+    assert estimator._smoother._losses.graph.copies.tolist() == [3, 1]
+    shared = smoothed(prior.joint, model, [(path, None) for path in paths])
+    assert estimator.belief.joint.tobytes() == shared.tobytes()
+
+
+MISSION = """
+from hashlib import sha256
+import numpy as np
+from kbnitp_ros.core import Belief, Estimator, Grid, SensorModel, World
+grid, rng = Grid(4, 4), np.random.default_rng(1)
+for lethality, malfunction in [(0.5, 0.05), (1.0, 0.0), (0.9, 1e-6)]:
+    model = SensorModel(lethality, malfunction, false_negative=0.0)
+    world = World.random(grid, rng, 0.2, 0.8, 0.1)
+    estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), model, 'kappa_bnitp_smoothed')
+    for robot in range(40):
+        path = [0]
+        for _ in range(rng.integers(1, 6)):
+            path.append(rng.choice(grid.neighbors(path[-1])))
+        path += path[-2::-1]
+        estimator.assimilate(world.traverse(path, model, rng))
+    print(sha256(estimator.belief.joint.tobytes()).hexdigest())
+"""
+
+
+def test_kernels_give_the_same_bits_compiled_and_interpreted():
+    def run(before='', **environment):
+        return subprocess.run(
+            [sys.executable, '-W', 'error:::numpy', '-c', before + MISSION],
+            env=os.environ | environment,
+            stdout=subprocess.PIPE,
+            check=True,
+        ).stdout
+
+    compiled = run()
+    assert compiled == run(NUMBA_DISABLE_JIT='1')
+    assert compiled == run("import sys; sys.modules['numba'] = None")
+    assert compiled == run(NUMBA_NUM_THREADS='1', OMP_NUM_THREADS='1')
+
+
+def test_the_first_version_is_what_beliefs_were_first_recorded_with():
+    """The hazards were computed by commit 2fccc0f."""
+    paths = [
+        [0, 1, 4, 3, 0],
+        [0, 4, 8, 5, 1, 0],
+        [0, 3, 7, 8, 4, 0],
+        [0, 1, 2, 5, 4, 0],
+        [0, 3, 6, 7, 4, 0],
+    ]
+    prior = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8)
+    estimators = [
+        Estimator(prior, SensorModel(0.5), 'kappa_bnitp_smoothed', version=version)
+        for version in versions('kappa_bnitp_smoothed')
+    ]
+    for number in range(20):
+        path = paths[number % 5]
+        readings = [(number + step) % 2 == 0 for step in range(len(path) - 1)]
+        for estimator in estimators:
+            estimator.assimilate(
+                Observation(path, False) if number % 3 else Observation(path, True, readings)
+            )
+    recorded = [
+        0.0,
+        0.051821594780674794,
+        0.29509516363107935,
+        0.39774958240235064,
+        0.7621869471480331,
+        0.740656639640997,
+        0.8538292329937381,
+        0.1482819934979857,
+        0.5089447886815168,
+    ]
+    first, now = (estimator.belief.hazard for estimator in estimators)
+    np.testing.assert_allclose(first, recorded, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(now, recorded, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_a_path_out_of_the_field_is_refused(method):
+    estimator = Estimator(Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8), SensorModel(0.5), method)
+    with pytest.raises(ValueError, match='path has the cell 9: the belief has the cells 0 to 8'):
+        estimator.assimilate(Observation([0, 9, 0], False))
+
+
+def test_versions_are_known():
+    assert [list(versions(method)) for method in METHODS] == [
+        [1, 2] if method == 'kappa_bnitp_smoothed' else [1] for method in METHODS
+    ]
+    with pytest.raises(ValueError, match="method is 'guess'"):
+        versions('guess')
+    prior = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8)
+    with pytest.raises(ValueError, match='version is 3: kappa_bnitp_smoothed has 1, 2'):
+        Estimator(prior, SensorModel(0.5), 'kappa_bnitp_smoothed', version=3)
