@@ -42,7 +42,7 @@ def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
     grid, belief, model = random_problem(seed)
     best = optimum(grid, belief, model)
     found = plan(grid, belief, model, 7, planner='beam', width=16).information
-    record_property('beam_ratio', found / best)
+    record_property('beam_ratio', float(found / best))
     assert found <= best + 1e-9
     assert found >= 0.995 * best
 
@@ -53,7 +53,7 @@ def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
         grid, belief, model = random_problem(seed)
         found = plan(grid, belief, model, 7, planner='relaxed').information
         ratios.append(found / optimum(grid, belief, model))
-    record_property('relaxed_ratio_least', min(ratios))
+    record_property('relaxed_ratio_least', float(min(ratios)))
     record_property('relaxed_ratio_mean', float(np.mean(ratios)))
     print(f'relaxed reaches at least {min(ratios):.4f}, on average {np.mean(ratios):.4f}')
     assert max(ratios) <= 1 + 1e-9
