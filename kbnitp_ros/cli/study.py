@@ -117,12 +117,11 @@ def study(options: argparse.Namespace) -> int:
         except (ValueError, OSError) as error:
             complain('study', error)
             return 2
-        outcomes = folder.outcomes()
-        trials = trials_of(scenario)
-        missing = [trial for trial in trials if trial not in outcomes]
-        bar = tqdm(initial=len(outcomes), total=len(trials), unit='trial', disable=None)
         try:
-            with bar:
+            outcomes = folder.outcomes()
+            trials = trials_of(scenario)
+            missing = [trial for trial in trials if trial not in outcomes]
+            with tqdm(initial=len(outcomes), total=len(trials), unit='trial', disable=None) as bar:
                 for trial, outcome in pool.run(scenario, missing):
                     folder.save(trial, outcome)
                     outcomes[trial] = outcome

@@ -10,15 +10,12 @@ import fcntl
 import os
 from pathlib import Path
 from typing import BinaryIO
-from zipfile import BadZipFile
 
+from kbnitp_ros.files import open_file
 from kbnitp_ros.study.scenario import read_scenario, Scenario
-from kbnitp_ros.study.trial import Outcome, Trial, trials_of
+from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
 import numpy as np
 import yaml
-
-# What numpy raises when a file is cut off, altered or of another kind.
-DAMAGED = (EOFError, BadZipFile, ValueError, TypeError)
 
 
 class Folder:
@@ -67,12 +64,37 @@ class Folder:
         _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
 
     def outcomes(self) -> dict[Trial, Outcome]:
-        """Return the outcomes of the trials whose files are there and whole."""
+        """
+        Return the outcomes of the trials whose files are there and whole.
+
+        Raises
+        ------
+        OSError
+            If a file is there and cannot be opened.
+
+        """
         outcomes = {}
         for trial in trials_of(self._scenario):
-            with suppress(FileNotFoundError, *DAMAGED), np.load(self._file(trial)) as arrays:
-                outcomes[trial] = Outcome(**arrays)
+            try:
+                file = open_file(self._file(trial))
+            except FileNotFoundError:
+                continue
+            # There is no end to what zipfile and numpy raise when a file is damaged.
+            with file, suppress(Exception):
+                outcomes[trial] = self._read(file)
         return outcomes
+
+    def _read(self, file: BinaryIO) -> Outcome:
+        """Return the outcome in a file; fails if it is damaged or of another scenario."""
+        with np.load(file, allow_pickle=False) as arrays:
+            outcome = Outcome(**arrays)
+        extent = self._scenario.grid
+        maps = 2, extent.width * extent.height
+        shapes = (self._scenario.robots + 1, len(MEASURES)), maps, maps
+        kinds = [array.dtype.str for array in outcome]
+        if tuple(array.shape for array in outcome) != shapes or kinds != ['<f8', '<f8', '|b1']:
+            raise ValueError('its arrays are of another shape')
+        return outcome
 
     def _file(self, trial: Trial) -> Path:
         team = '-'.join(map(str, astuple(trial.team)))

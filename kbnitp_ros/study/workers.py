@@ -23,6 +23,9 @@ ONE_BY_ONE = {'batch_size': 1, 'return_as': 'generator_unordered'}
 # How long a scheduler, and then its first worker, is waited for, in seconds.
 PATIENCE = 10
 
+# Processes that can be asked for: few machines have as many cores.
+MOST_WORKERS = 1024
+
 
 @dataclass(frozen=True)
 class Workers:
@@ -74,8 +77,10 @@ class Workers:
 def _run(scenario: Scenario, trial: Trial) -> tuple[Trial, Outcome]:
     try:
         return trial, run_trial(scenario, trial)
-    except ValueError as error:
+    except (ValueError, ArithmeticError) as error:
         raise RuntimeError(f'{trial} failed: {error}') from error
+    except MemoryError as error:
+        raise RuntimeError(f'{trial} needs more memory than there is: {error}') from error
 
 
 @contextmanager
@@ -90,14 +95,15 @@ def workers(
     backend : str
         One of `BACKENDS`.
     count : int, optional
-        How many to start, at least 1; None for one a core.
+        How many to start, 1 to `MOST_WORKERS`; None for one a core.
     scheduler : str, optional
         Address of a Dask scheduler that runs already, with kbnitp_ros installed on its workers.
 
     Raises
     ------
     ValueError
-        If the backend is not installed, or the arguments do not go together.
+        If the backend is not installed, the count is out of range, or the arguments do not go
+        together.
     ConnectionError
         If the cluster cannot be reached or has no workers.
 
@@ -105,6 +111,8 @@ def workers(
     package = BACKENDS[backend]
     if find_spec(package) is None:
         raise ValueError(f'backend {backend} needs a package: pip install {package}')
+    if count is not None and not 1 <= count <= MOST_WORKERS:
+        raise ValueError(f'workers is {count}: it must be from 1 to {MOST_WORKERS}')
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:

@@ -209,6 +209,7 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
         ({'lethalities': [1.5]}, [], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
         ({'trials': 0}, [], 'trials is 0.*from 1'),
         ({}, ['--backend', 'dask', '--scheduler', 'magic://here'], 'no Dask workers.*magic'),
+        ({}, ['--workers', '99999999999'], 'workers is 99999999999.*from 1 to 1024'),
         ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
         ({}, ['--out', '/proc/here'], '/proc/here'),
     ],

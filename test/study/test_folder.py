@@ -2,6 +2,7 @@
 """What is done stays done, and nothing else counts."""
 
 from dataclasses import replace
+import os
 
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.scenario import Team
@@ -43,6 +44,45 @@ def test_a_trial_that_is_half_written_does_not_count(folder, tmp_path):
     assert folder.outcomes() == {}
     file.rename(f'{file}.part')
     assert folder.outcomes() == {}
+
+
+def test_a_trial_that_is_damaged_does_not_count(folder, tmp_path, results):
+    """Or the damage is where nothing of the trial stands."""
+    file = the_file(tmp_path)
+    content = file.read_bytes()
+    undamaged = [array.tobytes() for array in results.outcomes[TRIAL]]
+    heads = [at for at in range(len(content)) if content[at : at + 2] == b'PK']
+    # Names, sizes and kinds of what is in the file stand near these.
+    places = {at + offset for at in heads for offset in range(110)} | {*range(0, len(content), 61)}
+    noticed = 0
+    for at in sorted(places & {*range(len(content))}):
+        for flipped in (1, 0x80):
+            damaged = bytes([content[at] ^ flipped])
+            file.write_bytes(content[:at] + damaged + content[at + 1 :])
+            found = folder.outcomes()
+            noticed += not found
+            for outcome in found.values():
+                assert [array.tobytes() for array in outcome] == undamaged
+    assert noticed > len(places)
+
+
+def test_a_trial_of_another_shape_does_not_count(folder, results):
+    outcome = results.outcomes[TRIAL]
+    for other in (
+        outcome._replace(measures=outcome.measures[:-1]),
+        outcome._replace(believed=outcome.believed.ravel()),
+        outcome._replace(truth=outcome.believed),
+    ):
+        folder.save(TRIAL, other)
+        assert folder.outcomes() == {}
+
+
+def test_a_trial_that_cannot_be_opened_is_told(folder, tmp_path):
+    file = the_file(tmp_path)
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(OSError, match=r'it is a pipe, not a file: .*\.npz'):
+        folder.outcomes()
 
 
 @pytest.mark.parametrize(

@@ -130,3 +130,28 @@ def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, c
     monkeypatch.setattr(module, 'find_spec', lambda name: True)
     with pytest.raises(ValueError, match=complaint), workers(*arguments):
         pass
+
+
+@pytest.mark.parametrize(
+    'error, told',
+    [
+        (ValueError('a robot met the impossible'), 'failed: a robot met the impossible'),
+        (OverflowError('int too large'), 'failed: int too large'),
+        (MemoryError('14.6 TiB'), r'needs more memory than there is: 14\.6 TiB'),
+    ],
+)
+def test_a_trial_is_named_whatever_it_fails_of(scenario, monkeypatch, error, told):
+    def fail(scenario, trial):
+        raise error
+
+    monkeypatch.setattr(module, 'run_trial', fail)
+    trial = trials_of(scenario)[0]
+    with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
+        module._run(scenario, trial)
+
+
+@pytest.mark.parametrize('count', [0, 1025, 99999999999])
+def test_a_number_of_workers_that_no_machine_has_is_refused(count):
+    pool = workers('loky', count)
+    with pytest.raises(ValueError, match=f'workers is {count}: it must be from 1 to 1024'):
+        pool.__enter__()
