@@ -12,7 +12,8 @@ import time
 
 from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.log.bag.reader import LogError, read_log
-from kbnitp_ros.log.replay import replay, REPORT
+from kbnitp_ros.log.evidence import REPORT
+from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.given import read_sections, values_for
 from kbnitp_ros.nodes.parameters import NODES, parameters_of
@@ -105,7 +106,7 @@ def run_until_reported(folder, reports, missions):
     for log in missions:
         report = replay(folder / log)
         assert report.reproduced
-        assert len(report.evidence.complete) == reports
+        assert len(report.evidence.reports) == reports
 
 
 @pytest.fixture

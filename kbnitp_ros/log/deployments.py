@@ -1,69 +1,86 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The deployments of a log as they came off the wire, for a node that goes on with its mission."""
+"""The deployments of a log, for a node that goes on with its mission."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from kbnitp_ros.core import deployment_order, DeploymentKey
-from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
-from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
+from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Observation
+from kbnitp_ros.log.bag import read_log, same_types
+from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import agent_of, key_of_path
+from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
+import numpy as np
+from numpy.typing import NDArray
 
 
-@dataclass
+@dataclass(frozen=True)
 class RecordedDeployment:
     """
     What a log has of a deployment.
 
     Attributes
     ----------
-    path : LoggedMessage
-        A nav_msgs/Path.
-    report : LoggedMessage or None
-        A DeploymentReport; None if the robot was still out. That of a return, if there is one.
+    path : ndarray of int, shape (steps + 1,)
+        Its cells.
+    message : bytes
+        The nav_msgs/Path, as it came off the wire.
+    observation : Observation or None
+        What came of it; None if the robot was still out.
+    reported : int
+        When the base learnt that, in nanoseconds.
 
     """
 
-    path: LoggedMessage
-    report: LoggedMessage | None = None
+    path: NDArray[np.intp]
+    message: bytes
+    observation: Observation | None = None
+    reported: int = 0
 
 
-def read_deployments(log: str | Path) -> dict[DeploymentKey, RecordedDeployment]:
+def read_deployments(
+    log: str | Path, grid: Grid, max_steps: int
+) -> dict[DeploymentKey, RecordedDeployment]:
     """
-    Return the deployments whose path is on record, in the order they were made.
+    Return the deployments on record that the estimator takes, in the order they were made.
 
     Parameters
     ----------
     log : str or Path
         The log of one mission, finished or not.
+    grid : Grid
+        The mission's.
+    max_steps : int
+        The most steps of a path from now on; those on record may have as many as they had to.
 
     Raises
     ------
     LogError
         If it cannot be read or is damaged.
+    ValueError
+        If its beliefs are on another grid.
 
     """
-    paths: dict[DeploymentKey, LoggedMessage] = {}
-    reports: dict[DeploymentKey, LoggedMessage] = {}
+    belief = check_same_field(log, grid)
+    evidence = Evidence(grid, max(max_steps, belief.max_steps if belief else 0))
+    messages: dict[DeploymentKey, bytes] = {}
     with same_types(log):
         for logged in read_log(log, (PATH, REPORT)):
-            message = logged.message
-            if logged.type_name == REPORT:
-                key = DeploymentKey(message.agent, from_stamp(message.deployment))
-                # No node believed who answered for another.
-                if key.agent == agent_of(logged.topic) and (
-                    key not in reports or message.survived > reports[key].message.survived
-                ):
-                    reports[key] = logged
-            elif sent := key_of_path(logged.topic, message):
-                paths.setdefault(sent, logged)
+            evidence.take(logged)
+            if logged.type_name == PATH:
+                key = key_of_path(logged.topic, logged.message)
+                if key and key in evidence.paths:
+                    messages.setdefault(key, logged.data)
     return {
-        key: RecordedDeployment(paths[key], reports.get(key))
-        for key in sorted(paths, key=deployment_order)
+        key: RecordedDeployment(
+            evidence.path(key),
+            messages[key],
+            evidence.observation(key) if key in evidence.reports else None,
+            evidence.reports[key].stamp if key in evidence.reports else 0,
+        )
+        for key in sorted(evidence.paths, key=deployment_order)
     }
 
 

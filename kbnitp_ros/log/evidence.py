@@ -3,134 +3,135 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
 
-from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Report
+from kbnitp_ros.core import DeploymentKey, Grid, Register, Report
+from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
+from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
-import numpy as np
-from numpy.typing import NDArray
+
+BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
+GRID = 'nav_msgs/msg/OccupancyGrid'
+PATH = 'nav_msgs/msg/Path'
+REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+
+# Of a refusal, in characters: a report may name any number of cells.
+LONGEST = 500
 
 # A deployment and how it ended, as one message had it.
 Reported = tuple[DeploymentKey, Report]
 
 
-class Evidence:
+def record(register: Register, logged: LoggedMessage) -> bool:
     """
-    Paths and reports by deployment, each once however often it was recorded.
+    Tell a register of a path or a report on record, as the estimator is told when it comes.
+
+    Returns
+    -------
+    bool
+        Whether an outcome is another one now.
+
+    Raises
+    ------
+    ValueError
+        If it is refused.
+
+    """
+    agent = agent_of(logged.topic)
+    if logged.type_name == REPORT:
+        return register.record_report(*read_report(logged.message, agent))
+    if key_of_path(logged.topic, logged.message) is None:
+        return False
+    return register.record_path(*read_path(register.grid, agent, logged.message))
+
+
+def first_belief(log: str | Path) -> Snapshot | None:
+    """
+    Return the first belief on record; None if there is none that can be read.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read.
+
+    """
+    with same_types(log):
+        for logged in read_log(log, (BELIEF,)):
+            with suppress(ValueError):
+                return read_belief_maps(logged.message)
+    return None
+
+
+def check_same_field(log: str | Path, grid: Grid) -> Snapshot | None:
+    """
+    Return the first belief on record, after a check that it is on this grid.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read.
+    ValueError
+        If it is on another grid.
+
+    """
+    belief = first_belief(log)
+    if belief and belief.grid != grid:
+        raise ValueError(f'{log} is of a mission on {belief.grid}: the parameters say {grid}')
+    return belief
+
+
+class Evidence(Register):
+    """
+    The deployments of a log, judged as the estimator judges them.
 
     Attributes
     ----------
-    complete : dict
-        Its keys are the deployments with both, in the order in which they became so.
+    said : list of (DeploymentKey, Report)
+        What fits its path: of each deployment the first loss and the first return, in the order
+        in which path and report were both on record.
+    reports : dict
+        By deployment, in the order in which they were reported: the reports that count.
     refused : list of str
         What no estimator takes, and why.
 
     """
 
-    def __init__(self) -> None:
-        self.complete: dict[DeploymentKey, None] = {}
+    def __init__(self, grid: Grid, max_steps: int) -> None:
+        super().__init__(grid, max_steps)
+        self.said: list[Reported] = []
+        self.reports: dict[DeploymentKey, Report] = {}
         self.refused: list[str] = []
-        # Those that differ: what is published again says nothing new.
-        self._paths: dict[DeploymentKey, list[Any]] = {}
-        self._reports: dict[DeploymentKey, list[Report]] = {}
-        self._by_agent: dict[str, list[Reported]] = {}
+        self._by_outcome: dict[tuple[DeploymentKey, bool], Report] = {}
+        self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
+        self._misfits: dict[DeploymentKey, str] = {}
 
-    def take_path(self, topic: str, message: Any) -> None:
-        """Keep a nav_msgs/Path if it came on AGENT/path; it is read when its grid is known."""
-        key = key_of_path(topic, message)
-        if key is None:
-            return
-        known = self._paths.setdefault(key, [])
-        if message not in known:
-            if known:
-                self.refused.append(f'a second path of deployment {key}, which differs')
-            known.append(message)
-            self._complete(key)
-
-    def take_report(self, topic: str, message: Any) -> None:
-        """Keep a DeploymentReport."""
+    def take(self, logged: LoggedMessage) -> None:
+        """Take note of a path or a report, or of why it is refused."""
         try:
-            key, report = read_report(message, agent_of(topic))
+            record(self, logged)
         except ValueError as error:
-            self.refused.append(f'a report on {topic}: {error}')
-            return
-        known = self._reports.setdefault(key, [])
-        if any(report == each and report.stamp == each.stamp for each in known):
-            return
-        if report.survived and any(each.survived and each != report for each in known):
-            self.refused.append(f'a second return of deployment {key}, which differs')
-        known.append(report)
-        self._by_agent.setdefault(key.agent, []).append((key, report))
-        self._complete(key)
+            self.refused.append(f'{logged.topic}: {error}'[:LONGEST])
 
-    def _complete(self, key: DeploymentKey) -> None:
-        if key in self._paths and key in self._reports:
-            self.complete[key] = None
+    def _outcome(self, key: DeploymentKey, report: Report) -> bytes | None:
+        try:
+            outcome = super()._outcome(key, report)
+        except ValueError as error:
+            self._misfits.setdefault(key, str(error)[:LONGEST])
+            raise
+        self._by_stamp.setdefault((key, report.stamp), report)
+        if (key, report.survived) not in self._by_outcome:
+            self._by_outcome[key, report.survived] = report
+            self.said.append((key, report))
+        return outcome
 
-    def has(self, key: DeploymentKey, stamp: int) -> bool:
-        """Return whether a deployment's path and its report of this time are on record."""
-        return key in self.complete and any(each.stamp == stamp for each in self._reports[key])
-
-    def news(self, ledger: Ledger) -> list[list[Reported]]:
-        """Return what would be new to a ledger of what was reported of each agent, in order."""
-        returned = {key: ledger.returned(key) for key in ledger.deployments}
-        return [
-            [
-                (key, report)
-                for key, report in said
-                if key in self.complete and report.survived > returned.get(key, -1)
-            ]
-            for said in self._by_agent.values()
-        ]
-
-    def tell(self, ledger: Ledger, key: DeploymentKey, report: Report) -> bool:
-        """
-        Tell a ledger of a deployment's paths and of one of its reports.
-
-        Returns
-        -------
-        bool
-            Whether its belief changed.
-
-        Raises
-        ------
-        ValueError
-            If the ledger takes none of the paths, or refuses the report.
-
-        """
-        refusals = []
-        for message in self._paths[key]:
-            try:
-                ledger.record_path(key, read_path(ledger.grid, key.agent, message)[1])
-                break
-            except ValueError as error:
-                refusals.append(error)
-        else:
-            raise refusals[0]
-        return ledger.record_report(key, report)
-
-    def path(self, key: DeploymentKey, grid: Grid) -> NDArray[np.intp]:
-        """
-        Return the cells of a deployment's first path, shape (steps + 1,).
-
-        Raises
-        ------
-        ValueError
-            If it does not lie on the grid.
-
-        """
-        return read_path(grid, key.agent, self._paths[key][0])[1]
-
-    def report(self, key: DeploymentKey) -> Report:
-        """Return the report of a complete deployment that counts: of a return if there is one."""
-        said, steps = self._reports[key], len(self._paths[key][0].poses) - 1
-        fitting = (each for each in said if each.survived and len(each.readings) == steps)
-        return next(fitting, said[0])
+    def _take_in(self, key: DeploymentKey, outcome: bytes | None, report: Report) -> None:
+        self.reports[key] = report
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:
         """
-        Return the report of a deployment that the base learnt at this time, or else the last one.
+        Return the report of a deployment of this time, or else the one that counts.
 
         A report that was not on disk yet when recorder and agent died is on record as it was made
         again, later; the belief knew of the first.
@@ -138,27 +139,28 @@ class Evidence:
         Raises
         ------
         ValueError
-            If none is on record, or not the path.
+            If none that fits is on record, or not the path.
 
         """
-        for what, known in (('path', self._paths), ('report', self._reports)):
-            if key not in known:
-                raise ValueError(f'{what} of deployment {key} is not on record')
-        said = self._reports[key]
-        made_again = replace(said[-1], stamp=stamp)
-        return next((report for report in said if report.stamp == stamp), made_again)
+        if key not in self.paths:
+            raise ValueError(f'path of deployment {key} is not on record')
+        if key not in self.reports:
+            raise ValueError(
+                self._misfits.get(key, f'report of deployment {key} is not on record')
+            )
+        return self._by_stamp.get((key, stamp)) or replace(self.reports[key], stamp=stamp)
 
     @property
     def survived(self) -> int:
-        """How many of the complete deployments came back."""
-        return sum(self.report(key).survived for key in self.complete)
+        """How many of the deployments reported came back."""
+        return sum(report.survived for report in self.reports.values())
 
     @property
     def without_report(self) -> list[DeploymentKey]:
         """Deployments whose end is not on record: the robot was still out."""
-        return [key for key in self._paths if key not in self._reports]
+        return [key for key in self.paths if key not in self.reports]
 
     @property
     def without_path(self) -> list[DeploymentKey]:
         """Deployments whose end is on record but not their path."""
-        return [key for key in self._reports if key not in self._paths]
+        return list(self._waiting)

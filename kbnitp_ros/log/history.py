@@ -8,11 +8,9 @@ from pathlib import Path
 
 from kbnitp_ros.core import Belief, deployment_order, Grid, Observation, World
 from kbnitp_ros.log.bag import LogError, read_log, same_types
-from kbnitp_ros.log.evidence import Evidence
-from kbnitp_ros.log.replay import BELIEF, GRID, PATH, REPORT
+from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.grids import read_occupancy_grid
-import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,38 +51,29 @@ def read_history(path: str | Path) -> History:
     LogError
         If the file cannot be read or has no belief on record.
     ValueError
-        If what is on record is no mission: a path or report that does not fit the grid.
+        If a belief on record is none.
 
     """
+    first = first_belief(path)
+    if first is None:
+        raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
+    evidence = Evidence(first.grid, first.max_steps)
     snapshots = []
-    evidence = Evidence()
     truth = {}
     with same_types(path):
         for logged in read_log(path, (BELIEF, GRID, PATH, REPORT)):
             if logged.type_name == BELIEF:
                 snapshots.append(read_belief_maps(logged.message))
-            elif logged.type_name == PATH:
-                evidence.take_path(logged.topic, logged.message)
-            elif logged.type_name == REPORT:
-                evidence.take_report(logged.topic, logged.message)
+                evidence.max_steps = max(evidence.max_steps, snapshots[-1].max_steps)
+            elif logged.type_name in (PATH, REPORT):
+                evidence.take(logged)
             elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
                 truth[logged.topic.rpartition('/')[2]] = read_occupancy_grid(logged.message) > 0.0
-        if not snapshots:
-            raise LogError(
-                f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
-            )
-        grid = snapshots[0].grid
-        observations = []
-        for key in sorted(evidence.complete, key=deployment_order):
-            report = evidence.report(key)
-            cells = evidence.path(key, grid)
-            readings = np.array([detected for _, detected in report.readings], dtype=bool)
-            observations.append(
-                Observation(cells, report.survived, readings if report.survived else None)
-            )
     return History(
-        grid=grid,
+        grid=first.grid,
         beliefs=[snapshot.belief for snapshot in snapshots],
-        observations=observations,
+        observations=[
+            evidence.observation(key) for key in sorted(evidence.reports, key=deployment_order)
+        ],
         world=World(truth['hazard'], truth['target']) if len(truth) == 2 else None,
     )

@@ -9,33 +9,46 @@ have published is then compared with what is on record, field by field and bit f
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice, product
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, METHODS, versions
+from kbnitp_ros.core import DeploymentKey, Estimator, Grid, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import Difference, differences
-from kbnitp_ros.log.evidence import Evidence, Reported
+from kbnitp_ros.log.evidence import (
+    BELIEF,
+    Evidence,
+    first_belief,
+    GRID,
+    PATH,
+    REPORT,
+    Reported,
+)
+from kbnitp_ros.log.trial import TrialLedger
+from kbnitp_ros.log.ways import Head, Ways
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 
-BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
-GRID = 'nav_msgs/msg/OccupancyGrid'
-PATH = 'nav_msgs/msg/Path'
-REPORT = 'kbnitp_msgs/msg/DeploymentReport'
-
 # A view's topic and its stamp, which may be that of several beliefs.
 View = tuple[str, int]
 
-# How many ways to fill a gap between recorded beliefs are looked at, and how many of them tried.
-WAYS = 200_000
-TRIALS = 1000
+# How many steps a replay may take, for each message and besides: deployments taken in, and reports
+# looked at. An estimator that goes back for late reports takes a few dozen for a message.
+WORK = 50
+LEAST_WORK = 50_000
+
+# How many of them may be guesses of what came between two beliefs, and how many of one gap.
+GUESSES = 10
+LEAST_GUESSES = 20_000
+GAP = 5_000
+
+# What the paths of a log without a belief would be judged by.
+NO_RULES = Grid(1, 1), 1
 
 VIEWS = ('hazard', 'target', 'kappa')
 
@@ -89,12 +102,16 @@ class ReplayReport:
         How many messages were compared, by topic: the beliefs and their views.
     mismatches : list of Mismatch
         Those that were not reproduced.
+    undecided : list of Mismatch
+        Those of which it was not found out what they hold.
     passed_over : list of DeploymentKey
         Deployments that no recorded belief holds, though later ones are held: lost evidence.
     not_yet_held : list of DeploymentKey
         Deployments after the last one that a recorded belief holds.
     finished : bool
         Whether the log ends as its writer ends it.
+    work : int
+        How many deployments were taken in and reports looked at.
 
     """
 
@@ -103,9 +120,11 @@ class ReplayReport:
     evidence: Evidence
     compared: dict[str, int]
     mismatches: list[Mismatch]
+    undecided: list[Mismatch]
     passed_over: list[DeploymentKey]
     not_yet_held: list[DeploymentKey]
     finished: bool
+    work: int
 
     @property
     def reproduced(self) -> bool:
@@ -114,7 +133,7 @@ class ReplayReport:
 
         A mission may end before the last deployments are in a belief.
         """
-        return not self.mismatches and not self.passed_over
+        return not self.mismatches and not self.undecided and not self.passed_over
 
 
 def replay(
@@ -124,6 +143,9 @@ def replay(
     """
     Compute a log's beliefs again and compare them with those on record.
 
+    The log is read twice: for its evidence, then for its beliefs. The steps that this may take
+    are so many for each message, see `WORK`; what they do not suffice for is `undecided`.
+
     A log does not say which version of its method it was recorded with. It is replayed with the
     last one, and with those before it until one reproduces it.
 
@@ -132,7 +154,7 @@ def replay(
     path : str or Path
         The log of one mission, from its own recorder or from ``ros2 bag record``.
     progress : callable
-        Passes the log's messages on; may show how far the reading has come.
+        Passes the log's messages on, twice; may show how far the reading has come.
 
     Raises
     ------
@@ -158,23 +180,49 @@ def replay_with(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]],
 ) -> ReplayReport:
     """Do what `replay` does with one version of the method, the last one if None."""
-    fold = Fold(version)
+    first = first_belief(path)
+    evidence = Evidence(*((first.grid, first.max_steps) if first else NO_RULES))
+    heads: list[Head] = []
+    topic = ''
     with same_types(path):
-        for logged in progress(read_log(path, (BELIEF, GRID, PATH, REPORT))):
+        for logged in progress(read_log(path, (BELIEF, PATH, REPORT))):
+            if logged.type_name != BELIEF:
+                evidence.take(logged)
+                continue
+            if topic not in ('', logged.topic):
+                raise LogError(
+                    f'beliefs are on record from {topic} and {logged.topic}: '
+                    'a log to replay holds one mission'
+                )
+            topic = logged.topic
+            heads.append(head_of(logged.message))
+            evidence.max_steps = max(evidence.max_steps, logged.message.max_steps)
+        if not topic:
+            raise LogError(
+                f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
+            )
+        fold = Fold(evidence, heads, version)
+        for logged in progress(read_log(path, (BELIEF, GRID))):
             fold.take(logged)
         fold.finish()
-    if not fold.topic:
-        raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
     return ReplayReport(
         method=fold.prior.method if fold.prior else '',
-        version=fold.ledger.estimator.version if fold.ledger else None,
-        evidence=fold.evidence,
+        version=fold.version_used,
+        evidence=evidence,
         compared=dict(fold.compared),
         mismatches=fold.mismatches,
+        undecided=fold.undecided,
         passed_over=fold.passed_over,
         not_yet_held=fold.not_yet_held,
         finished=is_finished(path),
+        work=fold.work,
     )
+
+
+def head_of(belief: Any) -> Head:
+    """Return what a recorded belief says of the deployments it holds."""
+    newest = newest_deployment(belief)
+    return Head(belief.deployments, newest, from_stamp(belief.header.stamp))
 
 
 @dataclass(frozen=True)
@@ -188,123 +236,275 @@ class Recorded:
 
 class Fold:
     """
-    What has been read of a log so far and what has been computed from it.
+    What has been computed of a log's beliefs, and what has been found in comparing.
 
-    Topics may be interleaved in any way: a belief waits until the deployments it holds have been
-    read, and a view until its belief has been computed.
+    Topics may be interleaved in any way: a view waits until its belief has been computed.
 
     Parameters
     ----------
+    evidence : Evidence
+        All of the log.
+    heads : sequence of Head
+        Of the log's beliefs.
     version : int, optional
         Which of the method's `versions` to compute with; the last unless given.
 
     """
 
-    def __init__(self, version: int | None = None) -> None:
+    def __init__(
+        self, evidence: Evidence, heads: Sequence[Head], version: int | None = None
+    ) -> None:
+        self.evidence = evidence
         self.version = version
-        self.evidence = Evidence()
-        self.topic = ''
         self.prior: Snapshot | None = None
-        self.ledger: Ledger | None = None
-        # With whether their robots came back: a late return is more than the loss it replaces.
-        self.held: set[tuple[DeploymentKey, bool]] = set()
         self.passed_over: list[DeploymentKey] = []
         self.not_yet_held: list[DeploymentKey] = []
         self.mismatches: list[Mismatch] = []
+        self.undecided: list[Mismatch] = []
         self.compared: Counter[str] = Counter()
-        self._seen: Counter[str] = Counter()
-        self._beliefs: deque[Recorded] = deque()
+        self._heads = heads
+        self._ways = Ways(evidence, heads)
+        messages = len(heads) + len(evidence.said)
+        self._limit = LEAST_WORK + WORK * messages
+        self._guesses = LEAST_GUESSES + GUESSES * messages
+        self._assimilations = 0
+        self._ledger: TrialLedger | None = None
+        # As it was before the estimator was restarted.
+        self._before_restart: TrialLedger | None = None
+        # Whether the last belief was not reproduced, or not decided.
         self._is_astray = False
+        self._is_undecided = False
+        # With whether their robots came back: a late return is more than the loss it replaces.
+        self._held: set[tuple[DeploymentKey, bool]] = set()
+        self._seen: Counter[str] = Counter()
         self._views: dict[View, list[Recorded]] = {}
         self._computed_views: dict[View, list[tuple[DeploymentKey | None, Any]]] = {}
 
+    @property
+    def version_used(self) -> int | None:
+        """Which version computed the beliefs; None if there was no prior."""
+        return None if self._ledger is None else self._ledger.estimator.version
+
+    @property
+    def work(self) -> int:
+        """How many deployments were taken in and reports looked at so far."""
+        return self._assimilations + self._ways.steps
+
     def take(self, logged: LoggedMessage) -> None:
-        """
-        Read a message and compare what can be compared with it.
-
-        Raises
-        ------
-        LogError
-            If beliefs are on record from two topics.
-
-        """
+        """Compare a belief or a view."""
         recorded = Recorded(logged.topic, self._seen[logged.topic], logged.message)
         self._seen[logged.topic] += 1
-        if logged.type_name == PATH:
-            self.evidence.take_path(logged.topic, logged.message)
-        elif logged.type_name == REPORT:
-            self.evidence.take_report(logged.topic, logged.message)
-        elif logged.type_name == GRID:
+        if logged.type_name == GRID:
             view = logged.topic, from_stamp(logged.message.header.stamp)
             self._views.setdefault(view, []).append(recorded)
-            self.match_views(view)
-        else:
-            if self.topic not in ('', logged.topic):
-                raise LogError(
-                    f'beliefs are on record from {self.topic} and {logged.topic}: '
-                    'a log to replay holds one mission'
-                )
-            self.topic = logged.topic
-            self._beliefs.append(recorded)
-        while self._beliefs and self.can_compute(self._beliefs[0].message):
-            self.compare_belief(self._beliefs.popleft())
+            self._match_views(view)
+        elif recorded.index < len(self._heads):
+            # The log may have grown since its evidence was read.
+            self._compare_belief(recorded, self._heads[recorded.index])
 
     def finish(self) -> None:
         """Compare what still waits, and find deployments in no belief."""
-        while self._beliefs:
-            self.compare_belief(self._beliefs.popleft())
         # What is left has another value, or belongs to a belief that is not on record.
         for view, recorded in self._views.items():
             for each, (newest, shown) in zip(recorded, self._computed_views.get(view, ())):
                 self.compared[each.topic] += 1
                 different = tuple(differences(each.message, shown))
                 self.mismatches.append(Mismatch(each.topic, each.index, newest, different))
-        for key in self.evidence.complete:
-            report = self.evidence.report(key)
-            if (key, report.survived) in self.held:
+        for key, report in self.evidence.reports.items():
+            if (key, report.survived) in self._held:
                 self.passed_over += self.not_yet_held
                 self.not_yet_held = []
                 continue
             try:
-                if self.ledger is not None:
-                    self.evidence.tell(self.ledger, key, report)
+                if self._ledger is not None:
+                    self._ledger.tell((), (key, report))
             except ValueError as error:
                 self.evidence.refused.append(str(error))
             else:
                 self.not_yet_held.append(key)
 
-    def can_compute(self, belief: Any) -> bool:
-        """Return whether the deployments that a recorded belief holds have been read."""
-        newest = newest_deployment(belief)
-        return newest is None or (
-            self.evidence.has(newest, from_stamp(belief.header.stamp))
-            and len(self.evidence.complete) >= belief.deployments
-        )
-
-    def compare_belief(self, recorded: Recorded) -> None:
+    def _compare_belief(self, recorded: Recorded, head: Head) -> None:
         """Compute a recorded belief and its views, and compare."""
         self.compared[recorded.topic] += 1
-        newest = newest_deployment(recorded.message)
-        stamp = from_stamp(recorded.message.header.stamp)
+        found = partial(Mismatch, recorded.topic, recorded.index, head.newest)
         try:
-            ledger = self.ledger = self.ledger_of(recorded.message)
-        except ValueError as error:
-            mismatch = Mismatch(recorded.topic, recorded.index, newest, reason=str(error))
-            self.mismatches.append(mismatch)
+            if head.newest is None:
+                ledger = self._begin(recorded.message)
+                different = [*self._differences(ledger, head, recorded.message)]
+            else:
+                different = self._search(recorded, head, head.newest)
+        except UndecidedError as error:
+            self._is_undecided = True
+            self.undecided.append(found(reason=str(error)))
             return
-        computed = belief_maps(ledger, stamp)
-        different = tuple(differences(recorded.message, computed))
-        self._is_astray = bool(different)
+        except ValueError as error:
+            self.mismatches.append(found(reason=str(error)))
+            return
+        self._is_astray, self._is_undecided = bool(different), False
         if different:
-            self.mismatches.append(Mismatch(recorded.topic, recorded.index, newest, different))
-        self.held.update((key, ledger.returned(key)) for key in ledger.deployments)
-        for name in VIEWS:
-            view = f'{recorded.topic}/{name}', stamp
-            shown = occupancy_grid(ledger.grid, getattr(ledger.belief, name), stamp)
-            self._computed_views.setdefault(view, []).append((newest, shown))
-            self.match_views(view)
+            self.mismatches.append(found(tuple(different)))
+        self._show(recorded.topic, head)
 
-    def match_views(self, view: View) -> None:
+    def _begin(self, belief: Any) -> TrialLedger:
+        """Begin with the prior of an estimator."""
+        prior = read_belief_maps(belief)
+        ledger = started(prior, self.version, self.evidence)
+        if self._ledger is not None and self._ledger.deployments:
+            self._before_restart = self._ledger
+        self.prior, self._ledger = prior, ledger
+        return ledger
+
+    def _started(self) -> TrialLedger:
+        """Return the ledger of an estimator that holds nothing yet."""
+        assert self.prior is not None
+        return started(self.prior, self.version, self.evidence)
+
+    def _search(self, recorded: Recorded, head: Head, newest: DeploymentKey) -> list[Difference]:
+        """
+        Find the deployments that give a belief, and keep them.
+
+        Returns
+        -------
+        list of Difference
+            Empty if they are found; otherwise of the likeliest.
+
+        Raises
+        ------
+        UndecidedError
+            If there are too many ways to fill a gap.
+        ValueError
+            If the prior or the deployment is not on record, or cannot be taken in.
+
+        """
+        if self._ledger is None:
+            raise ValueError('the prior it started from is not on record')
+        last = newest, self.evidence.report_of(newest, head.stamp)
+        if self.work > self._limit:
+            raise UndecidedError(f'the whole log takes more than {self._limit} steps to compute')
+        starts = self._starts(head)
+        likeliest: tuple[TrialLedger, list[Reported]] | None = None
+        # After a belief that is not reproduced others seldom are, and looking for them takes long.
+        is_lost = self._is_astray or self._is_undecided
+        for ledger in starts:
+            taken = self._ways.certain(ledger, head, last, recorded.index)
+            if taken is None:
+                continue
+            gives = self._try(ledger, taken, last, head, recorded.message)
+            if gives:
+                return []
+            if gives is not None:
+                likeliest = likeliest or (ledger, taken)
+                if is_lost:
+                    break
+        if not is_lost and self._guess(starts, last, head, recorded, likeliest is not None):
+            return []
+        if likeliest is None and self._is_undecided:
+            raise UndecidedError('it is not known what the belief before it holds')
+        ledger, taken = likeliest or (self._ledger, [])
+        self._tell(ledger, taken, last)
+        self._keep(ledger)
+        return [*self._differences(ledger, head, recorded.message)]
+
+    def _starts(self, head: Head) -> list[TrialLedger]:
+        """
+        Return what a belief may go on from, the fullest first.
+
+        That is the belief before, what an estimator that was restarted held before and has had
+        again at once, or the prior.
+        """
+        known = [self._ledger, self._before_restart]
+        starts = [each for each in known if each and len(each.deployments) <= head.held]
+        assert self.prior is not None
+        return [
+            *sorted(starts, key=lambda each: len(each.deployments), reverse=True),
+            started(self.prior, self.version, self.evidence),
+        ]
+
+    def _guess(
+        self,
+        starts: Sequence[TrialLedger],
+        last: Reported,
+        head: Head,
+        recorded: Recorded,
+        is_certain: bool,
+    ) -> bool:
+        """
+        Try what may have come between a belief and the one before, and keep what gives it.
+
+        Returns
+        -------
+        bool
+            Whether something does.
+
+        Raises
+        ------
+        UndecidedError
+            If there is more to try than may be, and it is not certain what should have come.
+
+        """
+        begun = self.work
+        end = begun + min(GAP, self._guesses)
+        self._ways.limit = end - self._assimilations
+        try:
+            for ledger in starts:
+                for taken in self._ways.possible(ledger, head, last, recorded.index):
+                    if self._try(ledger, taken, last, head, recorded.message):
+                        return True
+                    if self.work > end:
+                        break
+        finally:
+            self._guesses -= self.work - begun
+        if self.work > end and not is_certain:
+            raise UndecidedError(
+                'what came between it and the belief before is not among the likeliest that were '
+                f'tried in {end - begun} steps'
+            )
+        return False
+
+    def _try(
+        self, ledger: TrialLedger, taken: list[Reported], last: Reported, head: Head, belief: Any
+    ) -> bool | None:
+        """Return whether a ledger gives a belief after this; None if that cannot have been."""
+        try:
+            self._tell(ledger, taken, last)
+        except ValueError:
+            return None
+        can_be = len(ledger.deployments) == head.held
+        if can_be and not any(self._differences(ledger, head, belief)):
+            self._keep(ledger)
+            return True
+        ledger.take_back()
+        return False if can_be else None
+
+    def _tell(self, ledger: TrialLedger, taken: list[Reported], last: Reported) -> None:
+        before = ledger.assimilations
+        try:
+            ledger.tell(taken, last)
+        except ValueError:
+            ledger.take_back()
+            raise
+        finally:
+            self._assimilations += ledger.assimilations - before
+
+    def _differences(self, ledger: TrialLedger, head: Head, belief: Any) -> Iterator[Difference]:
+        return differences(belief, belief_maps(ledger, head.stamp))
+
+    def _keep(self, ledger: TrialLedger) -> None:
+        """Go on from a ledger with what it was told."""
+        self._ledger = ledger
+        self._held.update((key, ledger.returned(key)) for key in ledger.keep())
+
+    def _show(self, topic: str, head: Head) -> None:
+        """Compute the views of a belief."""
+        assert self._ledger is not None
+        grid, belief = self._ledger.grid, self._ledger.belief
+        for name in VIEWS:
+            view = f'{topic}/{name}', head.stamp
+            shown = occupancy_grid(grid, getattr(belief, name), head.stamp)
+            self._computed_views.setdefault(view, []).append((head.newest, shown))
+            self._match_views(view)
+
+    def _match_views(self, view: View) -> None:
         """Strike out recorded views of a topic and stamp that are as computed."""
         computed = self._computed_views.get(view, [])
         for recorded in self._views.get(view, []).copy():
@@ -315,112 +515,12 @@ class Fold:
                     del computed[index]
                     break
 
-    def ledger_of(self, belief: Any) -> Ledger:
-        """
-        Return the ledger that gives a recorded belief; if there is none, the likeliest.
 
-        Raises
-        ------
-        ValueError
-            As `candidates`.
-
-        """
-        ledgers = self.candidates(belief)
-        likeliest = next(ledgers)
-        # After a belief that is not reproduced others seldom are, and looking for them takes long.
-        if self._is_astray:
-            return likeliest
-        stamp = from_stamp(belief.header.stamp)
-        for ledger in chain([likeliest], ledgers):
-            if not any(differences(belief, belief_maps(ledger, stamp))):
-                return ledger
-        return likeliest
-
-    def candidates(self, belief: Any) -> Iterator[Ledger]:
-        """
-        Yield ledgers that a recorded belief may be of, the likeliest first.
-
-        It says how many deployments it holds and whose evidence was taken in last. Where the
-        beliefs before it are not on record, what else it holds is to be found out: DDS keeps the
-        order of each publisher, so it holds the first of what each said.
-
-        Raises
-        ------
-        ValueError
-            If the belief is a prior that cannot be one, or there is no prior, or a deployment is
-            not on record or cannot be taken in.
-
-        """
-        newest, stamp = newest_deployment(belief), from_stamp(belief.header.stamp)
-        if newest is None:
-            self.prior = read_belief_maps(belief)
-            yield started(self.prior, self.version)
-            return
-        if self.prior is None or self.ledger is None:
-            raise ValueError('the prior it started from is not on record')
-        last = newest, self.evidence.report_of(newest, stamp)
-        # It may be the same belief again, go on from the one before, or be of an estimator that
-        # was restarted and took in everything again.
-        count = belief.deployments
-        starts = self.ledger, started(self.prior, self.version)
-        said = [(start, self.evidence.news(start)) for start in starts]
-        # Of an agent whose losses are silent the planner reports these, and itself its returns.
-        said += [(start, list(chain(*map(by_outcome, news)))) for start, news in said]
-        ways = (self.after(start, last, count, news) for start, news in said)
-        for ledger in chain([self.ledger], *ways):
-            if (len(ledger.deployments), ledger.newest, ledger.newest_stamp) == (
-                count,
-                newest,
-                stamp,
-            ):
-                yield ledger
-        ledger = self.ledger.copy()
-        self.evidence.tell(ledger, *last)
-        yield ledger
-
-    def after(
-        self, start: Ledger, last: Reported, count: int, news: list[list[Reported]]
-    ) -> Iterator[Ledger]:
-        """
-        Yield ledgers that go on from `start`, hold `count` deployments and took in `last`.
-
-        They take in the first ones of each list of news.
-        """
-        own = next((said for said in news if last in said), None)
-        if own is None:
-            return
-        before = own[: own.index(last)]
-        others = [said for said in news if said is not own]
-        held = {*start.deployments, last[0], *keys_of(before)}
-        yield self.told(start, last)
-        in_time = sorted(chain(*others), key=lambda said: said[1].stamp)
-        yield self.told(start, *before, *in_time[: max(0, count - len(held))], last)
-        ways = islice(product(*(range(len(said) + 1) for said in others)), WAYS)
-        firsts = ([*chain(*map(islice, others, counts))] for counts in ways)
-        fitting = (taken for taken in firsts if len(held.union(keys_of(taken))) == count)
-        for taken in islice(fitting, TRIALS):
-            yield self.told(start, *before, *taken, last)
-
-    def told(self, ledger: Ledger, *news: Reported) -> Ledger:
-        """Return a ledger that was told more and took in what an estimator would."""
-        ledger = ledger.copy()
-        for key, report in news:
-            with suppress(ValueError):
-                self.evidence.tell(ledger, key, report)
-        return ledger
+class UndecidedError(Exception):
+    """It takes too long to find out what a belief holds."""
 
 
-def keys_of(said: Iterable[Reported]) -> Iterator[DeploymentKey]:
-    """Yield whose reports these are."""
-    return (key for key, _ in said)
-
-
-def by_outcome(said: list[Reported]) -> list[list[Reported]]:
-    """Return apart what was said of robots that were lost and of those that came back."""
-    return [[each for each in said if each[1].survived == outcome] for outcome in (False, True)]
-
-
-def started(prior: Snapshot, version: int | None) -> Ledger:
+def started(prior: Snapshot, version: int | None, evidence: Evidence) -> TrialLedger:
     """
     Return the ledger of an estimator with this prior and this version of its method.
 
@@ -431,4 +531,4 @@ def started(prior: Snapshot, version: int | None) -> Ledger:
 
     """
     estimator = Estimator(prior.belief, prior.model, prior.method, version=version)
-    return Ledger(prior.grid, prior.max_steps, estimator)
+    return TrialLedger(prior.grid, prior.max_steps, estimator, evidence)

@@ -19,7 +19,8 @@ class AgentNode(Shell):
     def __init__(self) -> None:
         super().__init__(self.node_name)
         simulation = Simulation(self)
-        recorded = read_deployments(self.values['resume']) if self.values['resume'] else {}
+        log = self.values['resume']
+        recorded = read_deployments(log, simulation.grid, self.values['max_steps']) if log else {}
         self._agents = [
             SimulatedAgent(simulation, name, self.prefix(name), recorded)
             for name in self.agents_played(simulation.agents)

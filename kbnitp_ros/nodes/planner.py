@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,12 +13,11 @@ from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, plan_team
 from kbnitp_ros.log.deployments import read_deployments, read_newest_round
-from kbnitp_ros.log.replay import REPORT
+from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import (
     agent_of,
     path_message,
-    read_path,
     read_report,
     report_message,
 )
@@ -74,6 +74,12 @@ class PlannerNode(Shell):
         self._out: dict[DeploymentKey, Flight] = {}
         # Whose paths are on disk, as long as they are not reported.
         self._recorded: set[DeploymentKey] = set()
+        # How many robots of each agent have left, as far as known.
+        self._sent: Counter[str] = Counter()
+        # How many deployments the belief heard last holds, and whether it was told that an
+        # estimator will never hold them all.
+        self._heard = 0
+        self._is_told = False
         # How many robots have left, those included that only the belief knows of.
         self._left = 0
         self._last_stamp = 0
@@ -103,31 +109,30 @@ class PlannerNode(Shell):
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        deployments = read_deployments(log)
-        paths = {}
+        deployments = read_deployments(log, self._grid, self.values['max_steps'])
         for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
                     f'{log} has deployments of {key.agent}: the parameter agents names only '
                     f'{", ".join(self._agents)}'
                 )
-            _, cells = read_path(self._grid, key.agent, recorded.path.message)
-            paths[key] = self._grid.check_path(cells, self.values['max_steps'])
-            self._paths[key.agent].publish(recorded.path.data)
-            if recorded.report is None:
-                self._out[key] = Flight(paths[key])
+            self._paths[key.agent].publish(recorded.message)
+            if recorded.observation is None:
+                self._out[key] = Flight(recorded.path)
                 self._recorded.add(key)
-            elif key.agent in self._losses and not recorded.report.message.survived:
+            elif key.agent in self._losses and not recorded.observation.survived:
                 # Said by the planner before this one.
-                self._losses[key.agent].publish(recorded.report.data)
+                again = report_message(key, recorded.observation, recorded.reported)
+                self._losses[key.agent].publish(again)
             self._left += 1
+            self._sent[key.agent] += 1
             self._last_stamp = key.stamp
         # Of one robot, or where each leaves by itself, no part can be missing.
         if len(self._agents) == 1 or self.values['rolling']:
             return
         if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
-            self._complete_round(planned_on, {key: paths[key] for key in keys})
+            self._complete_round(planned_on, {key: deployments[key].path for key in keys})
 
     def _too_few(self, robots: int) -> str:
         """Return why there must be more robots than these; empty when enough."""
@@ -181,10 +186,32 @@ class PlannerNode(Shell):
                 'estimator will lack them, unless the parameter resume names the log'
             )
             self._left = snapshot.deployments
+        self._notice_loss(snapshot.deployments)
         # A restarted estimator goes through its earlier beliefs once more.
         if self._newest is None or snapshot.deployments >= self._newest.deployments:
             self._newest = snapshot
             self._deploy()
+
+    def _notice_loss(self, held: int) -> None:
+        """Say if an estimator was restarted that will never hear of all deployments."""
+        self._heard = held
+        # One that has the log publishes its prior, and then a belief in all that is on record.
+        if 0 < held < self._forgotten and not self._is_told:
+            self._is_told = True
+            self.diagnostics.refuse('belief', f'it holds {held} deployments{self._in_vain}')
+
+    @property
+    def _forgotten(self) -> int:
+        """How many deployments their publishers keep no longer."""
+        return sum(max(0, sent - qos.DEPTH) for sent in self._sent.values())
+
+    @property
+    def _in_vain(self) -> str:
+        """Return why an estimator may never hold all deployments."""
+        return (
+            f', and only the last {qos.DEPTH} of each agent are heard again: restart the '
+            'estimator with the parameter resume, which names the log'
+        )
 
     def _check_rules(self, snapshot: Snapshot) -> None:
         if snapshot.grid != self._grid:
@@ -308,6 +335,7 @@ class PlannerNode(Shell):
         """Publish the paths of robots that leave now."""
         for key, path in paths.items():
             self._out[key] = Flight(path)
+            self._sent[key.agent] += 1
             self._paths[key.agent].publish(path_message(self._grid, path, key.stamp))
             self._last_stamp = max(self._last_stamp, key.stamp)
         self._left += len(paths)
@@ -338,7 +366,10 @@ class PlannerNode(Shell):
             return f'waiting for {min(awaited, key=deployment_order)} to be reported'
         reported = self._left - len(self._out)
         if held < reported:
-            return f'waiting for a belief that holds {reported} deployments'
+            wait = f'waiting for a belief that holds {reported} deployments'
+            if self._heard < reported and self._forgotten:
+                wait += f'; the last one holds {self._heard}{self._in_vain}'
+            return wait
         robots = self.values['robots']
         if held >= robots:
             return f'done: {held} of {robots} robots deployed'

@@ -13,8 +13,8 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from kbnitp_ros.log.bag import LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
+from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.naming import new_log
-from kbnitp_ros.log.replay import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch

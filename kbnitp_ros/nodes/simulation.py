@@ -127,11 +127,11 @@ class SimulatedAgent:
     def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
         """Publish a report on record again, and do not make that deployment once more."""
         self._robots[key] = len(self._robots)
-        report, path = deployment.report, deployment.path.message
+        observation = deployment.observation
         # A silent robot was only given up: it may be on its way home.
-        if report and (report.message.survived or not self._node.values['silent_loss']):
-            _, self._known[key] = read_path(self._simulation.grid, self.name, path)
-            self.reports.publish(report.data)
+        if observation and (observation.survived or not self._node.values['silent_loss']):
+            self._known[key] = deployment.path
+            self.reports.publish(report_message(key, observation, deployment.reported))
 
     def listen(self) -> None:
         """Take paths from now on."""

@@ -9,7 +9,8 @@ import time
 
 from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.log.bag.reader import LogError, read_log
-from kbnitp_ros.log.replay import PATH, replay, REPORT
+from kbnitp_ros.log.evidence import PATH, REPORT
+from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.nodes.parameters import parameters_of
 import numpy as np

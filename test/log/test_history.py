@@ -3,11 +3,15 @@
 
 from dataclasses import replace
 
-from kbnitp_ros.core import Observation
+from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.messages.deployments import report_message
-from mission_log import Mission, on, record
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.deployments import path_message, report_message
+from mission_log import GRID, MAX_STEPS, Mission, on, record
+from nav_msgs.msg import Path
+import pytest
+from rclpy.serialization import deserialize_message
 
 NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
 
@@ -52,10 +56,85 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
     for key in (lost, out):
         back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
         whole.publish('scout_1/report', back)
-    deployments = read_deployments(record(tmp_path / 'mission.mcap', whole.sent))
+    deployments = read_deployments(record(tmp_path / 'mission.mcap', whole.sent), GRID, MAX_STEPS)
     assert deployments.keys() == {lost, out}
-    assert deployments[lost].report.topic == '/north/scout_2/report'
-    assert deployments[out].report is None
+    assert not deployments[lost].observation.survived
+    assert deployments[out].observation is None
+
+
+def reports_that_do_not_fit(key, whole):
+    """Return what an estimator refuses of a robot on the way NEAR."""
+    elsewhere = Observation([2, 1, 2], True, [True, True])
+    far = Observation(FAR, True, [True] * 4)
+    unread, spoken = (report_message(key, Observation(NEAR, False), whole.now) for _ in range(2))
+    unread.survived = True
+    spoken.readings = report_message(key, elsewhere, whole.now).readings
+    return {
+        'a return without readings': unread,
+        'a return with those of other cells': report_message(key, elsewhere, whole.now),
+        'a return with too many': report_message(key, far, whole.now),
+        'a loss with readings': spoken,
+    }
+
+
+@pytest.mark.parametrize('when', ['before the path', 'before the loss', 'after the loss', 'alone'])
+@pytest.mark.parametrize('what', reports_that_do_not_fit(DeploymentKey('scout_1', 1), Mission()))
+def test_a_refused_report_displaces_no_other(tmp_path, what, when):
+    """All who read the log judge it as the estimator did."""
+    whole = Mission()
+    whole.deploy(Observation(FAR, True, [True, False, False, True]))
+    key = DeploymentKey('scout_1', whole.now + 1000)
+    refused = reports_that_do_not_fit(key, whole)[what]
+    if when == 'before the path':
+        whole.publish('scout_1/report', refused)
+    else:
+        whole.now += 1000
+    assert whole.send_out(NEAR) == key
+    if when in ('before the loss', 'alone'):
+        whole.publish('scout_1/report', refused)
+    if when != 'alone':
+        whole.assimilate(NEAR, *whole.come_back(key, Observation(NEAR, False)))
+    if when == 'after the loss':
+        whole.publish('scout_1/report', refused)
+    log = record(tmp_path / 'mission.mcap', whole.sent)
+    deployment = read_deployments(log, GRID, MAX_STEPS)[key]
+    assert deployment.path.tolist() == NEAR
+    report = replay(log)
+    assert report.reproduced
+    assert report.evidence.survived == 1
+    assert len(report.evidence.refused) == 1
+    if when == 'alone':
+        assert deployment.observation is None
+        assert told(log) == [(FAR, True, [True, False, False, True])]
+        assert report.evidence.without_report == [key]
+    else:
+        assert not deployment.observation.survived
+        assert told(log)[1:] == [(NEAR, False, None)]
+        assert len(report.evidence.reports) == 2
+
+
+def test_a_refused_path_displaces_no_other(tmp_path):
+    whole = Mission()
+    key = DeploymentKey('scout_1', whole.now + 2000)
+    for path in ([2, 13, 2], [7, 2]):
+        whole.publish('scout_1/path', path_message(GRID, path, key.stamp))
+    assert whole.send_out(NEAR) == key
+    whole.publish('scout_1/path', path_message(GRID, FAR, key.stamp))
+    whole.assimilate(NEAR, *whole.come_back(key, Observation(NEAR, True, [True, False])))
+    log = record(tmp_path / 'mission.mcap', whole.sent)
+    assert told(log) == [(NEAR, True, [True, False])]
+    (deployment,) = read_deployments(log, GRID, MAX_STEPS).values()
+    assert deployment.path.tolist() == NEAR
+    assert deserialize_message(deployment.message, Path) == path_message(GRID, NEAR, key.stamp)
+    report = replay(log)
+    assert report.reproduced
+    assert len(report.evidence.refused) == 3
+
+
+def test_a_mission_on_another_grid_is_not_gone_on_with(whole_mission, tmp_path):
+    log = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
+        read_deployments(log, Grid(9, 9), MAX_STEPS)
 
 
 def test_maps_of_others_are_no_truth(whole_mission, tmp_path):

@@ -395,7 +395,7 @@ def test_a_log_of_another_mission_is_not_resumed(field):
     log = field.folder / 'mission.mcap'
     with LogWriter(log) as writer:
         writer.add_topic('/scout_9/path', 'nav_msgs/msg/Path', '[]')
-        home = path_message(Grid(9, 9), [0, 8, 0], 1)
+        home = path_message(Grid(9, 9), [0, 1, 0], 1)
         writer.write('/scout_9/path', serialize_message(home), 1, 1)
     for namespace, resumed, told in (
         ('/a', log, 'has deployments of scout_9: the parameter agents'),

@@ -4,11 +4,12 @@
 from kbnitp_ros.core.inference.estimator import Estimator, METHODS, versions
 from kbnitp_ros.core.inference.evidence import condition
 from kbnitp_ros.core.inference.exact import lost_likelihood
-from kbnitp_ros.core.inference.ledger import (
+from kbnitp_ros.core.inference.ledger import Ledger
+from kbnitp_ros.core.inference.register import (
     check_report,
     deployment_order,
     DeploymentKey,
-    Ledger,
+    Register,
     Report,
 )
 from kbnitp_ros.core.inference.update import update
@@ -18,6 +19,7 @@ __all__ = [
     'DeploymentKey',
     'Estimator',
     'Ledger',
+    'Register',
     'Report',
     'check_report',
     'condition',

@@ -37,7 +37,7 @@ def check(path, sent):
     assert report.reproduced
     assert report.finished
     assert report.compared['/belief'] == sum(each.topic == '/belief' for each in sent)
-    assert len(report.evidence.complete) == 8
+    assert len(report.evidence.reports) == 8
 
 
 @pytest.mark.parametrize('version', [8, 9])

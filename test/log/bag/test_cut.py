@@ -77,7 +77,7 @@ def test_replay_says_what_is_missing(log, whole_mission, tmp_path):
         assert 'the log is unfinished: it was still being written, or its end is missing' in said
         assert report.reproduced
         assert report.compared['/belief'] == had['/belief']
-        assert len(report.evidence.complete) == had['/scout_1/report']
+        assert len(report.evidence.reports) == had['/scout_1/report']
         without_report = had['/scout_1/path'] - had['/scout_1/report']
         assert sum('has no report on record' in line for line in said) == without_report
         in_no_belief = had['/scout_1/report'] - (had['/belief'] - 1)
