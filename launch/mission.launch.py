@@ -131,7 +131,7 @@ def nodes(context):
             RESUME | ({'file': file} if file else {}),
             condition=IfCondition(LaunchConfiguration('record')),
         ),
-        mission_node(failures, 'estimator', team, awaits=['planner']),
+        mission_node(failures, 'estimator', team | RESUME, awaits=['planner']),
         mission_node(failures, 'planner', team | RESUME | RECORDED, awaits=['agent', 'estimator']),
         *(
             mission_node(

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Ledger
+from kbnitp_ros.log.bag import read_log, same_types
+from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.deployments import read_path, read_report
+from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
@@ -33,6 +36,9 @@ class EstimatorNode(Shell):
         )
         estimator = Estimator(prior, sensor_model_of(self.values), self.values['method'])
         self._ledger = Ledger(grid, self.values['max_steps'], estimator)
+        self._prior = self._ledger.copy()
+        if self.values['resume']:
+            self._restore(self.values['resume'])
         # In this order whoever knows of belief knows of the maps as well.
         self._maps = {
             name: self.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
@@ -49,6 +55,21 @@ class EstimatorNode(Shell):
         self._started = 0
         self._awaiting = self.create_poll(self._publish_first)
 
+    def _restore(self, log: str) -> None:
+        """
+        Take in what is on record.
+
+        Publishers keep so many messages only, and they may have died with what they said.
+        """
+        check_same_field(log, self._ledger.grid)
+        agents = agents_of(self.values)
+        with same_types(log):
+            for logged in read_log(log, (PATH, REPORT)):
+                if agent_of(logged.topic) in agents:
+                    # What was refused when it came is refused again.
+                    with suppress(ValueError):
+                        record(self._ledger, logged)
+
     def _publish_first(self) -> None:
         self._started = self.now()
         waiting = self.waiting_for([self._belief])
@@ -56,7 +77,10 @@ class EstimatorNode(Shell):
             self.diagnostics.state = waiting or 'waiting for the clock'
         else:
             self._awaiting.cancel()
-            self._publish()
+            # From the prior a log can be computed again.
+            self._publish(self._prior)
+            if self._ledger.deployments:
+                self._publish(self._ledger)
             self._say_what_is_held()
 
     def _on_path(self, agent: str, message: Path) -> None:
@@ -87,13 +111,13 @@ class EstimatorNode(Shell):
         self.diagnostics.waiting = self._ledger.waiting
         if self._awaiting.is_canceled():
             if changed:
-                self._publish()
+                self._publish(self._ledger)
             self._say_what_is_held()
 
-    def _publish(self) -> None:
-        message = belief_maps(self._ledger, self._started)
+    def _publish(self, ledger: Ledger) -> None:
+        message = belief_maps(ledger, self._started)
         self._belief.publish(message)
-        grid, belief = self._ledger.grid, self._ledger.belief
+        grid, belief = ledger.grid, ledger.belief
         stamp = from_stamp(message.header.stamp)
         for name, publisher in self._maps.items():
             publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))

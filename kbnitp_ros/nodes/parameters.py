@@ -94,14 +94,15 @@ class Parameter:
         return ', '.join(filter(None, (self.kind, self.allowed)))
 
     @property
-    def changeable(self) -> str:
-        """Return whether it can be changed, in words; empty when it cannot."""
-        return '' if self.read_only else ' Can be changed while the node runs.'
+    def meaning(self) -> str:
+        """Return what it means, and whether it can be changed."""
+        changeable = '' if self.read_only else ' Can be changed while the node runs.'
+        return f'{self.description}{changeable}'
 
     @property
     def summary(self) -> str:
-        """Return what it is, its default and what it must be."""
-        return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
+        """Return all that is to be known of it."""
+        return f'{self.meaning} Default {json.dumps(self.default)}; {self.must_be}.'
 
     def read(self, text: str) -> Any:
         """
@@ -277,7 +278,7 @@ TABLE = (
         100,
         'Robots to deploy, one after another.',
         ('planner',),
-        limits=(0, 1_000_000),
+        limits=(0, 20_000),
         read_only=False,
     ),
     Parameter(
@@ -426,7 +427,7 @@ TABLE = (
         'resume',
         '',
         'Log of the mission to go on with, its first file or its folder; empty for a new mission.',
-        ('planner', *AGENTS, 'recorder'),
+        ('planner', *AGENTS, 'estimator', 'recorder'),
     ),
     Parameter(
         'file',
@@ -618,7 +619,7 @@ def reference_page() -> str:
         for parameter in parameters_of(name).values():
             lines.append(
                 f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
-                f'| {parameter.description}{parameter.changeable} |'
+                f'| {parameter.meaning} |'
             )
     return '\n'.join(lines) + '\n'
 

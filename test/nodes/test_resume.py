@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission whose nodes have all died goes on with every deployment that its log has."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
+from kbnitp_ros.log.bag import LogWriter, read_log
+from kbnitp_ros.log.evidence import PATH, record, REPORT
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
+from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path
+import pytest
+from rclpy.serialization import serialize_message
+from samples import changed, FIELD, GRID, HOME, key, lost, path, returned
+
+NODES = ('estimator', 'agent', 'planner')
+
+
+def ledger():
+    """Return that of an estimator before the first deployment."""
+    prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
+    return Ledger(GRID, FIELD['max_steps'], Estimator(prior, SensorModel(0.5)))
+
+
+def write(log, messages):
+    """Write a prior and then these messages of the agent to a finished log."""
+    topics = {
+        BeliefMaps: '/m/belief',
+        Path: '/m/scout_1/path',
+        DeploymentReport: '/m/scout_1/report',
+    }
+    with LogWriter(log) as writer:
+        for kind, topic in topics.items():
+            package = kind.__module__.split('.')[0]
+            writer.add_topic(topic, f'{package}/msg/{kind.__name__}', '[]')
+        for time, message in enumerate([belief_maps(ledger(), 1), *messages]):
+            writer.write(topics[type(message)], serialize_message(message), time, time)
+
+
+def start(field, name, log, robots, *, resumed=True):
+    """Start a node of the mission that goes on with a log."""
+    awaited = {'estimator': ['planner'], 'agent': ['planner', 'estimator'], 'recorder': []}
+    field.start(
+        name,
+        {
+            **FIELD,
+            'robots': robots,
+            'recorded': True,
+            'await_nodes': awaited.get(name, ['agent', 'estimator']),
+            'resume': str(log) if resumed else '',
+        },
+        '/m',
+    )
+
+
+def until_done(field, robots):
+    """Wait until the planner knows that all robots are deployed."""
+    done = f'done: {robots} of {robots} robots deployed'
+    field.until(lambda: field.state('/m/planner') == done, done, patience=120)
+
+
+def folded(log):
+    """Return the belief that an estimator has after all that is in a log."""
+    register = ledger()
+    for logged in read_log(log, (PATH, REPORT)):
+        record(register, logged)
+    return register.belief.joint.tobytes()
+
+
+@pytest.mark.parametrize('refused', [
+    changed(lost(2), survived=True),
+    returned(2, [0, 4, 0, 4, 0]),
+    changed(lost(2), readings=returned(2).readings),
+])  # fmt: skip
+def test_a_refused_report_takes_no_deployment_away(field, refused):
+    log = field.folder / 'mission.mcap'
+    reports = [lost(1), refused, lost(2), returned(3)]
+    write(log, [*(path(number) for number in (1, 2, 3)), *reports])
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    for name in ('recorder', *NODES):
+        start(field, name, log, 3)
+    until_done(field, 3)
+    expected = ledger()
+    for number, report in ((1, lost(1)), (2, lost(2)), (3, returned(3))):
+        expected.record_path(key(number), HOME)
+        expected.record_report(*read_report(report))
+    assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == (
+        expected.belief.joint.tobytes()
+    )
+
+
+def test_more_deployments_than_are_kept_survive_every_restart(field):
+    """Publishers keep the newest `qos.DEPTH`; the log has them all."""
+    log = field.folder / 'mission.mcap'
+    before = qos.DEPTH + 60
+    messages = []
+    for number in range(1, before + 1):
+        report = returned(number) if number % 3 else lost(number)
+        messages += [path(number), report]
+    write(log, messages)
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    robots = before + 3
+    for name in ('recorder', *NODES):
+        start(field, name, log, robots)
+    until_done(field, robots)
+    field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
+    last = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
+    assert last == folded(log)
+    for name in ('recorder', *NODES):
+        field.kill(f'/m/{name}')
+        beliefs.clear()
+        start(field, name, log, robots)
+        if name == 'estimator':
+            field.until(lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all')
+            assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == last
+        field.until(lambda name=name: field.state(f'/m/{name}'), f'word of {name}')
+    until_done(field, robots)
+    assert replay(log).reproduced
+
+    field.kill('/m/estimator')
+    start(field, 'estimator', log, robots, resumed=False)
+    field.until(
+        lambda: (
+            'restart the estimator with the parameter resume'
+            in field.diagnosed('/m/planner').message
+        ),
+        'word of what is lost',
+    )
+    field.kill('/m/planner')
+    start(field, 'planner', log, robots)
+    field.until(
+        lambda: (
+            f'waiting for a belief that holds {robots} deployments; the last one holds 50'
+            in field.state('/m/planner')
+        ),
+        'planner that says what it waits for',
+        patience=120,
+    )
