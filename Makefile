@@ -19,6 +19,10 @@ WORKERS ?= logical
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
   $(wildcard msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
 
+# They say what they fetch, of which tools/step.sh shows some.
+PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off
+NPM := npm ci --loglevel http --no-audit --no-fund
+
 build: install/.done
 
 demo: build
@@ -48,13 +52,13 @@ clean:
 	tools/check_machine.sh $(PYTHON)
 	rm -rf .venv build install log
 	$(PYTHON) -m venv .venv
-	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements.txt
+	tools/step.sh 'Installing requirements.txt into .venv' $(PIP) --requirement requirements.txt
 	touch $@
 
 .venv/.dev: requirements-dev.txt test/log/package-lock.json .venv/.run
-	.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements-dev.txt
+	tools/step.sh 'Installing requirements-dev.txt into .venv' $(PIP) --requirement requirements-dev.txt
 	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
-	npm ci --silent --prefix test/log
+	tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)
