@@ -43,7 +43,7 @@ def allocate(finder, objective, agents):
 LINES = {
     f'{CORE}/inference/methods.py': f"""
 from kbnitp_ros.core.inference import new_method
-ONE_PASS['{NAME}'] = OnePass(new_method.lost_likelihood, correlated=True)
+VERSIONS['{NAME}'] = (OnePass(new_method.lost_likelihood, correlated=True),)
 """,
     f'{CORE}/planning/planners.py': f"""
 from kbnitp_ros.core.planning import new_planner

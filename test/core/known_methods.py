@@ -12,4 +12,5 @@ LEARN_FROM_LOSSES = (
     'kappa_bnitp_published',
     'kappa_bnitp',
     'kappa_bnitp_smoothed',
+    'kappa_bnitp_sampled',
 )

@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel
-from kbnitp_ros.core.inference.methods import ONE_PASS
-from kbnitp_ros.core.inference.smoothed import Smoother
-from kbnitp_ros.core.inference.swept import SweptSmoother
-from kbnitp_ros.core.inference.update import update
+from kbnitp_ros.core.field import Belief, Observation, SensorModel, whole_number
+from kbnitp_ros.core.inference.methods import VERSIONS, versions
+from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
 
-SMOOTHED = 'kappa_bnitp_smoothed'
-METHODS = (*ONE_PASS, SMOOTHED)
+METHODS = tuple(VERSIONS)
 
-# What the smoothed method was and is computed by: a log is replayed by what it was recorded with.
-SMOOTHERS = (SweptSmoother, Smoother)
+ALL_KNOWN = Unknowns()
 
 
 class Estimator:
@@ -30,20 +27,25 @@ class Estimator:
         What the robots and their sensors are believed to be like.
     method : str
         One of `METHODS`.
+    unknowns : Unknowns
+        Which numbers of the two are not known, for a method that can learn them.
+    seed : int
+        Of the random numbers that a method draws, at least 0. The same evidence in the same order
+        gives the same belief, bit for bit.
+
     version : int, optional
         Which of the `versions` of the method, from 1; the last unless given.
 
     Attributes
     ----------
-    belief : Belief
-        Given all deployments so far.
     version : int
         Of the method.
 
     Raises
     ------
     ValueError
-        If the method or the version is unknown.
+        If the method or the version is unknown, it learns no numbers and there are some to learn,
+        or one of these makes no difference.
 
     """
 
@@ -52,6 +54,8 @@ class Estimator:
         belief: Belief,
         model: SensorModel,
         method: str = 'kappa_bnitp',
+        unknowns: Unknowns = ALL_KNOWN,
+        seed: int = 0,
         *,
         version: int | None = None,
     ) -> None:
@@ -60,12 +64,38 @@ class Estimator:
             version = known[-1]
         elif version not in known:
             raise ValueError(f'version is {version}: {method} has {", ".join(map(str, known))}')
-        independent = method in ONE_PASS and not ONE_PASS[method].correlated
-        self.belief = belief.independent() if independent else belief
-        self.model = model
+        start = VERSIONS[method][version - 1]
+        if unknowns.priors and not start.learns:
+            learners = [name for name, each in VERSIONS.items() if each[-1].learns]
+            raise ValueError(
+                f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
+                f'numbers for right: use {" or ".join(learners)}'
+            )
         self.method = method
+        self.unknowns = unknowns
+        self.seed = whole_number('seed', seed, 0)
         self.version = version
-        self._smoother = SMOOTHERS[version - 1](belief, model) if method == SMOOTHED else None
+        self._inference = start(belief, model, unknowns, self.seed)
+
+    @property
+    def belief(self) -> Belief:
+        """Given all deployments so far, averaged over what is not known."""
+        return self._inference.belief
+
+    @property
+    def model(self) -> SensorModel:
+        """The sensor model to plan with: as given, or as expected by what was learnt."""
+        return self._inference.model
+
+    @property
+    def parameters(self) -> Mapping[str, Learnt]:
+        """What is known by now of each number that was not, by its name in `Unknowns`."""
+        return self._inference.parameters
+
+    @property
+    def sampling_error(self) -> float:
+        """How far chance takes the belief, as an expected KL divergence in nats; 0 without."""
+        return self._inference.sampling_error
 
     def assimilate(self, observation: Observation) -> None:
         """
@@ -78,30 +108,10 @@ class Estimator:
             which then stays as it is.
 
         """
-        if self._smoother is not None:
-            self.belief = self._smoother.assimilate(observation)
-        else:
-            self.belief = update(self.belief, self.model, observation, self.method)
+        self._inference.assimilate(observation)
 
     def copy(self) -> Estimator:
         """Return an estimator that goes on by itself from here; it costs next to no memory."""
         other = copy(self)
-        other._smoother = copy(self._smoother)
+        other._inference = self._inference.copy()
         return other
-
-
-def versions(method: str) -> range:
-    """
-    Return the versions of a method, which give different bits: the last is how it is computed now.
-
-    Earlier ones are there to replay logs that were recorded with them.
-
-    Raises
-    ------
-    ValueError
-        If the method is unknown.
-
-    """
-    if method not in METHODS:
-        raise ValueError(f'method is {method!r}: known are {", ".join(METHODS)}')
-    return range(1, 1 + (len(SMOOTHERS) if method == SMOOTHED else 1))

@@ -1,45 +1,95 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The update methods: what each makes of a lost robot.
+The methods: what each makes of the outcome of a deployment.
 
-A returned robot is evidence that all methods take in alike. They differ in the likelihood
-P(lost | Z_i = z) they give the cells of a lost robot's path, and in whether they hold hazard and
-target correlated. A new one-pass method is one file with that likelihood and one line here.
+A new one is one file and one line here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Protocol
 
-from kbnitp_ros.core.field import SensorModel, Visits
+from kbnitp_ros.core.field import Belief, Observation, SensorModel
 from kbnitp_ros.core.inference import exact, multi_universe, published
-import numpy as np
-from numpy.typing import NDArray
+from kbnitp_ros.core.inference.one_pass import OnePass
+from kbnitp_ros.core.inference.sampled import Sampler
+from kbnitp_ros.core.inference.smoothed import Smoother
+from kbnitp_ros.core.inference.swept import SweptSmoother
+from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
 
 
-@dataclass(frozen=True)
-class OnePass:
+class Inference(Protocol):
     """
-    A method that folds each deployment into the belief once and forgets it.
+    What a method made of a mission so far.
 
     Attributes
     ----------
-    lost : callable
-        (hazard of the visited cells (n,), model, visits) -> likelihood, shape (n, 2), indexed
-        [visited cell, z]; any common factor is normalised away.
-    correlated : bool
-        Whether it holds kappa; without it a mission starts from kappa := target.
+    belief : Belief
+        Given all deployments.
+    model : SensorModel
+        To plan with.
+    parameters : mapping of str to Learnt
+        What is known by now of each number that was not.
+    sampling_error : float
+        How far chance takes the belief from what the method would come to without, as an
+        expected KL divergence in nats.
 
     """
 
-    lost: Callable[[NDArray[np.float64], SensorModel, Visits], NDArray[np.float64]]
-    correlated: bool
+    belief: Belief
+    model: SensorModel
+    parameters: Mapping[str, Learnt]
+    sampling_error: float
+
+    def assimilate(self, observation: Observation) -> None:
+        """Take in one deployment; a refusal, a ValueError, leaves everything as it was."""
+
+    def copy(self) -> Inference:
+        """Return one that goes on by itself from here, at next to no cost in memory."""
 
 
-ONE_PASS = {
-    'relaxed_itp': OnePass(multi_universe.lost_likelihood, correlated=False),
-    'relaxed_bnitp': OnePass(published.lost_likelihood, correlated=False),
-    'kappa_bnitp_published': OnePass(published.lost_likelihood, correlated=True),
-    'kappa_bnitp': OnePass(exact.lost_likelihood, correlated=True),
+class Method(Protocol):
+    """
+    How a mission is started: with a prior, a sensor model, what is not known of them, and a seed.
+
+    Attributes
+    ----------
+    learns : bool
+        Whether it can learn numbers that are not known.
+
+    """
+
+    @property
+    def learns(self) -> bool: ...
+
+    def __call__(
+        self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int, /
+    ) -> Inference: ...
+
+
+# All versions of each method, which give different bits. The last is how it is computed now; a log
+# is replayed by the one that it was recorded with.
+VERSIONS: dict[str, tuple[Method, ...]] = {
+    'relaxed_itp': (OnePass(multi_universe.lost_likelihood, correlated=False),),
+    'relaxed_bnitp': (OnePass(published.lost_likelihood, correlated=False),),
+    'kappa_bnitp_published': (OnePass(published.lost_likelihood, correlated=True),),
+    'kappa_bnitp': (OnePass(exact.lost_likelihood, correlated=True),),
+    'kappa_bnitp_smoothed': (SweptSmoother, Smoother),
+    'kappa_bnitp_sampled': (Sampler,),
 }
+
+
+def versions(method: str) -> range:
+    """
+    Return the versions that there are of a method, from 1.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown.
+
+    """
+    if method not in VERSIONS:
+        raise ValueError(f'method is {method!r}: known are {", ".join(VERSIONS)}')
+    return range(1, 1 + len(VERSIONS[method]))

@@ -26,6 +26,7 @@ from kbnitp_ros.core.inference.evidence import (
 )
 from kbnitp_ros.core.inference.losses import Losses
 from kbnitp_ros.core.inference.message_kernels import settle, State
+from kbnitp_ros.core.inference.told import Told
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,7 +128,7 @@ class Messages:
         return evidence
 
 
-class Smoother:
+class Smoother(Told):
     """
     The evidence of a mission and the belief it gives.
 
@@ -142,9 +143,9 @@ class Smoother:
 
     """
 
-    def __init__(self, prior: Belief, model: SensorModel) -> None:
+    def __init__(self, prior: Belief, model: SensorModel, *_: object) -> None:
+        super().__init__(prior, model)
         self._prior = prior
-        self._model = model
         with np.errstate(divide='ignore'):
             self._log_prior = np.log(prior.joint)
         # What returns and last contacts say of single cells, and the hazards' log odds given that.
@@ -156,9 +157,9 @@ class Smoother:
         self._conditioned = self._plain
         self._visited = np.zeros(prior.cells, dtype=bool)
 
-    def assimilate(self, observation: Observation) -> Belief:
+    def assimilate(self, observation: Observation) -> None:
         """
-        Return the belief after one more deployment, at the cost of the messages that it changes.
+        Take in one more deployment, at the cost of the messages that it changes.
 
         Raises
         ------
@@ -171,20 +172,20 @@ class Smoother:
         losses = self._losses
         if observation.readings is not None:
             visits = Visits.of(observation.path)
-            said = returned_log_likelihood(self._model, visits, observation.readings)
+            said = returned_log_likelihood(self.model, visits, observation.readings)
         else:
             visits = Visits.of(observation.path[: observation.steps_survived + 1])
-            said = survived_log_likelihood(self._model, visits)[:, :, None]
+            said = survived_log_likelihood(self.model, visits)[:, :, None]
             lost = Visits.of(observation.path[observation.steps_survived :])
-            losses = losses.and_one_of(lost, self._model)
+            losses = losses.and_one_of(lost, self.model)
         local, odds = self._local.copy(), self._odds.copy()
         local[visits.cells] += said
         odds[visits.cells] = log_odds((self._log_prior + local)[visits.cells])
-        check_possible(odds, losses, self._model)
+        check_possible(odds, losses, self.model)
         self._local, self._odds, self._losses = local, odds, losses
         self._visited = self._visited.copy()
         self._visited[observation.path[1:]] = True
-        return self._belief()
+        self.belief = self._belief()
 
     def _belief(self) -> Belief:
         evidence = self._local.copy()
@@ -198,7 +199,7 @@ class Smoother:
         """Return what the losses add to the log odds of their cells."""
         odds = self._odds[self._losses.cells]
         self._plain = self._plain.grown(self._losses, odds)
-        self._plain.settle(odds[None], self._model, False)
+        self._plain.settle(odds[None], self.model, False)
         fixed = most_entangled(odds, self._plain.rows.said[0])
         values = gray_code(fixed.size)
         conditioned = np.tile(odds, (len(values), 1))
@@ -209,7 +210,7 @@ class Smoother:
         else:
             self._conditioned = self._conditioned.grown(self._losses, odds)
         self._fixed = fixed
-        self._conditioned.settle(conditioned, self._model, is_new)
+        self._conditioned.settle(conditioned, self.model, is_new)
         weight = self._conditioned.log_evidence(conditioned)
         weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
         total = conditioned + self._conditioned.rows.said

@@ -13,6 +13,7 @@ from itertools import product
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
 from kbnitp_ros.core.inference.evidence import condition, returned_log_likelihood
+from kbnitp_ros.core.inference.told import Told
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,7 +62,7 @@ class Losses:
         )
 
 
-class SweptSmoother:
+class SweptSmoother(Told):
     """
     The evidence of a mission and the belief it gives.
 
@@ -76,9 +77,9 @@ class SweptSmoother:
 
     """
 
-    def __init__(self, prior: Belief, model: SensorModel) -> None:
+    def __init__(self, prior: Belief, model: SensorModel, *_: object) -> None:
+        super().__init__(prior, model)
         self._prior = prior
-        self._model = model
         with np.errstate(divide='ignore'):
             self._log_prior = np.log(prior.joint)
         self._returned = np.zeros((prior.cells, 2, 2))
@@ -86,9 +87,9 @@ class SweptSmoother:
         self._messages: NDArray[np.float64] = np.empty((1, 0))
         self._visited = np.zeros(prior.cells, dtype=bool)
 
-    def assimilate(self, observation: Observation) -> Belief:
+    def assimilate(self, observation: Observation) -> None:
         """
-        Return the belief after one more deployment, at the cost of a few message sweeps.
+        Take in one more deployment, at the cost of a few message sweeps.
 
         Raises
         ------
@@ -101,10 +102,10 @@ class SweptSmoother:
         if observation.readings is not None:
             returned = returned.copy()
             returned[visits.cells] += returned_log_likelihood(
-                self._model, visits, observation.readings
+                self.model, visits, observation.readings
             )
         else:
-            losses = losses.and_one_of(visits, self._model)
+            losses = losses.and_one_of(visits, self.model)
         self._check_possible(returned, losses)
         self._returned, self._losses = returned, losses
         self._messages = np.pad(
@@ -112,7 +113,7 @@ class SweptSmoother:
         )
         self._visited = self._visited.copy()
         self._visited[visits.cells] = True
-        return self._belief()
+        self.belief = self._belief()
 
     def _check_possible(self, returned: NDArray[np.float64], losses: Losses) -> None:
         """Refuse evidence that not even a hazard in every cell that may have one explains."""

@@ -3,16 +3,10 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
-from kbnitp_ros.core.inference.evidence import (
-    check_cells,
-    given,
-    returned_log_likelihood,
-    survived_log_likelihood,
-)
-from kbnitp_ros.core.inference.methods import ONE_PASS
-import numpy as np
-from numpy.typing import NDArray
+from kbnitp_ros.core.field import Belief, Observation, SensorModel
+from kbnitp_ros.core.inference.evidence import check_cells
+from kbnitp_ros.core.inference.methods import VERSIONS
+from kbnitp_ros.core.inference.one_pass import OnePass
 
 
 def update(
@@ -47,32 +41,16 @@ def update(
         cells, or the outcome is impossible under the belief.
 
     """
-    if method not in ONE_PASS:
+    one_pass = {
+        name: versions[-1]
+        for name, versions in VERSIONS.items()
+        if isinstance(versions[-1], OnePass)
+    }
+    if method not in one_pass:
+        others = [name for name in VERSIONS if name not in one_pass]
         raise ValueError(
-            f'method is {method!r}: known for one deployment are {", ".join(ONE_PASS)}; '
-            'kappa_bnitp_smoothed needs them all, in an Estimator'
+            f'method is {method!r}: known for one deployment are {", ".join(one_pass)}; '
+            f'{", ".join(others)} need them all, in an Estimator'
         )
     check_cells(belief, observation)
-    if not ONE_PASS[method].correlated:
-        belief = _independent(belief, observation.path[1:])
-    if observation.readings is not None:
-        visits = Visits.of(observation.path)
-        return given(
-            belief, visits.cells, returned_log_likelihood(model, visits, observation.readings)
-        )
-    if observation.steps_survived:
-        survived = Visits.of(observation.path[: observation.steps_survived + 1])
-        belief = given(
-            belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
-        )
-    visits = Visits.of(observation.path[observation.steps_survived :])
-    lost = ONE_PASS[method].lost(belief.hazard[visits.cells], model, visits)
-    with np.errstate(divide='ignore'):
-        return given(belief, visits.cells, np.log(lost)[:, :, None])
-
-
-def _independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:
-    """Return the belief with hazard and target independent in `cells`."""
-    joint = belief.joint.copy()
-    joint[cells] = Belief(joint[cells]).independent().joint
-    return Belief(joint)
+    return one_pass[method].update(belief, model, observation)

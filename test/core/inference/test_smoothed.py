@@ -255,7 +255,7 @@ def test_equal_paths_share_a_factor():
     paths = [[0, 1, 4, 3, 0], [0, 3, 4, 1, 0], [0, 1, 1, 4, 3, 0], [0, 1, 4, 3, 0]]
     for path in paths:
         estimator.assimilate(Observation(path, False))
-    assert estimator._smoother._losses.graph.copies.tolist() == [3, 1]
+    assert estimator._inference._losses.graph.copies.tolist() == [3, 1]
     shared = smoothed(prior.joint, model, [(path, None) for path in paths])
     assert estimator.belief.joint.tobytes() == shared.tobytes()
 

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many chains that draw hazards and unknown numbers, and what is read off them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kbnitp_ros.core.field import SensorModel, times_log
+from kbnitp_ros.core.inference import gibbs
+from kbnitp_ros.core.inference.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.prior_map import expit, softplus
+from kbnitp_ros.core.inference.tally import Tally
+from kbnitp_ros.core.inference.unknowns import Learnt
+import numpy as np
+from numpy.typing import NDArray
+
+CHAINS = 256
+# Chains are independent of each other, so groups of them tell how far chance takes an average.
+GROUPS = 16
+# Exchanges proposed in a sweep.
+EXCHANGES = 4
+# Log odds beyond which a hazard is as good as certain, and a target, and what readings alone may
+# come to: it stays below what stands for certainty in a prior.
+CERTAIN_HAZARD = 300.0
+CERTAIN_TARGET = 700.0
+CERTAIN_READING = 1e5
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
+
+def start(
+    hypotheses: Hypotheses, rng: np.random.Generator
+) -> tuple[NDArray[np.int8], dict[str, Places]]:
+    """
+    Draw chains from the prior, as evenly as chance allows.
+
+    Returns
+    -------
+    hazardous : ndarray of int8, shape (chains, cells)
+        Z.
+    place : dict of str to ndarray of int, shape (chains,)
+        Which value of its bins each number has, by name.
+
+    """
+    place = {
+        name: np.searchsorted(np.cumsum(np.exp(bins.log_prior))[:-1], even(1, rng)[:, 0], 'right')
+        for name, bins in hypotheses.bins.items()
+    }
+    hazard = expit(hypotheses.hazard.at(place['hazard_density']))
+    return (even(hazard.shape[1], rng) < hazard).astype(np.int8), place
+
+
+def even(numbers: int, rng: np.random.Generator) -> Floats:
+    """Return `numbers` uniform numbers a chain, each spread evenly over the chains."""
+    order = rng.permuted(np.tile(np.arange(CHAINS), (numbers, 1)), axis=1).T
+    uniform: Floats = (order + rng.random(order.shape)) / CHAINS
+    return uniform
+
+
+def log(likelihood: Floats) -> Floats:
+    """Return the logarithm, -inf at 0."""
+    with np.errstate(divide='ignore'):
+        logarithm: Floats = np.log(likelihood)
+    return logarithm
+
+
+class Chains:
+    """
+    The chains on their way through the posterior of some evidence.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        The values of the numbers.
+    tally : Tally
+        The evidence.
+    hazardous, place
+        Where the chains are, as `start` returns them; left as they are.
+    rng : numpy.random.Generator
+        The only source of randomness.
+
+    Attributes
+    ----------
+    hazardous, place
+        Where the chains are now.
+    sweeps : int
+        How many were made.
+
+    """
+
+    def __init__(
+        self,
+        hypotheses: Hypotheses,
+        tally: Tally,
+        hazardous: NDArray[np.int8],
+        place: Mapping[str, Places],
+        rng: np.random.Generator,
+    ) -> None:
+        self._hypotheses = hypotheses
+        self._tally = tally
+        self._rng = rng
+        self.hazardous = hazardous.copy()
+        self.place = {name: each.copy() for name, each in place.items()}
+        self.sweeps = 0
+        self._undecided = np.flatnonzero(hypotheses.hazard.undecided)
+        self._ties = tally.ties(hypotheses.belief.hazard > 0.0, hypotheses.hazard.undecided)
+        steps, self._length = np.unique(tally.steps, return_inverse=True)
+        exposures = np.arange(tally.steps.max(initial=0) + 1)
+        self._endured = np.exp(times_log(steps, hypotheses.log_endured[:, None]))
+        self._spared = np.exp(times_log(exposures, hypotheses.log_spared[:, None]))
+        self._moving = gibbs.Chains(
+            self.hazardous,
+            np.zeros((CHAINS, tally.steps.size), np.int32),
+            self.place['malfunction'],
+            self.place['lethality'],
+        )
+        gibbs.count_exposures(self._moving, self._ties)
+        self._uniform = np.empty(hazardous.shape)
+        certain = np.where(hypotheses.belief.hazard > 0.0, gibbs.LARGE, 0.0)
+        self._odds = np.tile(certain, (CHAINS, 1))
+        self._joints = np.zeros((GROUPS, *hypotheses.belief.joint.shape))
+        self._weights = {
+            name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
+            for name in hypotheses.unknown
+        }
+        # Sums of the chances to survive a step into a safe cell and into a hazard.
+        self._steps_survived = np.zeros(2)
+
+    def sweep(self) -> None:
+        """Draw everything once, and add up the probabilities it was drawn with."""
+        log_odds, target_if_safe, target_if_hazardous = self._given_returns()
+        chances = gibbs.Chances(np.exp(log_odds), self._length, self._endured, self._spared)
+        with np.errstate(over='ignore'):
+            gibbs.draw_hazards(
+                self._moving,
+                chances,
+                self._ties,
+                self._undecided,
+                self._rng.random(out=self._uniform),
+                self._odds,
+            )
+            if self._tally.steps.size:
+                proposals = self._rng.random((CHAINS, EXCHANGES, 4))
+                gibbs.exchange_hazards(self._moving, chances, self._ties, proposals)
+            gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
+        self._draw_survival()
+        self._draw_the_rest(target_if_safe, target_if_hazardous)
+        self.sweeps += 1
+
+    def joint(self) -> tuple[Floats, float]:
+        """
+        Return the cells' joints, shape (cells, 2, 2), and how far chance has taken them.
+
+        The latter is the expected KL divergence of the joints from what endless sweeps would give,
+        in nats summed over the cells, by the spread of the groups of chains.
+        """
+        by_group = self._joints / self.sweeps
+        joint = by_group.mean(axis=0)
+        variance = by_group.var(axis=0, ddof=1) / GROUPS
+        seen = joint > 0.0
+        return joint, float((variance[seen] / joint[seen]).sum() / 2.0)
+
+    def _of_chains(self, name: str, of_values: Floats) -> Floats:
+        """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
+        return of_values[None] if of_values.size == 1 else of_values[self.place[name], None]
+
+    def _given_returns(self) -> tuple[Floats, Floats, Floats]:
+        """
+        Return what steps survived and readings tell of each cell, shape (1 or chains, cells).
+
+        That is the log odds of a hazard, and the odds of a target without and with one.
+        """
+        tally, hypotheses = self._tally, self._hypotheses
+        true, false = (
+            self._of_chains(name, hypotheses.bins[name].values)
+            for name in ('true_positive', 'false_positive')
+        )
+        with np.errstate(divide='ignore', invalid='ignore'):
+            read = times_log(tally.positive, np.log(true) - np.log(false))
+            read = read + times_log(tally.negative, np.log1p(-true) - np.log1p(-false))
+        read = read.clip(-CERTAIN_READING, CERTAIN_READING)
+        kappa = hypotheses.kappa.at(self.place['kappa'])
+        background = hypotheses.background.at(self.place['target_background'])
+        spared = self._of_chains('lethality', hypotheses.log_spared)
+        log_odds = hypotheses.hazard.at(self.place['hazard_density'])
+        log_odds = log_odds + times_log(tally.survived, spared)
+        log_odds = log_odds + (softplus(read + kappa) - softplus(kappa))
+        log_odds = log_odds - (softplus(read + background) - softplus(background))
+        return (
+            log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD),
+            np.exp(np.minimum(read + background, CERTAIN_TARGET)),
+            np.exp(np.minimum(read + kappa, CERTAIN_TARGET)),
+        )
+
+    def _draw(self, name: str, log_likelihood: Floats) -> Floats:
+        """
+        Draw a number in each chain, if it is unknown, and add up its values' weights.
+
+        Parameters
+        ----------
+        name : str
+            Which.
+        log_likelihood : ndarray, shape (chains, values)
+            Of each value, given all else in the chain, up to a constant for each chain.
+
+        Returns
+        -------
+        ndarray, shape (chains, values)
+            The weights it was drawn by.
+
+        """
+        log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
+        weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+        gibbs.draw_values(weight, self._rng.random(CHAINS), self.place[name])
+        self._weights[name] += weight.reshape(GROUPS, -1, weight.shape[1]).mean(axis=1)
+        return weight
+
+    def _draw_survival(self) -> None:
+        """Draw lethality and malfunction, given hazards and each other."""
+        tally, hypotheses = self._tally, self._hypotheses
+        exposures, lengths = self._moving.exposures, self._length
+        if 'lethality' in hypotheses.unknown:
+            likelihood = np.ones((CHAINS, hypotheses.log_spared.size))
+            endured = self._endured[self.place['malfunction'][:, None], lengths]
+            gibbs.weigh_by_losses(endured, exposures, self._spared.T.copy(), likelihood)
+            exposed = (self.hazardous * tally.survived).sum(axis=1)
+            log_likelihood = log(likelihood) + exposed[:, None] * hypotheses.log_spared
+            weight = self._draw('lethality', log_likelihood)
+            spared = (weight * np.exp(hypotheses.log_spared)).sum(axis=1)
+            endured = np.exp(hypotheses.log_endured[self.place['malfunction']])
+            self._steps_survived += endured.sum(), (endured * spared).sum()
+        if 'malfunction' in hypotheses.unknown:
+            likelihood = np.ones((CHAINS, hypotheses.log_endured.size))
+            spared = self._spared[self.place['lethality'][:, None], exposures]
+            length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
+            gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
+            log_likelihood = log(likelihood) + tally.survived.sum() * hypotheses.log_endured
+            self._draw('malfunction', log_likelihood)
+
+    def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
+        """Draw the numbers of the prior and of the target sensor, given hazards and targets."""
+        tally, hypotheses, unknown = self._tally, self._hypotheses, self._hypotheses.unknown
+        hazardous = self.hazardous.astype(bool)
+        if 'hazard_density' in unknown:
+            prior = hypotheses.hazard
+            count = (hazardous & prior.undecided).sum(axis=1)
+            log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
+            self._draw('hazard_density', log_likelihood)
+        if not {'kappa', 'target_background', 'true_positive', 'false_positive'} & {*unknown}:
+            return
+        odds = np.where(hazardous, target_if_hazardous, target_if_safe)
+        target = self._rng.random(out=self._uniform) * (1.0 + odds) < odds
+        for name, prior, concerned in (
+            ('kappa', hypotheses.kappa, hazardous),
+            ('target_background', hypotheses.background, ~hazardous),
+        ):
+            if name in unknown:
+                cells = concerned & prior.undecided
+                log_likelihood = (cells & target).sum(axis=1)[:, None] * prior.offset
+                gibbs.sum_of_cells(cells, prior.log_absent, log_likelihood)
+                self._draw(name, log_likelihood)
+        for name, concerned in (('true_positive', target), ('false_positive', ~target)):
+            if name in unknown:
+                values = hypotheses.bins[name].values
+                positive = (concerned * tally.positive).sum(axis=1)[:, None]
+                negative = (concerned * tally.negative).sum(axis=1)[:, None]
+                log_likelihood = positive * np.log(values) + negative * np.log1p(-values)
+                self._draw(name, log_likelihood)
+
+    def learnt(self) -> dict[str, Learnt]:
+        """Return what is known of each unknown number by now, by its name."""
+        return {
+            name: Learnt.by_groups(self._hypotheses.bins[name], weights / self.sweeps)
+            for name, weights in self._weights.items()
+        }
+
+    def model(self) -> SensorModel:
+        """Return the model that survives and reads with the probabilities expected."""
+        means = {name: learnt.mean for name, learnt in self.learnt().items()}
+        if 'lethality' in means:
+            # That of a step into a hazard is the mean of a product: where both are unknown, a
+            # high lethality goes with few malfunctions.
+            endured, spared = self._steps_survived
+            means['lethality'] = self._hypotheses.lethality(spared / endured)
+        return self._hypotheses.model_with(means)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Sampling: the joint posterior of the field and of unknown numbers, by many Gibbs chains.
+
+Every lost path stays a factor 1 - prod_i s_{z_i}^{n_i}, and every step survived and every reading
+a local likelihood in which targets are summed out. Each chain holds the hazards of all cells and a
+value of each number that is not known; a sweep draws each of these given all others. The belief
+averages the conditional probabilities that hazards were drawn with, which tells more than what was
+drawn (Rao-Blackwell). The chains go on from deployment to deployment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import ClassVar
+
+from kbnitp_ros.core.field import Belief, Observation, SensorModel
+from kbnitp_ros.core.inference import chains
+from kbnitp_ros.core.inference.chains import Chains
+from kbnitp_ros.core.inference.evidence import check_cells
+from kbnitp_ros.core.inference.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.tally import Tally
+from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
+import numpy as np
+
+# Sweeps are made so many at a time, until chance takes the belief less than SETTLED from what
+# endless sweeps would give (KL divergence, nats), and at most MOST_SWEEPS for a deployment.
+SWEEPS = 4
+SETTLED = 5e-4
+MOST_SWEEPS = 32
+
+
+class Sampler:
+    """
+    The evidence of a mission, and the belief that sampling gives.
+
+    The belief is a function of the evidence, in its order, and of the seed: the chains' random
+    numbers are those of a generator keyed by the seed and the number of deployments. No array is
+    changed once it is made, so a shallow copy goes on by itself.
+
+    Parameters
+    ----------
+    belief : Belief
+        The prior.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    unknowns : Unknowns
+        Which numbers of the two are not known.
+    seed : int
+        At least 0.
+
+    Attributes
+    ----------
+    belief : Belief
+        Given all deployments so far, averaged over what is not known.
+    model : SensorModel
+        The mean model: per step it survives, and reads, with the probabilities expected.
+    parameters : mapping of str to Learnt
+        What is known of each unknown number.
+    sampling_error : float
+        The KL divergence, in nats, expected between the belief and what endless sweeps would
+        give.
+
+    Raises
+    ------
+    ValueError
+        If a number that is said to be unknown makes no difference.
+
+    """
+
+    learns: ClassVar[bool] = True
+
+    def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
+        self._hypotheses = Hypotheses(belief, model, unknowns)
+        self._seed = seed
+        self._tally = Tally.empty(belief.cells)
+        self._hazardous, self._place = chains.start(
+            self._hypotheses, np.random.default_rng([seed, 0])
+        )
+        self.belief = self._hypotheses.belief
+        self.parameters: Mapping[str, Learnt] = {
+            name: Learnt(bins, np.exp(bins.log_prior))
+            for name, bins in self._hypotheses.bins.items()
+            if name in unknowns.priors
+        }
+        self.model = self._hypotheses.model_with(
+            {name: learnt.mean for name, learnt in self.parameters.items()}
+        )
+        self.sampling_error = 0.0
+
+    def assimilate(self, observation: Observation) -> None:
+        """
+        Take in one more deployment.
+
+        Raises
+        ------
+        ValueError
+            If its path leaves the field or the outcome is impossible; everything then stays as it
+            was.
+
+        """
+        check_cells(self.belief, observation)
+        tally = self._tally.and_one_more(observation)
+        self._hypotheses.refuse_impossible(tally)
+        rng = np.random.default_rng([self._seed, tally.deployments])
+        moving = Chains(self._hypotheses, tally, self._hazardous, self._place, rng)
+        for _ in range(MOST_SWEEPS // SWEEPS):
+            for _ in range(SWEEPS):
+                moving.sweep()
+            joint, error = moving.joint()
+            if error <= SETTLED:
+                break
+        self._tally = tally
+        self._hazardous, self._place = moving.hazardous, moving.place
+        if self._hypotheses.prior_is_known:
+            joint[~tally.visited] = self._hypotheses.belief.joint[~tally.visited]
+        self.belief = self._hypotheses.belief_of(joint)
+        self.sampling_error = error
+        self.parameters = moving.learnt()
+        self.model = moving.model()
+
+    def copy(self) -> Sampler:
+        """Return a sampler that goes on by itself from here."""
+        return copy(self)
