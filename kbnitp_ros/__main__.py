@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
-from importlib import import_module
+from importlib import import_module, metadata
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
@@ -20,12 +20,22 @@ COMMANDS = {
 
 USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(COMMANDS)}'
 
+HELP = f"""{USAGE}
+
+demo runs a whole mission, study many without ROS, and replay checks a recorded one; the others are
+the nodes. `python3 -m kbnitp_ros NAME --help` tells more of each, --version which version this is.
+
+example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
+
 
 @command('kbnitp_ros')
 def main(argv: list[str] | None = None) -> int:
     name, *arguments = (sys.argv[1:] if argv is None else argv) or ['']
     if name in ('-h', '--help'):
-        say(USAGE)
+        say(HELP)
+        return 0
+    if name == '--version':
+        say(f'kbnitp_ros {metadata.version("kbnitp_ros")}')
         return 0
     if name not in COMMANDS:
         complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)

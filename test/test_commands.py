@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """`python3 -m kbnitp_ros NAME` finds the command."""
 
+from importlib import metadata
+import re
 import subprocess
 import sys
 
 from kbnitp_ros import __main__ as commands
 import pytest
+
+# Options that stand for nothing when they are not given.
+FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out')
 
 
 def test_the_rest_of_the_line_goes_to_the_command(monkeypatch, tmp_path):
@@ -25,6 +30,25 @@ def test_the_names_are_listed(arguments, status):
     assert done.returncode == status
     told = done.stderr if status else done.stdout
     assert all(name in told for name in commands.COMMANDS)
+
+
+@pytest.mark.parametrize('name', ['', *commands.COMMANDS])
+def test_every_command_tells_its_version_and_how_to_use_it(name):
+    def run(option):
+        command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    version = metadata.version('kbnitp_ros')
+    said = f'{name} of kbnitp_ros {version}' if name else f'kbnitp_ros {version}'
+    assert run('--version') == f'{said}\n'
+    told = run('--help')
+    sentence = told.split('\n\n')[1]
+    assert sentence[0].isupper() or not name
+    assert sentence.endswith('.')
+    assert 'example' in told
+    options = re.findall(r'(?m)^  (--[\w-]+) (\S.*\n(?: {20,}.*\n)*)', told)
+    valued = [(flag, ' '.join(text.split())) for flag, text in options]
+    assert all('efault' in text or flag in FREE for flag, text in valued), valued
 
 
 def test_an_unknown_name_is_named(capsys):

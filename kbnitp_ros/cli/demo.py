@@ -6,10 +6,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
+from itertools import pairwise
 import os
 from pathlib import Path
 import re
+import shlex
 import signal
 import sys
 from typing import Any
@@ -18,17 +19,23 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.core import Belief, DeploymentKey, Grid, team_size
+from kbnitp_ros.core import Belief, DeploymentKey
+from kbnitp_ros.files import in_words
 from kbnitp_ros.log.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import PATH
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import parameters_of
+from kbnitp_ros.nodes.command_line import command_parser
+from kbnitp_ros.nodes.given import read_sections, values_for
+from kbnitp_ros.nodes.parameters import agents_of, check_known, grid_of, nearest, parameters_of
+from kbnitp_ros.nodes.world_file import read_world
 from kbnitp_ros.study.figures import mission_maps, mission_progress
+from kbnitp_ros.study.reach import reach_note
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -60,6 +67,29 @@ OPTIONS = {
     'seed': 'seed',
 }
 
+# What the demo sets by itself, so that a mission can be gone on with and shown beside the truth.
+HELD = {'publish_truth': True, 'recorded': True}
+OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
+
+# What is believed of a sensor may differ from the truth, and each node awaits others.
+MAY_DIFFER = ('sensor.', 'await_nodes')
+
+DESCRIPTION = """
+Run a whole mission with real nodes, each a process of its own: deploy the robots, record the
+mission, compute every belief of the recording again and draw what became known. Or go on with a
+mission that died.
+
+Where several say something, --set counts for more than the other options, and these for more than
+the file of --params.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros demo --robots 20 --lethality 0.3 --size 7 --seed 3 --out runs/small',
+    'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set team:sensor.lethality=0.9',
+    'python3 -m kbnitp_ros demo --params config/mission.yaml --set loss_cost=2',
+    'python3 -m kbnitp_ros demo --resume runs/small/mission.mcap',
+)
+
 
 @command('demo')
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         0 if all robots were deployed and the log replays to the same beliefs, else 1; 2 for
-        unusable options.
+        unusable options, 130 if interrupted.
 
     """
     try:
@@ -82,29 +112,32 @@ def main(argv: Sequence[str] | None = None) -> int:
             parameters = recorded_parameters(log)
         else:
             parameters = chosen_parameters(options)
-            log = new_log(options.out)
+            log = free_log(options.out)
             check_is_new(log)
-            parameters['recorder'] = {'file': str(log)}
+            parameters['recorder']['file'] = str(log)
     except (ValueError, OSError) as error:
         complain('demo', error)
         return 2
+    reach = reach_note(grid_of(parameters['planner']), parameters['planner']['max_steps'])
+    if reach:
+        say(f'{reach}.')
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         deploy(parameters)
-        return conclude(log)
+        return conclude(log, reach)
     except KeyboardInterrupt:
-        complain('demo', f'interrupted; {log} holds the mission so far')
+        complain('demo', f'interrupted; {how_to_go_on(log)}')
         return 130
     except (RuntimeError, LogError, OSError) as error:
-        complain('demo', error)
+        complain('demo', f'{in_words(error)}; {how_to_go_on(log)}')
         return 1
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """
-    Return the options.
+    Return the options; those that were not given are None.
 
     Raises
     ------
@@ -112,23 +145,47 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         If there are others beside --resume, which says everything.
 
     """
-    table = {**parameters_of('team'), **parameters_of('estimator'), **parameters_of('planner')}
-    parser = argparse.ArgumentParser(prog='demo', description=__doc__)
+    table = {name: each for node in NODES for name, each in parameters_of(node).items()}
+    parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
     for option, name in OPTIONS.items():
-        parameter = table[name]
-        words = f'{parameter.description} {parameter.allowed}; default {parameter.default}'
-        flag = f'--{option.replace("_", "-")}'
+        parameter, flag = table[name], f'--{option.replace("_", "-")}'
         if parameter.default is False:
-            parser.add_argument(flag, action='store_true', help=parameter.description)
+            parser.add_argument(
+                flag, action='store_true', default=None, help=parameter.description
+            )
         else:
             parser.add_argument(
-                flag, type=type(parameter.default), default=parameter.default, help=words
+                flag, metavar='X', type=type(parameter.default), help=parameter.summary
             )
-    parser.add_argument('--size', default='9', help='cells a side, N or WIDTHxHEIGHT; default 9')
     parser.add_argument(
-        '--agents', type=int, default=1, help='agents whose robots leave together; default 1'
+        '--size',
+        help='cells a side, N or WIDTHxHEIGHT, from 1 to 1000 each; default 9',
     )
-    parser.add_argument('--out', type=Path, help='folder for the results; default runs/<time>')
+    parser.add_argument(
+        '--agents',
+        metavar='N',
+        type=int,
+        help='agents whose robots leave together, at least 1; default 1',
+    )
+    parser.add_argument(
+        '--params',
+        metavar='FILE',
+        help='YAML file with parameters of the nodes, such as config/mission.yaml. What the demo '
+        f'decides by itself is not taken from it: {", ".join(OWN)}',
+    )
+    parser.add_argument(
+        '--set',
+        metavar='[NODE:]NAME=VALUE',
+        action='append',
+        default=[],
+        help='a parameter of every node that has it, or of one: planner, estimator, recorder, or '
+        'team, whose sensor is the truth while planner and estimator have what is believed. '
+        'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists '
+        'the parameters with their defaults and ranges',
+    )
+    parser.add_argument(
+        '--out', metavar='FOLDER', type=Path, help='folder for the results; default runs/TIME'
+    )
     parser.add_argument(
         '--resume',
         type=Path,
@@ -136,45 +193,119 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='log of a dead mission, or its folder, to go on with; goes alone',
     )
     options = parser.parse_args(argv)
-    if options.resume and vars(options) != vars(
-        parser.parse_args(['--resume', str(options.resume)])
-    ):
+    others = {name: value for name, value in vars(options).items() if name != 'resume'}
+    if options.resume and any(value not in (None, []) for value in others.values()):
         raise ValueError('--resume goes alone: the log says how its mission was configured')
     return options
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """
-    Return the parameters of each node of a new mission, the recorder's apart.
+    Return the parameters of each node of a new mission.
 
     Raises
     ------
     ValueError
-        If an option's value is not allowed.
+        If what is given is not allowed, or is for none of the nodes.
 
     """
-    sides = re.fullmatch(r'(\d+)(?:x(\d+))?', options.size)
-    if sides is None:
-        raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
-    size = {'grid.width': int(sides[1]), 'grid.height': int(sides[2] or sides[1])}
-    given = {name: getattr(options, option) for option, name in OPTIONS.items()} | size
-    own: dict[str, dict[str, Any]] = {
-        'estimator': {},
-        'team': {'publish_truth': True, 'recorded': True},
-        'planner': {'return_deadline': RETURN_DEADLINE, 'recorded': True},
-    }
-    for node, values in own.items():
+    sections = read_sections(options.params) if options.params else {}
+    parameters: dict[str, dict[str, Any]] = {}
+    for node in NODES:
         table = parameters_of(node)
-        values.update(
-            {name: table[name].check(value) for name, value in given.items() if name in table}
+        values = {name: parameter.default for name, parameter in table.items()}
+        if 'return_deadline' in table:
+            values['return_deadline'] = RETURN_DEADLINE
+        # The team is all agents, and takes what a file has for those.
+        for section in ('agent', 'team') if node == 'team' else (node,):
+            given = values_for(sections, f'/{section}')
+            if given.get('use_sim_time'):
+                raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
+            values |= {name: table[name].check(given[name]) for name in given if name in table}
+        parameters[node] = values
+    for name, value in given_by_options(options):
+        for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
+            if name in table:
+                values[name] = table[name].check(value)
+    for rule in options.set:
+        set_parameter(parameters, rule)
+    for values in parameters.values():
+        values |= {name: value for name, value in HELD.items() if name in values}
+        values |= {name: '' for name in ('file', 'resume') if name in values}
+        values.pop('await_nodes', None)
+    check_mission(parameters)
+    return parameters
+
+
+def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters that options other than --set give."""
+    for option, name in OPTIONS.items():
+        if (value := getattr(options, option)) is not None:
+            yield name, value
+    if options.size is not None:
+        sides = re.fullmatch(r'(\d+)(?:x(\d+))?', options.size)
+        if sides is None:
+            raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
+        yield 'grid.width', int(sides[1])
+        yield 'grid.height', int(sides[2] or sides[1])
+    if options.agents is not None:
+        if options.agents < 1:
+            raise ValueError(f'--agents is {options.agents}: it must be at least 1')
+        yield 'agents', [f'scout_{number + 1}' for number in range(options.agents)]
+
+
+def set_parameter(parameters: Mapping[str, dict[str, Any]], rule: str) -> None:
+    """Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one."""
+    target, is_rule, text = rule.partition('=')
+    node, of_one, name = target.rpartition(':')
+    if not is_rule:
+        raise ValueError(f'--set {rule}: it must be NAME=VALUE or NODE:NAME=VALUE')
+    if of_one and node not in NODES:
+        raise ValueError(
+            f'--set {rule}: {node!r} is no node of the demo: {nearest(node, NODES)}'
+            f'they are {", ".join(NODES)}'
         )
-    agents = team_size(Grid(size['grid.width'], size['grid.height']), options.agents)
-    for values in own.values():
-        values['agents'] = [f'scout_{number + 1}' for number in range(agents)]
-    return own
+    if name in OWN:
+        raise ValueError(f'--set {rule}: the demo decides {name} by itself')
+    nodes = [node] if of_one else NODES
+    try:
+        check_known(name, nodes)
+        for each in nodes:
+            if parameter := parameters_of(each).get(name):
+                parameters[each][name] = parameter.read(text)
+    except ValueError as error:
+        raise ValueError(f'--set {rule}: {error}') from error
 
 
-def new_log(out: Path | None) -> Path:
+def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse parameters that the nodes would refuse, or that would keep them from each other."""
+    for one, other in pairwise(('estimator', 'team', 'planner')):
+        for name in parameters[one].keys() & parameters[other].keys():
+            if name.startswith(MAY_DIFFER):
+                continue
+            if parameters[one][name] != parameters[other][name]:
+                raise ValueError(
+                    f'{name} is {parameters[one][name]} of {one} and {parameters[other][name]} of '
+                    f'{other}: nodes of one mission must agree'
+                )
+    team, estimator = parameters['team'], parameters['estimator']
+    grid = grid_of(team)
+    agents_of(team)
+    if team['world.file']:
+        read_world(team['world.file'], grid)
+    Belief.prior(grid, *(estimator[f'prior.{name}'] for name in ('hazard', 'target', 'kappa')))
+
+
+def how_to_go_on(log: Path) -> str:
+    """Return what to type to go on with a mission, if it can be gone on with."""
+    try:
+        recorded_parameters(log)
+    except (ValueError, OSError):
+        return f'no robot had left: begin anew, in another folder than {log.parent}'
+    return f'to go on: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
+
+
+def free_log(out: Path | None) -> Path:
     """
     Return where the log of a new mission goes; its folder is there.
 
@@ -186,11 +317,12 @@ def new_log(out: Path | None) -> Path:
         If the folder cannot be made.
 
     """
-    folder = out or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
-    folder.mkdir(parents=True, exist_ok=True)
-    log = folder / 'mission.mcap'
+    log = new_log(out)
     if log.exists():
-        raise ValueError(f'--out {folder} holds a mission already: name another folder')
+        raise ValueError(
+            f'--out {log.parent} holds a mission already: name another folder, or go on with that '
+            'mission by --resume'
+        )
     return log
 
 
@@ -312,14 +444,15 @@ class Observer(Node):
                 bar.update(self._held - bar.n)
 
 
-def conclude(log: Path) -> int:
+def conclude(log: Path, note: str) -> int:
     """Replay the log, draw the figures, say where everything is; return the exit code."""
     report = replay(log)
     history = read_history(log)
     assert history.world is not None, 'the agent was told to publish the truth'
     maps, progress = log.with_name('maps.png'), log.with_name('progress.png')
-    mission_maps(maps, history.grid, history.beliefs[-1], history.world, history.observations)
-    mission_progress(progress, history.beliefs, history.world, history.observations)
+    observations = history.observations
+    mission_maps(maps, history.grid, history.beliefs[-1], history.world, observations, note)
+    mission_progress(progress, history.beliefs, history.world, observations)
     first, last = history.beliefs[0].entropy(), history.beliefs[-1].entropy()
     say(*lines(report))
     say(f'entropy {first:.1f} -> {last:.1f} nats')

@@ -11,6 +11,8 @@ import os
 import signal
 import sys
 
+from kbnitp_ros.files import in_words
+
 Main = Callable[[Sequence[str] | None], int]
 
 
@@ -34,8 +36,9 @@ def say(*lines: str) -> None:
 
 def complain(name: str, error: object) -> None:
     """Print a line on standard error, which begins with the command; nothing if that is closed."""
+    words = in_words(error) if isinstance(error, BaseException) else error
     with suppress(OSError):
-        print(f'{name}: {error}', file=sys.stderr, flush=True)
+        print(f'{name}: {words}', file=sys.stderr, flush=True)
 
 
 def command(name: str) -> Callable[[Main], Main]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -14,7 +13,20 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.core import versions
 from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.log.replay import replay, ReplayReport
+from kbnitp_ros.nodes.command_line import command_parser
 from tqdm import tqdm
+
+DESCRIPTION = """
+Compute the beliefs of a mission's log again from the evidence in it, and say which of them are not
+reproduced bit for bit.
+
+The exit code is 0 if all are, 1 if not, and 2 if the log cannot be used or repaired.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros replay runs/small',
+    'python3 -m kbnitp_ros replay runs/small/mission.mcap --repair runs/whole/mission.mcap',
+)
 
 T = TypeVar('T', LoggedMessage, Recorded)
 
@@ -30,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 if all beliefs are reproduced, 1 if not, 2 if the log cannot be used or repaired.
 
     """
-    parser = argparse.ArgumentParser(prog='replay', description=__doc__)
+    parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     parser.add_argument(
         'log',
         metavar='LOG',
@@ -41,12 +53,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         '--repair',
         metavar='OUT.mcap',
         type=Path,
-        help='write what is intact of an unfinished or damaged log to a new file, and replay that',
+        help='write what is intact of an unfinished or damaged log to a new file, best in a new '
+        'folder, which is made; and replay that',
     )
     options = parser.parse_args(argv)
     log = options.log
     try:
         if options.repair:
+            options.repair.parent.mkdir(parents=True, exist_ok=True)
             repaired = repair(log, options.repair, partial(with_progress, log_size(log)))
             say(f'{repaired.messages} messages of {log} are saved in {options.repair}')
             say(*([f'lost: {loss}' for loss in repaired.lost] or ['nothing was lost']))

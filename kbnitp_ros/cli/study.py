@@ -12,6 +12,7 @@ import sys
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import share
+from kbnitp_ros.nodes.command_line import command_parser
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
@@ -19,6 +20,18 @@ from kbnitp_ros.study.scenario import read_scenario
 from kbnitp_ros.study.trial import trials_of
 from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm
+
+DESCRIPTION = """
+Run a study: missions without ROS, by every method, at every lethality, in the same worlds. Its
+results are a table, figures and a summary.
+
+The same command goes on where it was interrupted.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros study paper --out runs/paper',
+    'python3 -m kbnitp_ros study mine.yaml --out runs/mine --workers 4',
+)
 
 
 @command('study')
@@ -46,11 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(prog='study', description=__doc__)
+    parser = command_parser('study', DESCRIPTION, *EXAMPLES)
     parser.add_argument(
         'scenario',
         metavar='SCENARIO',
-        help=f'a YAML file, or one of those shipped: {", ".join(shipped())}',
+        help='a YAML file as docs/files.md describes it, or one of those shipped: '
+        f'{", ".join(shipped())}',
     )
     parser.add_argument(
         '--out',
@@ -66,7 +80,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='what runs the trials: processes of this machine (loky, the default), Dask or Ray',
     )
     parser.add_argument(
-        '--workers', metavar='N', type=count, help='how many to start; default: one a core'
+        '--workers',
+        metavar='N',
+        type=count,
+        help='how many to start, at least 1; default one a core',
     )
     parser.add_argument(
         '--scheduler',

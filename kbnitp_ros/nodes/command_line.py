@@ -58,7 +58,9 @@ def node_parser(name: str, description: str) -> argparse.ArgumentParser:
         f'ros2 run kbnitp_ros {name} --ros-args --params-file config/mission.yaml',
         f'ros2 run kbnitp_ros {name} --ros-args -p {EXAMPLES[name]}',
     )
-    parameters = [f'  {each.name}\n{fill(each.summary, WIDTH, **INDENT)}' for each in table]
+    parameters = [
+        f'  {each.name}\n{fill(each.summary + each.changeable, WIDTH, **INDENT)}' for each in table
+    ]
     parser.epilog = '\n'.join(
         ['parameters, given with --ros-args -p NAME:=VALUE:', *parameters, '', str(parser.epilog)]
     )

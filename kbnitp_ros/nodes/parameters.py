@@ -94,15 +94,14 @@ class Parameter:
         return ', '.join(filter(None, (self.kind, self.allowed)))
 
     @property
-    def meaning(self) -> str:
-        """Return what it means, and whether it can be changed."""
-        changeable = '' if self.read_only else ' Can be changed while the node runs.'
-        return f'{self.description}{changeable}'
+    def changeable(self) -> str:
+        """Return whether it can be changed, in words; empty when it cannot."""
+        return '' if self.read_only else ' Can be changed while the node runs.'
 
     @property
     def summary(self) -> str:
-        """Return all that is to be known of it."""
-        return f'{self.meaning} Default {json.dumps(self.default)}; {self.must_be}.'
+        """Return what it is, its default and what it must be."""
+        return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
 
     def read(self, text: str) -> Any:
         """
@@ -619,7 +618,7 @@ def reference_page() -> str:
         for parameter in parameters_of(name).values():
             lines.append(
                 f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
-                f'| {parameter.meaning} |'
+                f'| {parameter.description}{parameter.changeable} |'
             )
     return '\n'.join(lines) + '\n'
 

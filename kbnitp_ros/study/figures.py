@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 
 def mission_maps(
-    path: Path, grid: Grid, belief: Belief, world: World, observations: Sequence[Observation]
+    path: Path,
+    grid: Grid,
+    belief: Belief,
+    world: World,
+    observations: Sequence[Observation],
+    note: str = '',
 ) -> None:
     """
     Draw the final belief maps beside the truth, and where the robots went.
@@ -31,25 +36,37 @@ def mission_maps(
         The hidden truth.
     observations : sequence of Observation
         All deployments.
+    note : str
+        What else is to be known of the mission.
 
     """
     returned = sum(o.survived for o in observations)
-    panels = [
-        ('hazard, believed', belief.hazard, 'Reds'),
-        ('target, believed', belief.target, 'Greens'),
-        ('kappa, believed', belief.kappa, 'Purples'),
-        ('hazard, true', world.hazard, 'Reds'),
-        ('target, true', world.target, 'Greens'),
-        (
-            f'steps into each cell\n{len(observations)} robots, {returned} returned',
-            steps_into(grid, observations),
-            'Blues',
+    lost = len(observations) - returned
+    made, unknown = steps_into(grid, observations)
+    panels = {
+        'a': ('hazard, believed', belief.hazard, 'Reds'),
+        'b': ('target, believed', belief.target, 'Greens'),
+        'c': ('kappa, believed', belief.kappa, 'Purples'),
+        'd': (f'steps made\n{robots(returned)} that returned', made, 'Blues'),
+        'e': ('hazard, true', world.hazard, 'Reds'),
+        'f': ('target, true', world.target, 'Greens'),
+        'g': (
+            f'steps that may not have been made\n{robots(lost)} that were lost',
+            unknown,
+            'Oranges',
         ),
-    ]
-    figure = Figure(figsize=(11, 7), layout='constrained')
-    for axes, (title, values, colours) in zip(figure.subplots(2, 3).flat, panels):
-        draw_map(axes, grid, np.asarray(values, dtype=np.float64), colours, title)
+    }
+    figure = Figure(figsize=(15, 7), layout='constrained')
+    axes = figure.subplot_mosaic([list('abcd'), list('ef.g')])
+    for name, (title, values, colours) in panels.items():
+        draw_map(axes[name], grid, np.asarray(values, dtype=np.float64), colours, title)
+    figure.suptitle(note)
     figure.savefig(path, dpi=120)
+
+
+def robots(number: int) -> str:
+    """Return a number of robots in words."""
+    return '1 robot' if number == 1 else f'{number} robots'
 
 
 def draw_map(
@@ -93,10 +110,26 @@ def draw_map(
     axes.figure.colorbar(drawn, ax=axes, shrink=0.8)
 
 
-def steps_into(grid: Grid, observations: Sequence[Observation]) -> NDArray[np.float64]:
-    """Return how many planned steps led into each cell, shape (cells,)."""
-    entered = [np.empty(0, dtype=np.intp), *(o.path[1:] for o in observations)]
-    return np.bincount(np.concatenate(entered), minlength=grid.cells).astype(np.float64)
+def steps_into(
+    grid: Grid, observations: Sequence[Observation]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """
+    Count the steps into each cell.
+
+    Returns
+    -------
+    tuple of ndarray, shape (cells,)
+        Those known to have been made: all of the robots that returned, and of lost ones as many
+        as they are known to have survived; and the others of the lost ones' paths.
+
+    """
+    made, unknown = np.zeros(grid.cells), np.zeros(grid.cells)
+    for observation in observations:
+        known = observation.steps if observation.survived else observation.steps_survived
+        entered = observation.path[1:]
+        np.add.at(made, entered[:known], 1.0)
+        np.add.at(unknown, entered[known:], 1.0)
+    return made, unknown
 
 
 def mission_progress(

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse
 from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
 from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_recorded
 from kbnitp_ros.log.bag.recorded import RecordedMetadata
@@ -18,9 +19,11 @@ from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes.world_file import read_world
 import numpy as np
 import pytest
 
+ROOT = Path(__file__).parents[2]
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
 PATIENCE = 180.0
 
@@ -201,6 +204,80 @@ def test_a_team_that_loses_robots_in_silence(tmp_path):
     assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
 
 
+MINE = """
+/**:
+  ros__parameters:
+    grid: {width: 4, height: 3, base: 5, blocked: [0, 7]}
+    max_steps: 6
+    sensor: {lethality: 0.3, malfunction: 0.02, false_negative: 0.1, true_positive: 0.9}
+    seed: 11
+    recorded: false
+/**/agent:
+  ros__parameters:
+    sensor: {lethality: 0.8}
+    world: {file: WORLD}
+/**/planner:
+  ros__parameters: {robots: 30, beam_width: 2, max_visits: 1, loss_cost: 0.5}
+/**/estimator:
+  ros__parameters:
+    prior: {hazard: 0.3, target: 0.4, kappa: 0.7}
+    method: relaxed_itp
+"""
+
+HIDDEN = "hazard: ['.x..', '....', '....']\ntarget: ['.x.x', '....', '..x.']\n"
+
+
+def test_everything_can_be_given_and_the_options_count_for_more_than_the_file(tmp_path):
+    world_file = tmp_path / 'hidden.yaml'
+    world_file.write_text(HIDDEN)
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text(MINE.replace('WORLD', str(world_file)))
+    done = run_demo(
+        '--params', mine, '--robots', 5, '--set', 'max_visits=2',
+        '--set', 'sensor.false_positive=0.1', '--set', 'team:sensor.lethality=0.7',
+        '--method', 'kappa_bnitp', '--out', tmp_path / 'out',
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+    grid = Grid(4, 3, base=5, blocked=(0, 7))
+    believed = SensorModel(0.3, 0.02, 0.1, 0.9, 0.1)
+    world = read_world(world_file, grid)
+    rng = np.random.default_rng(11)
+    expected = run_mission(
+        grid, Belief.prior(grid, 0.3, 0.4, 0.7), believed, world, 5, rng, 'kappa_bnitp',
+        max_steps=6, width=2, max_visits=2, loss_cost=0.5,
+        world_model=SensorModel(0.7, 0.02, 0.1, 0.9, 0.1),
+    )  # fmt: skip
+    history = read_history(tmp_path / 'out')
+    assert [o.path.tolist() for o in history.observations] == [
+        each.observation.path.tolist() for each in expected
+    ]
+    assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
+    assert np.array_equal(history.world.target, world.target)
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_the_shipped_configuration_is_that_of_the_demo(node):
+    config = ROOT / 'config' / 'mission.yaml'
+    plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))
+    assert plain[node].keys() == given[node].keys()
+    differing = {name for name, value in plain[node].items() if given[node][name] != value}
+    assert differing == ({'return_deadline'} if node == 'planner' else set())
+
+
+def test_a_simulated_clock_is_refused(tmp_path):
+    (tmp_path / 'mine.yaml').write_text('/**: {ros__parameters: {use_sim_time: true}}')
+    done = run_demo('--params', tmp_path / 'mine.yaml', '--out', tmp_path / 'out')
+    assert done.returncode == 2
+    assert 'use_sim_time is true' in done.stderr
+
+
+def test_a_field_larger_than_its_paths_is_said_to_be(tmp_path):
+    done = run_demo('--size', '12x8', '--max-steps', 4, '--robots', 1, '--out', tmp_path / 'out')
+    told = '4 steps reach 3x3 of 12x8 cells, 9 of 96: max_steps 22 reaches them all.'
+    assert done.stdout.splitlines()[0] == told
+
+
 def reports_in(log):
     """Return how many deployments are reported on disk; 0 before the recorder has begun."""
     try:
@@ -218,10 +295,21 @@ def reports_in(log):
     (['--method', 'magic'], 'method.*magic.*relaxed_itp.*kappa_bnitp_smoothed'),
     (['--planner', 'magic'], 'planner.*magic.*relaxed.*beam'),
     (['--max-steps', '0'], 'max_steps.*0.*from 1'),
-    (['--agents', '0'], 'agents is 0.*from 1'),
-    (['--agents', '17', '--size', '4'], 'agents is 17.*16, one for each free cell'),
+    (['--agents', '0'], 'agents is 0.*at least 1'),
+    (['--agents', '17', '--size', '4'], 'agents has 17 names.*16 free cells'),
+    (['--params', 'nothere.yaml'], 'parameter file nothere.yaml: No such file or directory'),
+    (['--set', 'robots'], '--set robots: it must be NAME=VALUE or NODE:NAME=VALUE'),
+    (['--set', 'robbots=3'], 'robbots=3: parameter robbots is unknown to every.*mean robots?'),
+    (['--set', 'team:robots=3'], 'robots is unknown to the team: it is one of planner'),
+    (['--set', 'teem:seed=3'], "'teem' is no node of the demo: did you mean team?"),
+    (['--set', 'robots=3.5'], 'robots=3.5: parameter robots is 3.5: it must be a whole number'),
+    (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
+    (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
+    (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
+    (['--set', 'prior.target=0.0'], 'maps have no joint'),
+    (['--set', 'world.file=no.yaml'], 'no.yaml.*No such file or directory'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
-    (['--out', '/proc/here'], '/proc/here'),
+    (['--out', '/proc/here'], r'folder /proc/here cannot be made \(No such file.*name another'),
 ])  # fmt: skip
 def test_demo_refuses_what_cannot_be_before_it_starts_anything(tmp_path, options, complaint):
     done = run_demo('--out', tmp_path / 'out', *options)
@@ -235,8 +323,8 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert 'interrupted' in stderr
     assert 'Traceback' not in stderr
+    assert f'interrupted; to go on: python3 -m kbnitp_ros demo --resume {log}' in stderr
     replayed = subprocess.run(
         [sys.executable, '-m', 'kbnitp_ros', 'replay', str(log)], capture_output=True, text=True
     )
@@ -251,7 +339,7 @@ def test_demo_fails_when_a_node_dies(running, node):
     os.kill(nodes[node], signal.SIGKILL)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert re.search(f'nodes ended early.*{node}.*-9', stderr)
+    assert re.search(f'nodes ended early.*{node}.*-9.*; to go on: .* demo --resume ', stderr)
     assert not any(Path(f'/proc/{pid}').exists() for pid in nodes.values())
 
 

@@ -78,7 +78,7 @@ def test_help_tells_what_a_node_does_and_what_can_be_given(name):
     assert '--ros-args -p NAME:=VALUE' in ended.stdout
     told = ' '.join(ended.stdout.split())
     for parameter in parameters_of(name).values():
-        assert f' {parameter.name} {parameter.summary}' in told
+        assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
     # The example can be typed.
     check_given(name, shlex.split(ended.stdout.splitlines()[-1])[4:])
 

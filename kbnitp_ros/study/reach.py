@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of a field its paths can lead through, in words."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core import Grid
+import numpy as np
+
+
+def reach_note(grid: Grid, max_steps: int) -> str:
+    """
+    Return how much of a field paths of at most `max_steps` reach; empty if they reach all of it.
+
+    Cells that are cut off are left out: no path reaches them, however long.
+    """
+    reached, joined = grid.in_reach(max_steps), grid.steps_to_base < grid.cells
+    if reached.sum() == joined.sum():
+        return ''
+    rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
+    extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'
+    needed = 2 * int(grid.steps_to_base[joined].max())
+    return (
+        f'{max_steps} steps reach {extent}, {reached.sum()} of {joined.sum()}: '
+        f'max_steps {needed} reaches them all'
+    )

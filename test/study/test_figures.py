@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pictures of a mission show."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core import Belief, Grid, Observation, World
+from kbnitp_ros.study.figures import mission_maps, steps_into
+from kbnitp_ros.study.reach import reach_note
+import numpy as np
+import pytest
+
+GRID = Grid(3, 2)
+RETURNED = Observation([0, 1, 1, 0], True, [False] * 3)
+LOST = Observation([0, 4, 5, 0], False)
+HEARD_OF = Observation([0, 3, 4, 0], False, steps_survived=1)
+
+
+def test_steps_are_made_by_those_that_returned_and_as_far_as_lost_ones_were_heard_of():
+    made, unknown = steps_into(GRID, [RETURNED, LOST, HEARD_OF])
+    assert made.tolist() == [1, 2, 0, 1, 0, 0]
+    assert unknown.tolist() == [2, 0, 0, 0, 2, 1]
+
+
+def test_no_deployments_have_no_steps():
+    assert np.sum(steps_into(GRID, [])) == 0
+
+
+def test_the_maps_are_drawn(tmp_path):
+    world = World(np.zeros(6, dtype=bool), np.ones(6, dtype=bool))
+    prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
+    mission_maps(tmp_path / 'maps.png', GRID, prior, world, [RETURNED, LOST], 'a note')
+    assert (tmp_path / 'maps.png').read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.parametrize(
+    'grid, max_steps, told',
+    [
+        (
+            Grid(30, 30),
+            18,
+            '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
+        ),
+        (
+            Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
+            2,
+            '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
+        ),
+        (Grid(9, 9), 18, ''),
+        (Grid(9, 9), 16, ''),
+        (Grid(3, 1, blocked=(1,)), 4, ''),
+    ],
+)
+def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
+    assert reach_note(grid, max_steps) == told
