@@ -5,7 +5,7 @@ from pydoc import locate
 import re
 
 from documented import ROOT, rows, words
-from kbnitp_ros.core.inference import smoothed
+from kbnitp_ros.core.inference import smoothed, swept
 from kbnitp_ros.core.planning import fates, greedy, labels, voronoi
 from kbnitp_ros.log.bag import part
 from kbnitp_ros.nodes import qos
@@ -14,7 +14,7 @@ from kbnitp_ros.study.scenario import read_scenario
 import pytest
 import yaml
 
-IN_WORDS = {4: 'four', 5: 'five', 6: 'six', 10: 'ten'}
+IN_WORDS = {4: 'four', 5: 'five', 6: 'six', 10: 'ten', 30: 'thirty'}
 DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 
@@ -29,8 +29,9 @@ def test_what_the_method_is_said_to_take():
     cells = smoothed.CONDITIONED_CELLS
     says(page, 'the ', cells, ' undecided cells that the messages say most about')
     says(page, f'to each of their {2**cells} joint values in turn')
-    says(page, 'at most ', smoothed.SWEEPS, ' sweeps')
-    says(page, 'at most ', smoothed.SWEEPS, f' for the {2**cells} values')
+    says(page, f'by more than a part in {1 / smoothed.TOLERANCE:,.0f} tells its factors')
+    says(page, 'or for ', smoothed.ROUNDS, ' rounds')
+    says(page, 'sent again after each deployment, ', swept.SWEEPS, ' times at most')
 
 
 def test_what_the_search_is_said_to_take():
