@@ -2,6 +2,7 @@
 """What docs/files.md shows is what is read."""
 
 from dataclasses import fields, is_dataclass
+import os
 from pathlib import Path
 import re
 import shlex
@@ -16,7 +17,8 @@ from kbnitp_ros.study.scenario import read_scenario, Scenario
 from kbnitp_ros.study.trial import trials_of
 import pytest
 
-PAGE = Path(__file__).parents[1].joinpath('docs', 'files.md').read_text()
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT.joinpath('docs', 'files.md').read_text()
 SHOWN = {
     name: f'# {name}\n{text}'
     for name, text in re.findall(r'```yaml\n# (\w+)\n(.*?)```', PAGE, re.DOTALL)
@@ -71,5 +73,8 @@ def test_a_scenario_with_every_key(shown):
 def test_the_commands(shown, tmp_path, command):
     shown('world', 'hidden.yaml')
     typed = [sys.executable, *shlex.split(command)[1:]]
-    done = subprocess.run(typed, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    environment = {**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'}
+    done = subprocess.run(
+        typed, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
