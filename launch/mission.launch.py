@@ -15,6 +15,7 @@ from launch.actions import (
 from launch.conditions import IfCondition
 from launch.substitutions import (
     EnvironmentVariable,
+    EqualsSubstitution,
     IfElseSubstitution,
     LaunchConfiguration,
     PathJoinSubstitution,
@@ -76,7 +77,15 @@ def generate_launch_description():
             description='Whether to show the mission in RViz.',
         ),
     ]
-    # Nodes find each other at once, unless the user has a Fast DDS profile of their own.
+    # Nodes find each other at once and give memory back, unless the user has a Fast DDS profile of
+    # their own.
+    memory = SetEnvironmentVariable(
+        'RMW_FASTRTPS_USE_QOS_FROM_XML',
+        '1',
+        condition=IfCondition(
+            EqualsSubstitution(EnvironmentVariable(PROFILES, default_value=''), '')
+        ),
+    )
     discovery = SetEnvironmentVariable(
         PROFILES,
         EnvironmentVariable(
@@ -86,7 +95,7 @@ def generate_launch_description():
     mission = GroupAction(
         [PushROSNamespace(LaunchConfiguration('namespace')), OpaqueFunction(function=nodes)]
     )
-    return LaunchDescription([*arguments, discovery, mission])
+    return LaunchDescription([*arguments, memory, discovery, mission])
 
 
 def hear_interrupts_once():

@@ -43,6 +43,7 @@ def environment(domain: int) -> dict[str, str]:
         'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(share('config/loopback.xml')),
+        'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
         'PYTHONPATH': os.pathsep.join(filter(None, paths)),
     }
 

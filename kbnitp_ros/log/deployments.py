@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, RE
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.missions import mission_of_path
 import numpy as np
 from numpy.typing import NDArray
 
@@ -124,3 +126,21 @@ def read_newest_round(
             return None
         first = planned_on.deployments
         return read_belief_maps(planned_on), keys[first:]
+
+
+def read_mission(log: str | Path) -> int | None:
+    """
+    Return when the mission of a log began, in nanoseconds; None if no path is on record.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is damaged.
+
+    """
+    with same_types(log):
+        for logged in read_log(log, (PATH,)):
+            if key_of_path(logged.topic, logged.message):
+                with suppress(ValueError):
+                    return mission_of_path(logged.message)
+    return None

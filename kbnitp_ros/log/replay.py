@@ -487,7 +487,8 @@ class Fold:
             self._assimilations += ledger.assimilations - before
 
     def _differences(self, ledger: TrialLedger, head: Head, belief: Any) -> Iterator[Difference]:
-        return differences(belief, belief_maps(ledger, head.stamp))
+        mission = from_stamp(belief.info.map_load_time)
+        return differences(belief, belief_maps(ledger, head.stamp, mission))
 
     def _keep(self, ledger: TrialLedger) -> None:
         """Go on from a ledger with what it was told."""

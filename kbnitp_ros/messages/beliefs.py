@@ -16,7 +16,16 @@ from typing import Any
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.core import Belief, DeploymentKey, Grid, Ledger, SensorModel
 from kbnitp_ros.messages.grids import map_metadata, read_map_metadata
-from kbnitp_ros.messages.headers import check_frame, from_stamp, header, to_stamp
+from kbnitp_ros.messages.headers import (
+    check_frame,
+    check_text,
+    from_stamp,
+    header,
+    read_name,
+    read_stamp,
+    to_stamp,
+)
+from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +40,8 @@ class Snapshot:
     stamp : int
         When the base learnt what it took in last, in nanoseconds; of a prior, when the estimator
         started.
+    mission : int
+        When the mission began, in nanoseconds.
     grid : Grid
         The field.
     max_steps : int
@@ -49,6 +60,7 @@ class Snapshot:
     """
 
     stamp: int
+    mission: int
     grid: Grid
     max_steps: int
     model: SensorModel
@@ -58,7 +70,7 @@ class Snapshot:
     belief: Belief
 
 
-def belief_maps(ledger: Ledger, started: int) -> BeliefMaps:
+def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> BeliefMaps:
     """
     Return the message of what is believed now.
 
@@ -70,13 +82,17 @@ def belief_maps(ledger: Ledger, started: int) -> BeliefMaps:
         The deployments so far.
     started : int
         The stamp of a prior: when the estimator started, in nanoseconds.
+    mission : int
+        When the mission began, in nanoseconds.
 
     """
     belief, grid = ledger.belief, ledger.grid
+    info = map_metadata(grid)
+    info.map_load_time = to_stamp(mission)
     newest = ledger.newest or DeploymentKey('', 0)
     return BeliefMaps(
         header=header(ledger.newest_stamp if ledger.newest else started),
-        info=map_metadata(grid),
+        info=info,
         base=grid.base,
         blocked=sorted(grid.blocked),
         max_steps=ledger.max_steps,
@@ -104,6 +120,8 @@ def read_belief_maps(message: Any) -> Snapshot:
 
     """
     check_frame('header.frame_id', message.header.frame_id)
+    for name in ('method', 'agent'):
+        check_text(name, getattr(message, name))
     if message.deployments and not message.agent:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"
@@ -114,8 +132,10 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f'joint has {joint.size} values: it must have 4 * width * height = {4 * grid.cells}'
         )
+    read_name('deployment', message.deployment)
     return Snapshot(
-        stamp=from_stamp(message.header.stamp),
+        stamp=read_stamp('header.stamp', message.header.stamp),
+        mission=mission_of_belief(message),
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(

@@ -13,13 +13,22 @@ from typing import Any
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from kbnitp_msgs.msg import DeploymentReport, TargetReading
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
-from kbnitp_ros.messages.headers import check_frame, from_stamp, header, read_stamp, to_stamp
+from kbnitp_ros.messages.headers import (
+    check_frame,
+    from_stamp,
+    header,
+    read_name,
+    read_stamp,
+    shown,
+    to_stamp,
+)
+from kbnitp_ros.messages.missions import NOT_TOLD
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def path_message(grid: Grid, cells: ArrayLike, stamp: int) -> Path:
+def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TOLD) -> Path:
     """
     Return the message that sends an agent along `cells`.
 
@@ -31,13 +40,15 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int) -> Path:
         The path, the base first and last.
     stamp : int
         Names the deployment together with the agent, in nanoseconds; never used twice.
+    mission : int
+        When the mission began, in nanoseconds.
 
     """
-    same = header(stamp)
+    begun = header(mission or stamp)
     return Path(
-        header=same,
+        header=header(stamp),
         poses=[
-            PoseStamped(header=same, pose=Pose(position=Point(x=x, y=y)))
+            PoseStamped(header=begun, pose=Pose(position=Point(x=x, y=y)))
             for x, y in grid.centers(cells).tolist()
         ],
     )
@@ -65,11 +76,7 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
         time is none.
 
     """
-    check_frame('header.frame_id', message.header.frame_id)
-    if not message.poses:
-        raise ValueError('poses is empty: a path starts and ends at the base')
-    for index, pose in enumerate(message.poses):
-        check_frame(f'poses[{index}].header.frame_id', pose.header.frame_id)
+    stamp = read_path_name(message)
     positions = [pose.pose.position for pose in message.poses]
     points = np.array([(position.x, position.y) for position in positions])
     finite = np.isfinite(points).all(axis=1)
@@ -78,8 +85,25 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
         raise ValueError(
             f'poses[{first}].pose.position is {tuple(points[first].tolist())}: it must be finite'
         )
-    stamp = read_stamp('header.stamp', message.header.stamp)
     return DeploymentKey(agent, stamp), grid.cells_at(points)
+
+
+def read_path_name(message: Any) -> int:
+    """
+    Return the time that names the deployment of a nav_msgs/Path, in nanoseconds.
+
+    Raises
+    ------
+    ValueError
+        If that is none, or the path has no pose or one in another frame.
+
+    """
+    check_frame('header.frame_id', message.header.frame_id)
+    if not message.poses:
+        raise ValueError('poses is empty: a path starts and ends at the base')
+    for index, pose in enumerate(message.poses):
+        check_frame(f'poses[{index}].header.frame_id', pose.header.frame_id)
+    return read_name('header.stamp', message.header.stamp)
 
 
 def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
@@ -159,8 +183,8 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")
     if agent not in (None, message.agent):
-        raise ValueError(f'agent is {message.agent!r}: on this topic it must be {agent!r}')
+        raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
     stamp = read_stamp('header.stamp', message.header.stamp)
-    key = DeploymentKey(message.agent, read_stamp('deployment', message.deployment))
+    key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
     readings = tuple((int(reading.cell), bool(reading.detected)) for reading in message.readings)
     return key, Report(bool(message.survived), readings, stamp)

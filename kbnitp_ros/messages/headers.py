@@ -10,6 +10,17 @@ from std_msgs.msg import Header
 
 FRAME = 'map'
 SECOND = 10**9
+HOUR = 3600 * SECOND
+
+# Whole seconds are an int32. Names of deployments are counted on from the time of a belief and
+# from other names, so the last hours are kept free for that: no message tells a time after
+# `LATEST`, nothing is counted on from a name after `LAST_COUNTED_ON`, and there is none after
+# `LAST_NAME`. Whoever sends a message at one of these bounds leaves an hour of nanoseconds.
+END = 2**31 * SECOND
+LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
+
+# The most characters of a text from outside that an error shows.
+SHOWN = 100
 
 
 def to_stamp(nanoseconds: int) -> Time:
@@ -33,19 +44,70 @@ def from_stamp(stamp: Any) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
-def read_stamp(name: str, stamp: Any) -> int:
+def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
     """
     Return the nanoseconds of a builtin_interfaces/Time that came from outside.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for errors.
+    stamp : builtin_interfaces/Time
+        As received, or as decoded from a log.
+    last : int
+        The last one allowed, in nanoseconds.
 
     Raises
     ------
     ValueError
-        If its nanoseconds are a second or more: then two messages would say the same time.
+        If it is negative or too late, or its nanoseconds are a second or more: then two messages
+        would say the same time.
 
     """
     if not stamp.nanosec < SECOND:
         raise ValueError(f'{name}.nanosec is {stamp.nanosec}: it must be below {SECOND}')
-    return from_stamp(stamp)
+    nanoseconds = from_stamp(stamp)
+    if not 0 <= nanoseconds <= last:
+        raise ValueError(
+            f'{name} is {stamp.sec}.{stamp.nanosec:09d} s: '
+            f'it must be from 0 to {last // SECOND} s, so that later ones can follow'
+        )
+    return nanoseconds
+
+
+def read_name(name: str, stamp: Any) -> int:
+    """
+    Return the nanoseconds of a builtin_interfaces/Time that names a deployment.
+
+    Raises
+    ------
+    ValueError
+        As `read_stamp`.
+
+    """
+    return read_stamp(name, stamp, LAST_NAME)
+
+
+def next_name(earliest: int, *names: int) -> int:
+    """
+    Return the first name of a deployment, in nanoseconds, that is after all others.
+
+    Parameters
+    ----------
+    earliest : int
+        The first one that may be used.
+    names : int
+        Those in use; one too late to be counted on from does not count.
+
+    """
+    return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
+
+
+def shown(text: str) -> str:
+    """Return a text from outside as an error shows it: quoted, and cut if it is long."""
+    if len(text) <= SHOWN:
+        return repr(text)
+    return f'{text[:SHOWN]!r}... ({len(text)} characters)'
 
 
 def header(nanoseconds: int) -> Header:
@@ -64,4 +126,20 @@ def check_frame(name: str, frame_id: str) -> None:
 
     """
     if frame_id != FRAME:
-        raise ValueError(f'{name} is {frame_id!r}: it must be {FRAME!r}, the frame of the grid')
+        raise ValueError(
+            f'{name} is {shown(frame_id)}: it must be {FRAME!r}, the frame of the grid'
+        )
+
+
+def check_text(name: str, text: str) -> None:
+    """
+    Check that a text was one before rclpy, which puts a sign in place of what is none, read it.
+
+    Raises
+    ------
+    ValueError
+        If it was not UTF-8.
+
+    """
+    if '\ufffd' in text:
+        raise ValueError(f'{name} is {shown(text)}: it must be UTF-8')

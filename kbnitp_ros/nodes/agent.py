@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
-from kbnitp_ros.log.deployments import read_deployments
+from kbnitp_ros.log.deployments import read_deployments, read_mission
 from kbnitp_ros.nodes.shell import run, Shell
 from kbnitp_ros.nodes.simulation import SimulatedAgent, Simulation
 
@@ -21,11 +21,13 @@ class AgentNode(Shell):
         simulation = Simulation(self)
         log = self.values['resume']
         recorded = read_deployments(log, simulation.grid, self.values['max_steps']) if log else {}
+        mission = read_mission(log) if log else None
         self._agents = [
-            SimulatedAgent(simulation, name, self.prefix(name), recorded)
+            SimulatedAgent(simulation, name, self.prefix(name), recorded, mission)
             for name in self.agents_played(simulation.agents)
         ]
-        self._awaiting = self.create_poll(self._listen)
+        self._is_deaf = True
+        self.create_poll(self._look)
 
     def agents_played(self, team: Sequence[str]) -> Sequence[str]:
         """
@@ -49,14 +51,19 @@ class AgentNode(Shell):
         # In a namespace of its own they are not once more below it.
         return '' if self.get_namespace().endswith(f'/{name}') else f'{name}/'
 
-    def _listen(self) -> None:
+    def _look(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""
-        self.diagnostics.state = self.waiting_for([agent.reports for agent in self._agents])
-        if not self.diagnostics.state:
-            self._awaiting.cancel()
-            self.diagnostics.state = f'taking paths of {", ".join(a.name for a in self._agents)}'
+        if self._is_deaf:
+            self.diagnostics.state = self.waiting_for([agent.reports for agent in self._agents])
+            if self.diagnostics.state:
+                return
+            self._is_deaf = False
             for agent in self._agents:
                 agent.listen()
+        awaited = [agent.awaited for agent in self._agents if agent.awaited]
+        names = ', '.join(agent.name for agent in self._agents)
+        self.diagnostics.waiting = sum(agent.waiting for agent in self._agents)
+        self.diagnostics.state = next(iter(awaited), f'taking paths of {names}')
 
 
 def main(args: Sequence[str] | None = None) -> int:

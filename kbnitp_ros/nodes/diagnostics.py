@@ -15,6 +15,11 @@ from rclpy.node import Node
 
 PERIOD = 1.0  # seconds
 
+# How many refusals are told at once in such a period, and how many characters are shown of each.
+# Those beyond are only counted: whoever floods a node with messages must not have it flood others.
+TOLD_AT_ONCE = 10
+SHOWN = 1000
+
 # How long a node that cannot go on stays for its last words: until somebody listens, and until
 # they have arrived, each in seconds.
 LAST_WORDS = 1.0
@@ -31,7 +36,7 @@ class Diagnostics:
     waiting : int
         Messages held until what they belong to has come.
     state : str
-        What the node is doing, in a few words.
+        What the node is doing, in a few words; 'waiting for' whom and why if it is.
 
     """
 
@@ -42,21 +47,32 @@ class Diagnostics:
         self.state = 'running'
         self._last_refusal = ''
         self._failure = ''
+        self._told = 0
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', qos.DIAGNOSTICS)
         # Diagnostics go on when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(PERIOD, self.publish, clock=steady)
+        node.create_timer(PERIOD, self._publish_all, clock=steady)
 
     def accept(self) -> None:
         """Count one message as accepted."""
         self.accepted += 1
 
     def refuse(self, what: str, why: object) -> None:
-        """Count one message as refused and say so."""
+        """Count one message as refused and say so, unless very many were refused just now."""
         self.refused += 1
-        self._last_refusal = f'{what} refused: {why}'
-        self._node.get_logger().warning(self._last_refusal)
+        self._told += 1
+        text = f'{what} refused: {why}'
+        self._last_refusal = text if len(text) <= SHOWN else f'{text[:SHOWN]}...'
+        if self._told <= TOLD_AT_ONCE:
+            self._node.get_logger().warning(self._last_refusal)
+            self.publish()
+
+    def _publish_all(self) -> None:
+        """Show the counts, and say how many refusals were not told."""
+        untold, self._told = self._told - TOLD_AT_ONCE, 0
+        if untold > 0:
+            self._node.get_logger().warning(f'{untold} more messages were refused')
         self.publish()
 
     def fail(self, why: Exception) -> None:

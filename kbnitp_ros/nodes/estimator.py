@@ -11,11 +11,14 @@ import sys
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Ledger
 from kbnitp_ros.log.bag import read_log, same_types
+from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.missions import check_mission, mission_of_path
+from kbnitp_ros.messages.sizes import largest_path, largest_report
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.shell import run, Shell
@@ -37,6 +40,8 @@ class EstimatorNode(Shell):
         estimator = Estimator(prior, sensor_model_of(self.values), self.values['method'])
         self._ledger = Ledger(grid, self.values['max_steps'], estimator)
         self._prior = self._ledger.copy()
+        # That of the paths in the ledger; None as long as there is none.
+        self._mission: int | None = None
         if self.values['resume']:
             self._restore(self.values['resume'])
         # In this order whoever knows of belief knows of the maps as well.
@@ -46,11 +51,19 @@ class EstimatorNode(Shell):
         }
         self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
         for agent in agents_of(self.values):
-            self.create_subscription(
-                Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE
+            self.hear(
+                Path,
+                f'{agent}/path',
+                partial(self._on_path, agent),
+                qos.EVIDENCE,
+                largest_path(self.values['max_steps']),
             )
-            self.create_subscription(
-                DeploymentReport, f'{agent}/report', partial(self._on_report, agent), qos.EVIDENCE
+            self.hear(
+                DeploymentReport,
+                f'{agent}/report',
+                partial(self._on_report, agent),
+                qos.EVIDENCE,
+                largest_report(self.values['max_steps']),
             )
         self._started = 0
         self._awaiting = self.create_poll(self._publish_first)
@@ -62,6 +75,7 @@ class EstimatorNode(Shell):
         Publishers keep so many messages only, and they may have died with what they said.
         """
         check_same_field(log, self._ledger.grid)
+        self._mission = read_mission(log)
         agents = agents_of(self.values)
         with same_types(log):
             for logged in read_log(log, (PATH, REPORT)):
@@ -71,11 +85,11 @@ class EstimatorNode(Shell):
                         record(self._ledger, logged)
 
     def _publish_first(self) -> None:
-        self._started = self.now()
-        waiting = self.waiting_for([self._belief])
-        if waiting or self._started <= 0:
-            self.diagnostics.state = waiting or 'waiting for the clock'
+        waiting, now = self.waiting_for([self._belief]), self.now()
+        if waiting or now <= 0:
+            self.diagnostics.state = waiting or 'waiting for the clock to start'
         else:
+            self._started = now
             self._awaiting.cancel()
             # From the prior a log can be computed again.
             self._publish(self._prior)
@@ -86,6 +100,8 @@ class EstimatorNode(Shell):
     def _on_path(self, agent: str, message: Path) -> None:
         try:
             key, cells = read_path(self._ledger.grid, agent, message)
+            self._ledger.grid.check_path(cells, self.values['max_steps'])
+            self._join(mission_of_path(message))
             changed = self._ledger.record_path(key, cells)
         except ValueError as error:
             self._refuse(f'{agent}/path', error)
@@ -101,6 +117,29 @@ class EstimatorNode(Shell):
         else:
             self._accept(changed)
 
+    def _join(self, mission: int) -> None:
+        """
+        Take part in a mission, unless it is another one than that of the paths held.
+
+        Those heard before the first belief is published may be of several, such as of an old bag
+        that is played: then the newest counts. Whatever it is, a planner that names the time of
+        this estimator's own prior has begun a mission on it.
+
+        Raises
+        ------
+        ValueError
+            If it is another one.
+
+        """
+        is_newer = self._mission is not None and mission > self._mission
+        if (is_newer and not self._started) or 0 < mission == self._started != self._mission:
+            ledger = self._prior.copy()
+            ledger.await_paths_of(self._ledger)
+            self._ledger = ledger
+        else:
+            check_mission(mission, self._mission)
+        self._mission = mission
+
     def _refuse(self, topic: str, error: ValueError) -> None:
         # A report that waited in vain for the right path has been dropped.
         self.diagnostics.waiting = self._ledger.waiting
@@ -115,7 +154,8 @@ class EstimatorNode(Shell):
             self._say_what_is_held()
 
     def _publish(self, ledger: Ledger) -> None:
-        message = belief_maps(ledger, self._started)
+        mission = self._started if self._mission is None else self._mission
+        message = belief_maps(ledger, self._started, mission)
         self._belief.publish(message)
         grid, belief = ledger.grid, ledger.belief
         stamp = from_stamp(message.header.stamp)

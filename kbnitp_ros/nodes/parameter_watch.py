@@ -9,12 +9,17 @@ from functools import partial
 import time
 from typing import Any
 
+from kbnitp_ros.messages.headers import shown
+from kbnitp_ros.messages.sizes import check_size
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 # In seconds: when a node is asked first, so that it has found whom to answer; when one that does
 # not answer is asked again; and when it is left alone.
@@ -26,8 +31,12 @@ GIVE_UP = 5.0
 # no ROS node.
 NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
 
-# Called with the full name of a node and its parameters.
+# Called with the full name of a node and its parameters, and with what was refused and why.
 Tell = Callable[[str, dict[str, Any]], None]
+Refuse = Callable[[str, object], None]
+
+# The most bytes of what may be told of a node.
+LARGEST = 2**20
 
 
 class ParameterWatch:
@@ -35,7 +44,8 @@ class ParameterWatch:
     Asks the nodes of a namespace for their parameters, and never waits for an answer.
 
     A node is asked when it appears, when another of its name appears, which is how a restart
-    looks, and when it says that a parameter has changed. One that does not answer is left alone.
+    looks, and when it says that a parameter has changed. One that does not answer is left alone,
+    and so is one that nobody knows of.
 
     Parameters
     ----------
@@ -45,13 +55,16 @@ class ParameterWatch:
         Ends in a slash.
     tell : callable
         Called with each answer.
+    refuse : callable
+        Called with what cannot be an answer or the name of a node.
 
     """
 
-    def __init__(self, node: Node, namespace: str, tell: Tell) -> None:
+    def __init__(self, node: Node, namespace: str, tell: Tell, refuse: Refuse) -> None:
         self._node = node
         self._namespace = namespace
         self._tell = tell
+        self._refuse = refuse
         self._present: Counter[str] = Counter()
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}
@@ -71,14 +84,21 @@ class ParameterWatch:
         self._present = present
         # Those that are being asked are due again when that is over.
         for name in self._due - self._inquiries.keys():
-            if name.startswith(self._namespace):
-                self._inquiries[name] = Inquiry(self._node, name, self._tell)
             self._due.remove(name)
+            if name.startswith(self._namespace):
+                self._ask(name)
         for name, inquiry in list(self._inquiries.items()):
             inquiry.pursue()
             if inquiry.over:
                 self._inquiries.pop(name).destroy()
                 self._over.add(name)
+
+    def _ask(self, name: str) -> None:
+        try:
+            self._inquiries[name] = Inquiry(self._node, name, self._tell, self._refuse)
+        except NameValidationException as error:
+            self._over.add(name)
+            self._refuse('the name of a node', error)
 
     def is_over(self, name: str) -> bool:
         """Return whether a node has once told its parameters, will not or is not to be asked."""
@@ -92,7 +112,13 @@ class ParameterWatch:
         return False
 
     def _on_event(self, event: ParameterEvent) -> None:
-        self._due.add(event.node)
+        try:
+            validate_full_topic_name(event.node)
+        except NameValidationException:
+            self._refuse('/parameter_events', f'no node is called {shown(event.node)}')
+        # What anybody says of a node that is not there is no reason to look for it.
+        if event.node in self._present:
+            self._due.add(event.node)
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -111,11 +137,12 @@ class Inquiry:
 
     """
 
-    def __init__(self, node: Node, name: str, tell: Tell) -> None:
+    def __init__(self, node: Node, name: str, tell: Tell, refuse: Refuse) -> None:
         self.over = False
         self._node = node
         self._name = name
         self._tell = tell
+        self._refuse = refuse
         self._names = node.create_client(ListParameters, f'{name}/list_parameters')
         self._values = node.create_client(GetParameters, f'{name}/get_parameters')
         now = time.monotonic()
@@ -138,9 +165,14 @@ class Inquiry:
         values.add_done_callback(partial(self._on_values, names))
 
     def _on_values(self, names: Sequence[str], answer: Future) -> None:
-        values = map(parameter_value_to_python, answer.result().values)
         self.over = True
-        self._tell(self._name, dict(zip(names, values)))
+        try:
+            check_size(serialize_message(answer.result()), LARGEST)
+            values = [parameter_value_to_python(value) for value in answer.result().values]
+        except (ValueError, RuntimeError) as error:
+            self._refuse(f'{self._name}/get_parameters', error)
+        else:
+            self._tell(self._name, dict(zip(names, values)))
 
     def destroy(self) -> None:
         """Take no more answers."""

@@ -175,19 +175,23 @@ class Parameter:
 
 
 PROBABILITY = (0.0, 1.0)
+MOST_ROBOTS = 20_000
+MOST_STEPS = 10_000
+LONGEST_SIDE = 1000
+MOST_CELLS = LONGEST_SIDE**2
 NAME = '[A-Za-z][A-Za-z0-9_]*'
 AGENTS = ('agent', 'team')
 FIELD = ('planner', *AGENTS, 'estimator')
 
 TABLE = (
-    Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, 1000)),
-    Parameter('grid.height', 9, 'Cells along y.', FIELD, limits=(1, 1000)),
+    Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, LONGEST_SIDE)),
+    Parameter('grid.height', 9, 'Cells along y.', FIELD, limits=(1, LONGEST_SIDE)),
     Parameter(
         'grid.base',
         0,
         'Cell (row * width + column, row 0 at the bottom) that every path starts and ends in.',
         FIELD,
-        limits=(0, 999_999),
+        limits=(0, MOST_CELLS - 1),
     ),
     Parameter('grid.resolution', 1.0, 'Side of a cell in metres.', FIELD, limits=(0.001, 1000.0)),
     Parameter(
@@ -198,7 +202,7 @@ TABLE = (
         element=float,
     ),
     Parameter('grid.blocked', (), 'Cells that no robot can enter.', FIELD, element=int),
-    Parameter('max_steps', 18, 'Most steps of a path.', FIELD, limits=(1, 10_000)),
+    Parameter('max_steps', 18, 'Most steps of a path.', FIELD, limits=(1, MOST_STEPS)),
     Parameter(
         'sensor.lethality',
         0.5,
@@ -277,7 +281,7 @@ TABLE = (
         100,
         'Robots to deploy, one after another.',
         ('planner',),
-        limits=(0, 20_000),
+        limits=(0, MOST_ROBOTS),
         read_only=False,
     ),
     Parameter(

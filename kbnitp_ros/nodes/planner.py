@@ -11,9 +11,9 @@ import sys
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, plan_team
-from kbnitp_ros.log.deployments import read_deployments, read_newest_round
-from kbnitp_ros.log.evidence import REPORT
+from kbnitp_ros.core import check_report, deployment_order, DeploymentKey, Observation, plan_team
+from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
+from kbnitp_ros.log.evidence import BELIEF, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import (
     agent_of,
@@ -21,15 +21,19 @@ from kbnitp_ros.messages.deployments import (
     read_report,
     report_message,
 )
-from kbnitp_ros.messages.headers import from_stamp, SECOND
+from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name, SECOND
+from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.succession import Succession
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
 
 
 @dataclass
@@ -70,40 +74,47 @@ class PlannerNode(Shell):
             for agent in self._agents
             if self.values['silent_loss']
         }
-        self._newest: Snapshot | None = None
+        self._succession = Succession()
         self._out: dict[DeploymentKey, Flight] = {}
         # Whose paths are on disk, as long as they are not reported.
-        self._recorded: set[DeploymentKey] = set()
+        self._recorded = Recent(qos.DEPTH)
         # How many robots of each agent have left, as far as known.
         self._sent: Counter[str] = Counter()
         # How many deployments the belief heard last holds, and whether it was told that an
         # estimator will never hold them all.
         self._heard = 0
         self._is_told = False
-        # How many robots have left, those included that only the belief knows of.
+        # How many robots have left, and how many more only the belief knows of.
         self._left = 0
+        self._unknown = 0
         self._last_stamp = 0
         self._time = 0
         self._is_heard = False
         self._answering: dict[str, int] = {}
         self._strangers: set[str] = set()
+        self._estimators = 0
         if self.values['resume']:
             self._restore(self.values['resume'])
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
         self.add_on_set_parameters_callback(self._check_robots)
         self.diagnostics.state = 'waiting for the belief'
-        self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
+        self._beliefs = self._hear_beliefs()
         for agent in self._agents:
-            self.create_subscription(
+            self.hear(
                 DeploymentReport,
                 f'{agent}/report',
                 partial(self._on_report, agent),
                 qos.EVIDENCE,
+                largest_report(self.values['max_steps']),
             )
             if self.values['recorded']:
-                self.create_subscription(
-                    Time, f'{agent}/recorded', partial(self._on_recorded, agent), qos.EVIDENCE
+                self.hear(
+                    Time,
+                    f'{agent}/recorded',
+                    partial(self._on_recorded, agent),
+                    qos.EVIDENCE,
+                    TIME,
                 )
         self.create_poll(self._look)
 
@@ -126,7 +137,9 @@ class PlannerNode(Shell):
                 self._losses[key.agent].publish(again)
             self._left += 1
             self._sent[key.agent] += 1
-            self._last_stamp = key.stamp
+            if key.stamp <= LAST_COUNTED_ON:
+                self._last_stamp = key.stamp
+        self._succession.mission = read_mission(log)
         # Of one robot, or where each leaves by itself, no part can be missing.
         if len(self._agents) == 1 or self.values['rolling']:
             return
@@ -136,11 +149,12 @@ class PlannerNode(Shell):
 
     def _too_few(self, robots: int) -> str:
         """Return why there must be more robots than these; empty when enough."""
-        if robots >= self._left:
+        left = self._left + self._unknown
+        if robots >= left:
             return ''
         return (
-            f'parameter robots is {robots}: {self._left} robots have left, and it must be at '
-            f'least that; {self._left} ends the mission'
+            f'parameter robots is {robots}: {left} robots have left, and it must be at '
+            f'least that; {left} ends the mission'
         )
 
     def _check_robots(self, changes: Sequence[Parameter]) -> SetParametersResult:
@@ -160,13 +174,20 @@ class PlannerNode(Shell):
         agents = self._agents[: max(0, self.values['robots'] - planned_on.deployments)]
         if len(recorded) >= len(agents):
             return
-        planned = self._plan_round(planned_on, agents, [], planned_on.stamp)
+        first = next_name(planned_on.stamp, planned_on.mission)
+        planned = self._plan_round(planned_on, agents, [], first)
         # Otherwise it was a round of other agents, or the parameters are others now.
         if all(np.array_equal(path, planned.get(key, ())) for key, path in recorded.items()):
-            self._send({key: path for key, path in planned.items() if key not in recorded})
+            missing = {key: path for key, path in planned.items() if key not in recorded}
+            self._send(missing, planned_on.mission)
+
+    def _hear_beliefs(self) -> Subscription:
+        largest = largest_belief(self._grid.cells)
+        return self.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
 
     def _look(self) -> None:
         self._look_for_agents()
+        self._look_for_estimators()
         self._look_for_strangers()
         self._give_up()
         self._deploy()
@@ -175,21 +196,21 @@ class PlannerNode(Shell):
         try:
             snapshot = read_belief_maps(message)
             self._check_rules(snapshot)
+            self._succession.check(snapshot, self._estimators, self._left + self._unknown)
         except ValueError as error:
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        if snapshot.deployments > self._left:
+        unknown = snapshot.deployments - self._left
+        if unknown > self._unknown:
             self.get_logger().warning(
-                f'the belief holds {snapshot.deployments - self._left} deployments more than are '
+                f'the belief holds {unknown} deployments more than are '
                 'known here: their paths died with the planner before this one, and a restarted '
                 'estimator will lack them, unless the parameter resume names the log'
             )
-            self._left = snapshot.deployments
+            self._unknown = unknown
         self._notice_loss(snapshot.deployments)
-        # A restarted estimator goes through its earlier beliefs once more.
-        if self._newest is None or snapshot.deployments >= self._newest.deployments:
-            self._newest = snapshot
+        if self._succession.take(snapshot):
             self._deploy()
 
     def _notice_loss(self, held: int) -> None:
@@ -224,7 +245,10 @@ class PlannerNode(Shell):
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
-            key, _ = read_report(message, agent)
+            key, report = read_report(message, agent)
+            if key in self._out:
+                # The estimator would refuse it too, and the robot is still out.
+                check_report(key, self._out[key].path, report)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
@@ -233,13 +257,16 @@ class PlannerNode(Shell):
         self._deploy()
 
     def _on_recorded(self, agent: str, message: Time) -> None:
-        self._recorded.add(DeploymentKey(agent, from_stamp(message)))
+        try:
+            self._recorded.add(DeploymentKey(agent, read_name('stamp', message)))
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/recorded', error)
 
     def _look_for_agents(self) -> None:
         """Notice which agents somebody answers for, and who answers for one that is taken."""
         own = int(self.values['silent_loss'])
         for agent in self._agents:
-            answering = self.count_publishers(f'{agent}/report') - own
+            answering = self.count_authors(f'{agent}/report', REPORT) - own
             before = self._answering.get(agent, 0)
             self._answering[agent] = answering
             if answering > max(before, 1):
@@ -254,6 +281,29 @@ class PlannerNode(Shell):
                     f'agent {agent} has left the graph: the others carry on, and so does '
                     f'{agent} when it is back',
                 )
+
+    def _look_for_estimators(self) -> None:
+        """
+        Notice when more than one node publishes beliefs.
+
+        When one of them leaves, the belief of those that stay is asked for again: it may have been
+        refused for that of the other, or held to be older.
+        """
+        before, self._estimators = (
+            self._estimators,
+            self.count_authors('belief', BELIEF),
+        )
+        if self._estimators > max(before, 1):
+            self.diagnostics.refuse(
+                'belief',
+                f'{self._estimators} nodes publish beliefs: unless one has just died, '
+                'end all but one',
+            )
+        elif 0 < self._estimators < before:
+            self._succession.newest = None
+            self._unknown = 0
+            self.destroy_subscription(self._beliefs)
+            self._beliefs = self._hear_beliefs()
 
     def _look_for_strangers(self) -> None:
         """Notice who reports for an agent that is none of the team."""
@@ -298,16 +348,16 @@ class PlannerNode(Shell):
 
     def _deploy(self) -> None:
         """Send the next robots, unless something must come first."""
-        newest = self._newest
+        newest = self._succession.newest
         if newest is None:
             return
         reason_to_wait = self._reason_to_wait(newest.deployments)
         if reason_to_wait:
             self.diagnostics.state = reason_to_wait
             return
-        agents = self._free_agents()[: self.values['robots'] - self._left]
+        agents = self._free_agents()[: self.values['robots'] - self._left - self._unknown]
         out = [flight.path for flight in self._out.values()]
-        self._send(self._plan_round(newest, agents, out, self._next_stamp(newest)))
+        self._send(self._plan_round(newest, agents, out, self._next_stamp(newest)), newest.mission)
 
     def _plan_round(
         self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
@@ -331,12 +381,14 @@ class PlannerNode(Shell):
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
         }
 
-    def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]]) -> None:
-        """Publish the paths of robots that leave now."""
+    def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]], mission: int) -> None:
+        """Publish the paths of robots that leave now; the first ones begin a mission."""
+        mission = self._succession.begin(mission)
         for key, path in paths.items():
             self._out[key] = Flight(path)
             self._sent[key.agent] += 1
-            self._paths[key.agent].publish(path_message(self._grid, path, key.stamp))
+            message = path_message(self._grid, path, key.stamp, mission)
+            self._paths[key.agent].publish(message)
             self._last_stamp = max(self._last_stamp, key.stamp)
         self._left += len(paths)
 
@@ -353,10 +405,10 @@ class PlannerNode(Shell):
 
         It is the belief's own, so that a planner which was restarted, and no longer knows what it
         sent, sends the very same message again, which changes nothing. None is used twice, even
-        if the clock jumps back.
+        if the clock jumps back, and none is the time that names the mission.
         """
-        held = 0 if newest.newest is None else newest.newest.stamp
-        return max(newest.stamp, held + 1, self._last_stamp + 1)
+        held = -1 if newest.newest is None else newest.newest.stamp
+        return next_name(newest.stamp, newest.mission, held, self._last_stamp)
 
     def _reason_to_wait(self, held: int) -> str:
         """Return what must come before the next deployment; empty when nothing."""
@@ -364,7 +416,8 @@ class PlannerNode(Shell):
         awaited = [key for key in self._out if self._answering.get(key.agent)]
         if awaited and not self.values['rolling']:
             return f'waiting for {min(awaited, key=deployment_order)} to be reported'
-        reported = self._left - len(self._out)
+        left = self._left + self._unknown
+        reported = left - len(self._out)
         if held < reported:
             wait = f'waiting for a belief that holds {reported} deployments'
             if self._heard < reported and self._forgotten:
@@ -376,7 +429,7 @@ class PlannerNode(Shell):
         if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
         self._is_heard = True
-        if self._left >= robots:
+        if left >= robots:
             return f'waiting for robots that are out: {", ".join(map(str, self._out))}'
         return '' if self._free_agents() else 'waiting for an agent whose robot is home'
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 # Fast DDS keeps at most 5000 samples of a topic unless a profile says otherwise: it accepts a
 # deeper history and then loses messages without a word.
@@ -29,16 +29,17 @@ DIAGNOSTICS = QoSProfile(depth=10)
 POSES = QoSProfile(depth=100)
 
 
-def lossless(offered: QoSProfile) -> QoSProfile:
+def unread_kept(offered: QoSProfile) -> QoSProfile:
     """
     Return the profile of a subscription that gets all that such a publisher can give.
 
-    It asks for what is offered, and keeps as much unread as it may.
+    It asks for what is offered, and what waits to be read is not given up for what comes later:
+    with a history that is kept as a whole a reliable publisher sends again what found no place.
     """
     reliable = offered.reliability == ReliabilityPolicy.RELIABLE
     latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
-        depth=DEPTH,
+        history=HistoryPolicy.KEEP_ALL,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

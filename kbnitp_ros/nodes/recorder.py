@@ -13,12 +13,25 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from kbnitp_ros.log.bag import LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
-from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
+from kbnitp_ros.log.deployments import read_mission
+from kbnitp_ros.log.evidence import BELIEF, GRID, PATH, REPORT
 from kbnitp_ros.log.naming import new_log
-from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.log.replay import VIEWS
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
+from kbnitp_ros.messages.headers import check_text, to_stamp
+from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.sizes import (
+    check_size,
+    largest_belief,
+    largest_path,
+    largest_report,
+)
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
+from kbnitp_ros.nodes.parameters import MOST_CELLS, MOST_STEPS
 from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.succession import Succession
 from kbnitp_ros.nodes.topic import message_class, time_received, Topic
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -36,6 +49,19 @@ EVIDENCE = (PATH, REPORT)
 
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
 AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
+
+# Of the topics of a mission, and of those under the name of an agent: nobody who was first to
+# publish something else there keeps them from being recorded.
+TYPES = {'belief': BELIEF, **{f'belief/{name}': GRID for name in VIEWS}}
+AGENT_TYPES = {'path': PATH, 'report': REPORT, 'recorded': 'builtin_interfaces/msg/Time'}
+
+# The most bytes of a message of what a log is read for.
+LARGEST = {
+    PATH: largest_path(MOST_STEPS),
+    REPORT: largest_report(MOST_STEPS),
+    BELIEF: largest_belief(MOST_CELLS),
+    GRID: largest_belief(MOST_CELLS),
+}
 
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
@@ -66,13 +92,18 @@ class RecorderNode(Shell):
             )
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True
+        self._succession = Succession()
+        if resume:
+            self._succession.mission = read_mission(resume)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, Topic] = {}
         # Topics whose publishers are all heard, and what cannot be recorded.
         self._settled: set[str] = set()
         self._refused: set[tuple[str, str]] = set()
-        self._watch = ParameterWatch(self, self._namespace, self._on_parameters)
+        self._watch = ParameterWatch(
+            self, self._namespace, self._on_parameters, self.diagnostics.refuse
+        )
         self._on_parameters(self.get_fully_qualified_name(), self.values)
         self.create_poll(self._discover)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -138,7 +169,7 @@ class RecorderNode(Shell):
                 self._refused.add((name, type_name))
                 self.diagnostics.refuse(name, error)
                 continue
-            profile = qos.lossless(publisher.qos_profile)
+            profile = qos.unread_kept(publisher.qos_profile)
             kind = profile.reliability, profile.durability
             if kind not in topic.subscriptions:
                 if topic.subscriptions:
@@ -161,6 +192,9 @@ class RecorderNode(Shell):
             if type_name != topic.type_name:
                 raise LookupError(f'type is {type_name}: it is on record as {topic.type_name}')
             return topic
+        wanted = self._type_of(name) or type_name
+        if type_name != wanted:
+            raise LookupError(f'type is {type_name}: on this topic it must be {wanted}')
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = Topic(name, type_name)
@@ -169,6 +203,12 @@ class RecorderNode(Shell):
             topic.recorded = self.create_publisher(Time, recorded, qos.EVIDENCE)
         self.diagnostics.state = f'recording {len(self._topics)} topics'
         return topic
+
+    def _type_of(self, name: str) -> str | None:
+        """Return the type of a topic that is one of the mission's; None if it is another."""
+        relative = name.removeprefix(self._namespace)
+        agent, _, last = relative.rpartition('/')
+        return TYPES.get(relative) or (AGENT_TYPES.get(last) if agent else None)
 
     def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
         def look_again(_: Any) -> None:
@@ -198,17 +238,41 @@ class RecorderNode(Shell):
         """Write a message, unless it is on record."""
         if not topic.is_new(info['source_timestamp'], data):
             return
-        if topic.recorded:
-            try:
-                # A path begins with its stamp.
-                stamp = from_stamp(deserialize_message(data, Time))
-            except RuntimeError as error:
-                self.diagnostics.refuse(topic.name, error)
-                return
-            topic.untold.append(stamp)
+        try:
+            self._check(topic, data)
+        except (ValueError, RuntimeError) as error:
+            self.diagnostics.refuse(topic.name, error)
+            return
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()
+
+    def _check(self, topic: Topic, data: bytes) -> None:
+        """
+        Check that what others act on, also when they read the log, can be of this mission.
+
+        Raises
+        ------
+        ValueError, RuntimeError
+            If it is of another one, too large, or not of the type.
+
+        """
+        if topic.type_name not in LARGEST:
+            return
+        check_size(data, LARGEST[topic.type_name])
+        message = deserialize_message(data, message_class(topic.type_name))
+        if topic.recorded:
+            stamp = read_path_name(message)
+            self._succession.hear(mission_of_path(message))
+            topic.untold.append(stamp)
+        elif topic.type_name == REPORT:
+            read_report(message, agent_of(topic.name))
+        elif topic.name == self.resolve_topic_name('belief'):
+            snapshot = read_belief_maps(message)
+            self._succession.check(snapshot, self.count_authors(topic.name, BELIEF))
+            self._succession.take(snapshot)
+        else:
+            check_text('header.frame_id', message.header.frame_id)
 
     def _tell_recorded(self) -> None:
         """Tell the agents which of their paths are on the disk."""

@@ -8,8 +8,13 @@ from contextlib import suppress
 import signal
 import sys
 import time
+import traceback
+from typing import Any
 
 from kbnitp_ros.files import in_words
+from kbnitp_ros.messages.headers import LATEST
+from kbnitp_ros.messages.sizes import check_size
+from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.diagnostics import Diagnostics
 from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
@@ -20,10 +25,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import await_or_execute, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
@@ -36,6 +44,13 @@ TEARDOWN = 3.0
 
 # How long a node waits for the readers of its last messages, in seconds: they may have died.
 FAREWELL = 0.3
+
+# In seconds: how long a node waits before it says so, since all wait for a moment when a mission
+# begins, and how often it says so again.
+SAY_FIRST = 3.0
+SAY_AGAIN = 10.0
+
+PACKAGE = __name__.partition('.')[0]
 
 # What a user can cause: rclpy reports bad arguments as RuntimeError.
 START_ERRORS = (
@@ -64,10 +79,69 @@ class Shell(Node):
         super().__init__(name)
         self.values = declare(self, name)
         self.diagnostics = Diagnostics(self)
+        self._publisher_counts: dict[str, int] = {}
+        self._author_counts: dict[str, int] = {}
+        self._awaited = ''
+        self._say_at = 0.0
+        self.create_poll(self._say_what_is_awaited)
 
     def now(self) -> int:
-        """Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started."""
-        return self.get_clock().now().nanoseconds
+        """
+        Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started.
+
+        It is never later than the last time that a message may tell.
+        """
+        return min(self.get_clock().now().nanoseconds, LATEST)
+
+    def hear(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile,
+        largest: int,
+    ) -> Subscription:
+        """
+        Subscribe to messages of which anybody may send any.
+
+        One that is too large, or not of the type, is refused here. None that waits to be read is
+        given up for another, however many are sent: publishers are told to send it again.
+
+        Parameters
+        ----------
+        kind : type
+            Of the messages.
+        topic : str
+            Its name.
+        callback : callable
+            Called with each message.
+        profile : QoSProfile
+            Of the publisher.
+        largest : int
+            The most bytes that a message can have.
+
+        """
+
+        def read(data: bytes) -> None:
+            try:
+                check_size(data, largest)
+                message = deserialize_message(data, kind)
+            except (ValueError, RuntimeError) as error:
+                self.diagnostics.refuse(topic, error)
+            else:
+                callback(message)
+
+        return self.create_subscription(kind, topic, read, qos.unread_kept(profile), raw=True)
+
+    def count_authors(self, topic: str, type_name: str) -> int:
+        """Return how many publish messages of this type on a topic; others do not count."""
+        # To ask who they are takes a hundred times as long, and they seldom change.
+        publishers = self.count_publishers(topic)
+        if self._publisher_counts.get(topic) != publishers:
+            self._publisher_counts[topic] = publishers
+            known = self.get_publishers_info_by_topic(topic)
+            self._author_counts[topic] = sum(each.topic_type == type_name for each in known)
+        return self._author_counts[topic]
 
     def waiting_for(self, publishers: Iterable[Publisher]) -> str:
         """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
@@ -77,6 +151,16 @@ class Shell(Node):
             absent = [node for node in self.values['await_nodes'] if node not in listening]
             missing += [f'{node} to listen to {topic}' for node in absent]
         return f'waiting for {", ".join(missing)}' if missing else ''
+
+    def _say_what_is_awaited(self) -> None:
+        """Say on the console what the node waits for, when it has for a while and again later."""
+        awaited = self.diagnostics.state if self.diagnostics.state.startswith('waiting') else ''
+        now = time.monotonic()
+        if awaited != self._awaited:
+            self._awaited, self._say_at = awaited, now + SAY_FIRST
+        elif awaited and now > self._say_at:
+            self._say_at = now + SAY_AGAIN
+            self.get_logger().info(awaited)
 
     def create_poll(self, callback: Callable[[], None]) -> Timer:
         """Call back every `POLL` seconds, also when simulated time stands still."""
@@ -139,6 +223,9 @@ def run(
     try:
         broken = _live(node, executor, signals, linger)
         if broken:
+            if not isinstance(broken, OSError):
+                # No message and no user may cause it: a fault of this package.
+                traceback.print_exception(broken)
             _complain(name, broken)
             node.diagnostics.fail(broken)
         else:
@@ -153,25 +240,47 @@ def run(
 
 def _live(
     node: Shell, executor: SingleThreadedExecutor, signals: Sequence[int], linger: float
-) -> OSError | None:
+) -> Exception | None:
     """Run a node until a signal comes, and close it; return what broke, if anything did."""
-    broken: OSError | None = None
+    broken: Exception | None = None
     try:
-        try:
-            while not signals:
-                executor.spin_once(timeout_sec=SPIN)
-            end = time.monotonic() + linger
-            while time.monotonic() < end:
-                executor.spin_once(timeout_sec=linger)
-            node.finish()
-        except OSError as error:
-            broken = error
-        finally:
-            node.close()
-    except OSError as error:
+        while not signals:
+            _spin(node, executor, SPIN)
+        end = time.monotonic() + linger
+        while time.monotonic() < end:
+            _spin(node, executor, linger)
+        node.finish()
+    except Exception as error:
+        broken = error
+    try:
+        node.close()
+    except Exception as error:
         # What breaks after something else did, breaks because of it.
         broken = broken or error
     return broken
+
+
+def _spin(node: Shell, executor: SingleThreadedExecutor, seconds: float) -> None:
+    """Wait for a callback and make it; what rclpy cannot handle of others is refused."""
+    try:
+        executor.spin_once(timeout_sec=seconds)
+    except Exception as error:
+        if not _is_of_rclpy_alone(error):
+            raise
+        node.diagnostics.refuse('what rclpy was sent, a clock or a request,', error)
+
+
+def _is_of_rclpy_alone(error: Exception) -> bool:
+    """
+    Say whether an error comes of what rclpy itself was sent, and not of this package.
+
+    rclpy reads the clock and what is asked of parameters, and raises what comes of values that it
+    does not know: then a callback was made, and none of this package is on the way to the error.
+    """
+    _, *called = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return any(frame.f_code is await_or_execute.__code__ for frame in called) and not any(
+        frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in called
+    )
 
 
 def _complain(name: str, error: Exception) -> None:

@@ -12,11 +12,14 @@ from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.log.deployments import RecordedDeployment
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
+from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.nodes.shell import Shell
 from kbnitp_ros.nodes.world_file import read_world
 from nav_msgs.msg import OccupancyGrid, Path
@@ -94,6 +97,8 @@ class SimulatedAgent:
         What the names of its topics begin with.
     recorded : dict
         The deployments on record of the mission that is gone on with.
+    mission : int or None
+        When that began, in nanoseconds; None as long as no robot has left.
 
     """
 
@@ -103,14 +108,17 @@ class SimulatedAgent:
         name: str,
         prefix: str,
         recorded: dict[DeploymentKey, RecordedDeployment],
+        mission: int | None,
     ) -> None:
         self._simulation = simulation
         self._node = simulation.node
         self.name = name
         self._prefix = prefix
+        self._mission = mission
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-        self._waiting: list[DeploymentKey] = []
-        self._recorded: set[int] = set()
+        # Those whose robots have not left yet, and the missions of their paths.
+        self._waiting: dict[DeploymentKey, int] = {}
+        self._recorded = Recent(qos.DEPTH)
         # Which of its robots takes a deployment, counted from 0.
         self._robots: dict[DeploymentKey, int] = {}
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
@@ -135,17 +143,38 @@ class SimulatedAgent:
 
     def listen(self) -> None:
         """Take paths from now on."""
-        self._node.create_subscription(Path, f'{self._prefix}path', self._on_path, qos.EVIDENCE)
+        self._node.hear(
+            Path,
+            f'{self._prefix}path',
+            self._on_path,
+            qos.EVIDENCE,
+            largest_path(self._node.values['max_steps']),
+        )
         if self._node.values['recorded']:
-            self._node.create_subscription(
-                Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE
-            )
+            self._node.hear(Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, TIME)
+
+    @property
+    def waiting(self) -> int:
+        """How many of its robots have not left yet."""
+        return len(self._waiting)
+
+    @property
+    def awaited(self) -> str:
+        """Return what its robots wait for; empty when none does."""
+        if not self._waiting:
+            return ''
+        return (
+            f'waiting for the recorder to tell on {self.name}/recorded that the path of '
+            f'{next(iter(self._waiting))} is on disk'
+        )
 
     def _on_path(self, message: Path) -> None:
         grid = self._simulation.grid
         try:
             key, cells = read_path(grid, self.name, message)
             path = grid.check_path(cells, self._node.values['max_steps'])
+            mission = mission_of_path(message)
+            check_mission(mission, self._mission)
             if self._is_known(key, path):
                 return
         except ValueError as error:
@@ -153,8 +182,7 @@ class SimulatedAgent:
             return
         self._node.diagnostics.accept()
         self._known[key] = path
-        self._waiting.append(key)
-        self._node.diagnostics.waiting += 1
+        self._waiting[key] = mission
         self._send_out()
 
     def _is_known(self, key: DeploymentKey, path: NDArray[np.intp]) -> bool:
@@ -164,16 +192,25 @@ class SimulatedAgent:
         return known is not None
 
     def _on_recorded(self, message: Time) -> None:
-        self._recorded.add(from_stamp(message))
-        self._send_out()
+        try:
+            self._recorded.add(read_name('stamp', message))
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{self.name}/recorded', error)
+        else:
+            self._send_out()
 
     def _send_out(self) -> None:
         """Have the robots leave whose paths no crash can take from the base any more."""
-        for key in self._waiting.copy():
+        for key, mission in list(self._waiting.items()):
             if not self._node.values['recorded'] or key.stamp in self._recorded:
-                self._waiting.remove(key)
-                self._node.diagnostics.waiting -= 1
-                self._leave(key)
+                del self._waiting[key]
+                try:
+                    check_mission(mission, self._mission)
+                except ValueError as error:
+                    self._node.diagnostics.refuse(f'{self.name}/path', error)
+                else:
+                    self._mission = mission
+                    self._leave(key)
 
     def _leave(self, key: DeploymentKey) -> None:
         simulation, path = self._simulation, self._known[key]

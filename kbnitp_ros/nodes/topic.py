@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.recent import Recent
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -34,8 +35,8 @@ class Topic:
         One for each reliability and durability offered, by these two. A publisher that comes back
         with others is heard by one more subscription, so that no message is lost while one is
         replaced, and no history comes twice.
-    recent : dict
-        Which messages came last: time sent and hash of the bytes, oldest first.
+    recent : Recent
+        Which messages came last: time sent and hash of the bytes.
     recorded : Publisher, optional
         For the paths of an agent: tells which are on the disk.
     untold : list of int
@@ -46,7 +47,7 @@ class Topic:
     name: str
     type_name: str
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
-    recent: dict[tuple[int, int], None] = field(default_factory=dict)
+    recent: Recent = field(default_factory=lambda: Recent(RECENT))
     recorded: Publisher | None = None
     untold: list[int] = field(default_factory=list)
 
@@ -55,9 +56,8 @@ class Topic:
         message = sent, hash(data)
         if message in self.recent:
             return False
-        self.recent[message] = None
-        if len(self.recent) > (qos.DEPTH if len(self.subscriptions) > 1 else RECENT):
-            del self.recent[next(iter(self.recent))]
+        self.recent.size = qos.DEPTH if len(self.subscriptions) > 1 else RECENT
+        self.recent.add(message)
         return True
 
     def arrived(self) -> list[Iterator[Message]]:

@@ -14,6 +14,7 @@ from kbnitp_ros.messages.deployments import (
     read_report,
     report_message,
 )
+from kbnitp_ros.messages.headers import LAST_NAME
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_poses_are_the_centres_of_cells():
 
 @given(
     st.lists(st.integers(0, 11), min_size=1, max_size=40),
-    st.integers(0, 2**31 * 10**9 - 1),
+    st.integers(0, LAST_NAME),
     st.sampled_from([0.05, 0.1, 1 / 3, 1.0, 12.3]),
     st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
 )
@@ -142,7 +143,7 @@ def test_a_lost_robot_reports_no_readings():
 @given(
     st.lists(st.tuples(st.integers(0, 2**32 - 1), st.booleans()), max_size=30),
     st.booleans(),
-    st.integers(0, 2**31 * 10**9 - 1),
+    st.integers(0, LAST_NAME),
 )
 def test_a_report_comes_back(steps, survived, stamp):
     key = DeploymentKey('scout_7', stamp)

@@ -4,7 +4,17 @@
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from kbnitp_ros.messages.headers import check_frame, from_stamp, header, to_stamp
+from kbnitp_ros.messages.headers import (
+    check_frame,
+    from_stamp,
+    header,
+    LAST_COUNTED_ON,
+    next_name,
+    read_name,
+    read_stamp,
+    shown,
+    to_stamp,
+)
 import pytest
 
 LAST = 2**31 * 10**9 - 1
@@ -36,3 +46,40 @@ def test_a_header_names_the_map_without_a_slash():
 def test_another_frame_is_refused(frame_id):
     with pytest.raises(ValueError, match=f"poses.* is '{frame_id}': it must be 'map'"):
         check_frame('poses[2].header.frame_id', frame_id)
+
+
+@pytest.mark.parametrize(
+    'stamp, told',
+    [
+        (Time(sec=2**31 - 1, nanosec=999_999_999), '2147483647.999999999 s: it must be from 0'),
+        (Time(sec=-5), 'stamp is -5.000000000 s'),
+        (Time(nanosec=10**9), 'nanosec is 1000000000: it must be below'),
+    ],
+)
+def test_what_is_no_time_that_others_can_follow_is_refused(stamp, told):
+    for read in (read_stamp, read_name):
+        with pytest.raises(ValueError, match=told):
+            read('stamp', stamp)
+
+
+# What any one message may say leaves room for all names that a mission will ever need.
+@given(st.integers(0, LAST), st.lists(st.integers(0, LAST), max_size=3))
+def test_names_can_always_be_counted_on(time, names):
+    def read(function, nanoseconds):
+        try:
+            return function('stamp', to_stamp(nanoseconds))
+        except ValueError:
+            return 0
+
+    time, names = read(read_stamp, time), [read(read_name, name) for name in names]
+    first = next_name(time, *names)
+    assert first >= time
+    assert all(first > name for name in names if name <= LAST_COUNTED_ON)
+    for number in range(first, first + 10**12, 10**11):
+        assert next_name(time, *names, number) == number + 1
+        assert read_name('stamp', to_stamp(number + 1)) == number + 1
+
+
+def test_a_long_text_is_cut():
+    assert shown('odom') == "'odom'"
+    assert len(shown('x' * 50_000_000)) < 150

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 R = TypeVar('R', bound='Register')
 
+# How many reports may wait for their paths, which may never come.
+MOST_WAITING = 20_000
+
 
 class DeploymentKey(NamedTuple):
     """
@@ -121,6 +124,10 @@ class Register:
         """Return what came of a deployment that was reported."""
         return self._observation(key, self._outcomes[key])
 
+    def await_paths_of(self, other: Register) -> None:
+        """Have the reports wait that wait for their paths in another register."""
+        self._waiting = {key: reports.copy() for key, reports in other._waiting.items()}
+
     def copy(self: R) -> R:
         """Return a register that goes on by itself from here."""
         other = copy(self)
@@ -182,7 +189,8 @@ class Register:
         ------
         ValueError
             If the report does not fit its path, tells of another return than the one known, or is
-            refused by `_take_in`.
+            refused by `_take_in`; or if too many wait for their paths: then those of the oldest
+            deployment are dropped.
 
         """
         if key not in self._paths:
@@ -190,6 +198,13 @@ class Register:
             if report in waiting:
                 self.duplicates += 1
             waiting.setdefault(report)
+            if self.waiting > MOST_WAITING:
+                oldest = next(iter(self._waiting))
+                del self._waiting[oldest]
+                raise ValueError(
+                    f'report of deployment {oldest} has waited for its path in vain: '
+                    f'at most {MOST_WAITING} reports may wait'
+                )
             return False
         outcome = self._outcome(key, report)
         if key in self._outcomes:

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which mission a message belongs to: the time at which that began.
+
+An estimator that starts anew names a mission by the time of its prior, in `info.map_load_time` of
+the belief. The planner gives it to all poses of a path as their `header.stamp`, and a report
+belongs to the mission of the path that it names. So messages of an old bag are told from those of
+the mission that they are played into.
+
+A path whose poses have no time, or that of the path itself, tells none; so did all messages of
+earlier versions. They belong to the mission `NOT_TOLD`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kbnitp_ros.messages.headers import from_stamp, read_stamp, SECOND
+
+NOT_TOLD = 0
+
+
+def mission_of_path(message: Any) -> int:
+    """
+    Return when the mission of a nav_msgs/Path began, in nanoseconds.
+
+    Raises
+    ------
+    ValueError
+        If it is no time.
+
+    """
+    told = message.poses[0].header.stamp if message.poses else message.header.stamp
+    if from_stamp(told) == from_stamp(message.header.stamp):
+        return NOT_TOLD
+    return read_stamp('poses[0].header.stamp', told)
+
+
+def mission_of_belief(message: Any) -> int:
+    """
+    Return when the mission of a kbnitp_msgs/BeliefMaps began, in nanoseconds.
+
+    Raises
+    ------
+    ValueError
+        If it is no time.
+
+    """
+    return read_stamp('info.map_load_time', message.info.map_load_time)
+
+
+def check_mission(told: int, own: int | None) -> None:
+    """
+    Check that a message belongs to a node's mission.
+
+    Parameters
+    ----------
+    told : int
+        When the mission of the message began, in nanoseconds.
+    own : int or None
+        When the node's did; None if it has not joined any.
+
+    Raises
+    ------
+    ValueError
+        If it is another one.
+
+    """
+    if own not in (None, told):
+        raise ValueError(
+            f'it belongs to {named(told)}, and not to {named(own)}: '
+            'play bags in a domain or a namespace of their own'
+        )
+
+
+def named(mission: int) -> str:
+    """Return what a mission is called."""
+    if mission == NOT_TOLD:
+        return 'a mission that tells no time'
+    return f'the mission begun at {mission // SECOND}.{mission % SECOND:09d}'

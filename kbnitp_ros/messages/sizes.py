@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How large a message of a mission can be, so that a larger one is refused before it is read."""
+
+from __future__ import annotations
+
+# In bytes: what all but the poses, readings and cells take, names and frames of others included;
+# a pose with the header of its own; a reading; a cell with its joint, its three views and its
+# number among those that are blocked. A time is 12 bytes with the head of its message.
+REST = 4096
+POSE = 256
+READING = 8
+CELL = 64
+TIME = 12
+
+
+def largest_path(max_steps: int) -> int:
+    """Return the most bytes of a nav_msgs/Path of so many steps."""
+    return REST + POSE * (max_steps + 1)
+
+
+def largest_report(max_steps: int) -> int:
+    """Return the most bytes of a kbnitp_msgs/DeploymentReport on so many steps."""
+    return REST + READING * max_steps
+
+
+def largest_belief(cells: int) -> int:
+    """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
+    return REST + CELL * cells
+
+
+def check_size(data: bytes, largest: int) -> None:
+    """
+    Check that a message is not too large to be what it says.
+
+    Raises
+    ------
+    ValueError
+        If it is larger.
+
+    """
+    if len(data) > largest:
+        raise ValueError(f'it has {len(data)} bytes: at most {largest} can be')
