@@ -3,6 +3,10 @@
 Run missions under random faults and count what was done to them and what they lost.
 
     python3 test/faults/campaign.py --missions 200 --seed 1
+    python3 test/faults/campaign.py --forged --missions 20 --seed 1
+
+With `--forged` nobody is struck; each mission is sent forged messages of every kind instead, and
+floods of them.
 
 A mission is fixed by its seed, but for the moments at which the machine gets round to it: mission
 k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
@@ -21,8 +25,10 @@ import sys
 import tempfile
 import time
 
+from forged import run_forged
+from forger import FORGERIES
 from kbnitp_ros.cli.processes import environment, free_domain
-from mission import Mission, StuckError
+from mission import full_name, Mission, StuckError
 import numpy as np
 from schedule import draw_faults, KINDS, NODES
 from tqdm import tqdm
@@ -143,6 +149,30 @@ def table(outcomes: list[Outcome]) -> str:
     return '\n'.join(['| what | count |', '|---|---|', *(f'| {a} | {b} |' for a, b in rows)])
 
 
+def run_forged_missions(missions: int, seed: int, folder: Path) -> int:
+    """Run missions that all forgeries come to, say what became of them; return 1 if any fails."""
+    undisturbed = run_forged(folder / 'undisturbed', ())
+    outcomes = []
+    for number in tqdm(range(seed, seed + missions), unit='mission', disable=None):
+        outcome = run_forged(folder / f'forged-{number}', FORGERIES, seed=number)
+        outcome.compare_memory(undisturbed)
+        outcomes.append(outcome)
+        if outcome.findings:
+            print(f'--forged --missions 1 --seed {number}: {outcome}')
+    print('| node | refused | at least | most memory | undisturbed |')
+    print('|---|---|---|---|---|')
+    for node in NODES:
+        refused = sum(outcome.refused.get(node, 0) for outcome in outcomes)
+        required = sum(outcome.required[node] for outcome in outcomes)
+        name = full_name(node)
+        memory = max(outcome.memory.get(name, 0.0) for outcome in outcomes)
+        before = undisturbed.memory[name]
+        print(f'| {node} | {refused} | {required} | {memory:.0f} MB | {before:.0f} MB |')
+    failed = sum(bool(outcome.findings) for outcome in outcomes)
+    print(f'\n{missions} missions, of which {failed} did not end as they must.')
+    return 1 if failed else 0
+
+
 def main() -> int:
     """Run the command; return 1 if anything was found."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -150,8 +180,11 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1, help='of the first; default 1')
     parser.add_argument('--kind', choices=KINDS, default='mixed', help='of faults; default mixed')
     parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
+    parser.add_argument('--forged', action='store_true', help='send forged messages instead')
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix='campaign-'))
+    if options.forged:
+        return run_forged_missions(options.missions, options.seed, folder)
     seeds = range(options.seed, options.seed + options.missions)
     begun = time.monotonic()
     outcomes = run_missions([(seed, options.kind, folder) for seed in seeds], options.parallel)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from pathlib import Path
 import signal
 import time
 
@@ -113,6 +114,15 @@ class Mission:
     def said(self, name):
         """Return what a node wrote to its terminal, in all its lives."""
         return (self._folder / f'{name}.txt').read_text()
+
+    def memory(self):
+        """Return what each node has in memory, in megabytes, by its name in ROS."""
+        memory = {}
+        for name, process in self.processes.started.items():
+            status = Path(f'/proc/{process.pid}/status').read_text()
+            (resident,) = (line for line in status.splitlines() if line.startswith('VmRSS'))
+            memory[name] = int(resident.split()[1]) / 1024
+        return memory
 
     def _signal(self, name, number):
         self.processes.started[full_name(name)].send_signal(number)

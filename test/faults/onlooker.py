@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -57,8 +58,8 @@ class Onlooker:
         The newest.
     recorded : set of DeploymentKey
         Whose paths are on disk.
-    states : dict
-        What each node says it does, by its full name.
+    states, refused : dict
+        What each node says it does, and how many messages it has refused, by its full name.
 
     """
 
@@ -68,10 +69,11 @@ class Onlooker:
         self.belief = None
         self.recorded = set()
         self.states = {}
+        self.refused = {}
         for agent in agents:
             for kind, topic, callback in (
                 (Path, 'path', partial(self._on_path, agent)),
-                (DeploymentReport, 'report', self.evidence.take_report),
+                (DeploymentReport, 'report', self._on_report),
                 (Time, 'recorded', partial(self._on_recorded, agent)),
             ):
                 node.create_subscription(
@@ -86,6 +88,11 @@ class Onlooker:
     def _on_path(self, agent, message):
         self.evidence.take_path(DeploymentKey(agent, from_stamp(message.header.stamp)), message)
 
+    def _on_report(self, message):
+        # Somebody may send what none of the nodes would.
+        with suppress(ValueError):
+            self.evidence.take_report(message)
+
     def _on_recorded(self, agent, message):
         self.recorded.add(DeploymentKey(agent, from_stamp(message)))
 
@@ -96,6 +103,7 @@ class Onlooker:
         for status in array.status:
             values = {value.key: value.value for value in status.values}
             self.states[status.name] = values['state']
+            self.refused[status.name] = int(values['refused'])
 
     def forget(self, name):
         """Forget what a node said that is started again."""
