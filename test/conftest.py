@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tests run: those of the marker `full` only when all are asked for."""
+"""Which tests run: those of the marker `full` only when all are asked for; and how they draw."""
 
 import os
 
 import extent
+from hypothesis import HealthCheck, settings
 import pytest
+
+# How long something takes is the machine's affair.
+settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('busy')
 
 
 def pytest_configure():

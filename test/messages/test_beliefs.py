@@ -31,11 +31,11 @@ def over_the_wire(message):
     return deserialize_message(serialize_message(message), type(message))
 
 
-def ledger_of(seed=0, grid=None, method='kappa_bnitp'):
+def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL):
     """Return a ledger with a random prior."""
     grid = grid or Grid(4, 3, base=1, resolution=0.1, origin=(-3.3, 0.7), blocked=(10, 5))
     joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
-    estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), MODEL, method)
+    estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), model, method)
     return Ledger(grid, 6, estimator)
 
 
@@ -103,8 +103,7 @@ def test_a_belief_comes_back_bit_for_bit(method, seed):
 
 @given(st.lists(st.floats(0, 1), min_size=5, max_size=5))
 def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
-    ledger = ledger_of()
-    ledger.estimator.model = SensorModel(*probabilities)
+    ledger = ledger_of(model=SensorModel(*probabilities))
     snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, started=0)))
     assert snapshot.model == SensorModel(*probabilities)
 
