@@ -114,7 +114,7 @@ def test_a_log_that_no_version_reproduces_is_told_of_by_the_last(replayed):
         whole.deploy(deployment.observation)
     last = beliefs(whole.sent)[-1]
     sent = [each for each in whole.sent if each is not last]
-    changed = replace(last, message=flipped(last.message, 'hazard', 3, 20))
+    changed = replace(last, message=flipped(last.message, 'hazard', 3, 40))
     report = replayed([*sent, changed])
     assert not report.reproduced
     assert report.version == 2
