@@ -457,4 +457,4 @@ def conclude(log: Path, note: str) -> int:
     say(*lines(report))
     say(f'entropy {first:.1f} -> {last:.1f} nats')
     say(*(f'wrote {path}' for path in (log, maps, progress)))
-    return 0 if report.is_close else 1
+    return 0 if report.reproduced else 1

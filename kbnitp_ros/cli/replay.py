@@ -12,16 +12,15 @@ from typing import TypeVar
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.core import versions
 from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
-from kbnitp_ros.log.configuration import other_arithmetic
-from kbnitp_ros.log.replay import replay, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replay import replay, ReplayReport
 from kbnitp_ros.nodes.command_line import command_parser
 from tqdm import tqdm
 
 DESCRIPTION = """
 Compute the beliefs of a mission's log again from the evidence in it, and say which of them are not
-reproduced, or on another kind of processor only nearly.
+reproduced bit for bit.
 
-The exit code is 0 if all are reproduced, 1 if not, and 2 if the log cannot be used or repaired.
+The exit code is 0 if all are, 1 if not, and 2 if the log cannot be used or repaired.
 """
 
 EXAMPLES = (
@@ -40,8 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all beliefs are reproduced, bit for bit or nearly so, 1 if not, 2 if the log cannot be
-        used or repaired.
+        0 if all beliefs are reproduced, 1 if not, 2 if the log cannot be used or repaired.
 
     """
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
@@ -72,10 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain('replay', error)
         return 2
     say(*lines(report))
-    if report.roundings:
-        others = other_arithmetic(log) or ['what the recorder computed with']
-        say(*(f'computed with {other}' for other in others))
-    return 0 if report.is_close else 1
+    return 0 if report.reproduced else 1
 
 
 def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
@@ -97,15 +92,8 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'{f", version {report.version}" if is_earlier else ""}'
     )
     missed = Counter(each.topic for each in (*report.mismatches, *report.undecided))
-    rounded = Counter(mismatch.topic for mismatch in report.roundings)
     for topic, compared in sorted(report.compared.items()):
-        nearly = f', {rounded[topic]} of them nearly' if rounded[topic] else ''
-        yield f'{topic}: {compared - missed[topic]} of {compared} reproduced{nearly}'
-    if report.roundings:
-        yield (
-            f'equal to {TOLERANCE}, not identical: the largest difference of a belief is '
-            f'{report.largest_rounding:.2g}'
-        )
+        yield f'{topic}: {compared - missed[topic]} of {compared} reproduced'
     for mismatch in report.mismatches:
         yield f'not reproduced: {mismatch}'
     for belief in report.undecided:

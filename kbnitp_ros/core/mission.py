@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import Belief, Grid, Observation, SensorModel, whole_number, World
-from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.inference import ALL_KNOWN, Estimator, Learnt, Unknowns
 from kbnitp_ros.core.planning import Plan, plan_team, team_size
 import numpy as np
 
@@ -24,12 +25,18 @@ class Deployment:
         What came of it.
     belief : Belief
         Given this and all earlier deployments.
+    model : SensorModel
+        What robots are planned with that know of these.
+    parameters : mapping of str to Learnt
+        What is known by then of each number that was not.
 
     """
 
     plan: Plan
     observation: Observation
     belief: Belief
+    model: SensorModel
+    parameters: Mapping[str, Learnt]
 
 
 def run_mission(
@@ -49,6 +56,8 @@ def run_mission(
     allocation: str = 'greedy',
     loss_cost: float = 0.0,
     world_model: SensorModel | None = None,
+    unknowns: Unknowns = ALL_KNOWN,
+    seed: int = 0,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -81,6 +90,11 @@ def run_mission(
         `robots` is no multiple of it.
     world_model : SensorModel, optional
         What the robots and their sensors are really like, if not as believed.
+    unknowns : Unknowns
+        Which numbers of `model` and of the prior are not known. Robots are planned with what is
+        known of them by then: with the estimator's model.
+    seed : int
+        Of the random numbers that the method draws.
 
     Returns
     -------
@@ -94,7 +108,7 @@ def run_mission(
 
     """
     world.check(grid)
-    estimator = Estimator(belief, model, method)
+    estimator = Estimator(belief, model, method, unknowns, seed)
     truth = model if world_model is None else world_model
     deployments: list[Deployment] = []
     robots, agents = whole_number('robots', robots, 0), team_size(grid, agents)
@@ -102,7 +116,7 @@ def run_mission(
         team = plan_team(
             grid,
             estimator.belief,
-            model,
+            estimator.model,
             max_steps,
             min(agents, robots - len(deployments)),
             allocation,
@@ -114,5 +128,13 @@ def run_mission(
         for planned in team.plans:
             observation = world.traverse(planned.path, truth, rng.spawn(1)[0])
             estimator.assimilate(observation)
-            deployments.append(Deployment(planned, observation, estimator.belief))
+            deployments.append(
+                Deployment(
+                    planned,
+                    observation,
+                    estimator.belief,
+                    estimator.model,
+                    estimator.parameters,
+                )
+            )
     return deployments

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare a recorded message with a computed one, field by field, bit for bit or nearly so."""
+"""Compare a recorded message with a computed one, field by field and bit for bit."""
 
 from __future__ import annotations
 
@@ -14,9 +14,6 @@ from numpy.typing import ArrayLike
 
 # The array fields that are maps, and how many values they have for each cell.
 VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
-
-# A grid for people, in percent; -1 is no percent.
-VIEW = 'data'
 
 
 @dataclass(frozen=True)
@@ -46,12 +43,9 @@ class Difference:
         return f'{self.field} {self.text}'
 
 
-def differences(recorded: Any, computed: Any, tolerance: float = 0.0) -> Iterator[Difference]:
+def differences(recorded: Any, computed: Any) -> Iterator[Difference]:
     """
     Yield where a recorded message differs.
-
-    Values that are computed by another processor or library are rounded otherwise. Then a percent
-    may be the next one.
 
     Parameters
     ----------
@@ -59,24 +53,20 @@ def differences(recorded: Any, computed: Any, tolerance: float = 0.0) -> Iterato
         As decoded from a log.
     computed : ROS message
         Its fields are the ones compared.
-    tolerance : float
-        How far the values of arrays may be apart; 0 for not at all, bit for bit.
 
     """
     for name in computed.get_fields_and_field_types():
         theirs, ours = getattr(recorded, name), getattr(computed, name)
         if hasattr(ours, 'get_fields_and_field_types'):
-            for difference in differences(theirs, ours, tolerance):
+            for difference in differences(theirs, ours):
                 yield replace(difference, field=f'{name}.{difference.field}')
         elif isinstance(ours, array):
-            yield from array_differences(name, theirs, ours, tolerance)
+            yield from array_differences(name, theirs, ours)
         elif theirs != ours:
             yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
 
 
-def array_differences(
-    name: str, theirs: ArrayLike, ours: array[Any], tolerance: float
-) -> Iterator[Difference]:
+def array_differences(name: str, theirs: ArrayLike, ours: array[Any]) -> Iterator[Difference]:
     """Yield the worst difference of two arrays, if there is any."""
     recorded, computed = np.asarray(theirs, dtype=ours.typecode), np.asarray(ours)
     if recorded.size != computed.size:
@@ -84,13 +74,9 @@ def array_differences(
         return
     differ = recorded.view(np.uint8) != computed.view(np.uint8)
     differ = differ.reshape(computed.size, computed.itemsize).any(axis=1)
-    gap = np.abs(np.subtract(recorded, computed, dtype=np.float64))
-    if tolerance and name == VIEW:
-        differ &= (gap > 1.0) | (recorded < 0) | (computed < 0)
-    elif tolerance:
-        differ &= ~(gap <= tolerance)
     if not differ.any():
         return
+    gap = np.abs(np.subtract(recorded, computed, dtype=np.float64))
     worst = int(np.argmax(np.where(differ, gap, -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
     place = f'value {worst}' if cell is None else f'cell {cell}'

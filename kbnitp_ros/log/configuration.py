@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 import json
 import os
 from pathlib import Path
@@ -41,40 +39,10 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
         'rmw_implementation': rmw_implementation,
         'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
         'python': platform.python_version(),
+        'numpy': np.__version__,
         'platform': platform.platform(),
-        **arithmetic(),
         **_revision(Path(__file__).resolve().parents[2]),
     }
-
-
-def arithmetic() -> dict[str, str]:
-    """Return what the last bits of a computed belief depend on: processor and libraries."""
-    return {
-        'processor': _processor(),
-        # numpy and the C library compute logarithms otherwise where the processor can do more.
-        'processor_features': ' '.join(_processor_features()),
-        'c_library': ' '.join(platform.libc_ver()),
-        'numpy': np.__version__,
-        'numba': _wheel_version('numba'),
-    }
-
-
-def other_arithmetic(path: str | Path) -> list[str]:
-    """
-    Return in which words of `arithmetic` a log and this process differ, and how.
-
-    Raises
-    ------
-    LogError
-        If it is no log.
-
-    """
-    recorded = read_metadata(path).get(RUN, {})
-    return [
-        f'{name.replace("_", " ")} {here}, of the recorder {recorded.get(name, "not on record")}'
-        for name, here in arithmetic().items()
-        if recorded.get(name) != here
-    ]
 
 
 def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
@@ -113,30 +81,6 @@ def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
                 raise LogError(f'{path}: record {name!r} is damaged: {error}') from error
             parameters[name.removeprefix(PARAMETERS)] = values
     return parameters
-
-
-def _processor() -> str:
-    """Return the processor's name, its architecture if it has none."""
-    with suppress(OSError):
-        for line in Path('/proc/cpuinfo').read_text().splitlines():
-            if line.startswith('model name'):
-                return line.partition(':')[2].strip()
-    return platform.machine()
-
-
-def _processor_features() -> list[str]:
-    """Return what numpy found that the processor can do, and uses."""
-    extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
-    found = extensions['SIMD Extensions']
-    return [*found.get('baseline', ()), *found.get('found', ())]
-
-
-def _wheel_version(package: str) -> str:
-    """Return the version of a Python package; 'none' if it is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return 'none'
 
 
 def _package_version(package: str) -> str:

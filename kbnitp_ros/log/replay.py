@@ -4,8 +4,7 @@ Compute a log's beliefs again from its paths and reports.
 
 A belief on record says how many deployments it holds and whose evidence was taken in last. This
 gives what the estimator knew, whatever a recorder had heard of by then. What the estimator should
-have published is then compared with what is on record, field by field: bit for bit, or nearly so
-where another processor or library rounds otherwise.
+have published is then compared with what is on record, field by field and bit for bit.
 """
 
 from __future__ import annotations
@@ -34,10 +33,6 @@ from kbnitp_ros.log.ways import Head, Ways
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-
-# How far the probabilities of a belief may be from those computed by another processor, or with
-# another version of numpy, which round otherwise.
-TOLERANCE = 1e-9
 
 # A view's topic and its stamp, which may be that of several beliefs.
 View = tuple[str, int]
@@ -107,8 +102,6 @@ class ReplayReport:
         How many messages were compared, by topic: the beliefs and their views.
     mismatches : list of Mismatch
         Those that were not reproduced.
-    roundings : list of Mismatch
-        Those that were not reproduced bit for bit, but to `TOLERANCE`.
     undecided : list of Mismatch
         Those of which it was not found out what they hold.
     passed_over : list of DeploymentKey
@@ -127,7 +120,6 @@ class ReplayReport:
     evidence: Evidence
     compared: dict[str, int]
     mismatches: list[Mismatch]
-    roundings: list[Mismatch]
     undecided: list[Mismatch]
     passed_over: list[DeploymentKey]
     not_yet_held: list[DeploymentKey]
@@ -137,22 +129,11 @@ class ReplayReport:
     @property
     def reproduced(self) -> bool:
         """
-        Whether the beliefs on record are, bit for bit, what the deployments on record give.
+        Whether the beliefs on record are what the deployments on record give.
 
         A mission may end before the last deployments are in a belief.
         """
-        return self.is_close and not self.roundings
-
-    @property
-    def is_close(self) -> bool:
-        """Whether the beliefs are reproduced bit for bit or to `TOLERANCE`."""
         return not self.mismatches and not self.undecided and not self.passed_over
-
-    @property
-    def largest_rounding(self) -> float:
-        """Largest difference of a belief that is reproduced to `TOLERANCE`; 0 if there is none."""
-        gaps = [each.largest for found in self.roundings for each in found.differences]
-        return max((gap for gap in gaps if gap <= TOLERANCE), default=0.0)
 
 
 def replay(
@@ -166,8 +147,7 @@ def replay(
     are so many for each message, see `WORK`; what they do not suffice for is `undecided`.
 
     A log does not say which version of its method it was recorded with. It is replayed with the
-    last one, and with those before it until one reproduces it. If none does bit for bit, one that
-    does to `TOLERANCE` is looked for.
+    last one, and with those before it until one reproduces it.
 
     Parameters
     ----------
@@ -183,25 +163,23 @@ def replay(
         of one mission.
 
     """
-    for tolerance in (0.0, TOLERANCE):
-        report = replay_with(None, tolerance, path, progress)
-        if report.is_close:
-            return report
-        known = versions(report.method) if report.method in METHODS else range(0)
-        for version in reversed(known[:-1]):
-            earlier = replay_with(version, tolerance, path, progress)
-            if earlier.is_close:
-                return earlier
+    report = replay_with(None, path, progress)
+    known = versions(report.method) if report.method in METHODS else range(0)
+    for version in reversed(known[:-1]):
+        if report.reproduced:
+            break
+        earlier = replay_with(version, path, progress)
+        if earlier.reproduced:
+            report = earlier
     return report
 
 
 def replay_with(
     version: int | None,
-    tolerance: float,
     path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]],
 ) -> ReplayReport:
-    """Do what `replay` does with one tolerance and version of the method, the last one if None."""
+    """Do what `replay` does with one version of the method, the last one if None."""
     first = first_belief(path)
     evidence = Evidence(*((first.grid, first.max_steps) if first else NO_RULES))
     heads: list[Head] = []
@@ -223,7 +201,7 @@ def replay_with(
             raise LogError(
                 f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
             )
-        fold = Fold(evidence, heads, version, tolerance)
+        fold = Fold(evidence, heads, version)
         for logged in progress(read_log(path, (BELIEF, GRID))):
             fold.take(logged)
         fold.finish()
@@ -233,7 +211,6 @@ def replay_with(
         evidence=evidence,
         compared=dict(fold.compared),
         mismatches=fold.mismatches,
-        roundings=fold.roundings,
         undecided=fold.undecided,
         passed_over=fold.passed_over,
         not_yet_held=fold.not_yet_held,
@@ -257,27 +234,6 @@ class Recorded:
     message: Any
 
 
-@dataclass(frozen=True)
-class ComputedView:
-    """
-    A view as it should have been published.
-
-    Attributes
-    ----------
-    newest : DeploymentKey or None
-        The newest deployment that its belief holds.
-    message : OccupancyGrid
-        The view.
-    tolerance : float
-        How far the recorded one may be from it: 0 if its belief was reproduced bit for bit.
-
-    """
-
-    newest: DeploymentKey | None
-    message: Any
-    tolerance: float
-
-
 class Fold:
     """
     What has been computed of a log's beliefs, and what has been found in comparing.
@@ -292,26 +248,18 @@ class Fold:
         Of the log's beliefs.
     version : int, optional
         Which of the method's `versions` to compute with; the last unless given.
-    tolerance : float
-        How far a recorded belief may be from the one computed.
 
     """
 
     def __init__(
-        self,
-        evidence: Evidence,
-        heads: Sequence[Head],
-        version: int | None = None,
-        tolerance: float = 0.0,
+        self, evidence: Evidence, heads: Sequence[Head], version: int | None = None
     ) -> None:
         self.evidence = evidence
-        self._tolerance = tolerance
         self.version = version
         self.prior: Snapshot | None = None
         self.passed_over: list[DeploymentKey] = []
         self.not_yet_held: list[DeploymentKey] = []
         self.mismatches: list[Mismatch] = []
-        self.roundings: list[Mismatch] = []
         self.undecided: list[Mismatch] = []
         self.compared: Counter[str] = Counter()
         self._heads = heads
@@ -330,7 +278,7 @@ class Fold:
         self._held: set[tuple[DeploymentKey, bool]] = set()
         self._seen: Counter[str] = Counter()
         self._views: dict[View, list[Recorded]] = {}
-        self._computed_views: dict[View, list[ComputedView]] = {}
+        self._computed_views: dict[View, list[tuple[DeploymentKey | None, Any]]] = {}
 
     @property
     def version_used(self) -> int | None:
@@ -358,11 +306,10 @@ class Fold:
         """Compare what still waits, and find deployments in no belief."""
         # What is left has another value, or belongs to a belief that is not on record.
         for view, recorded in self._views.items():
-            for each, computed in zip(recorded, self._computed_views.get(view, ())):
+            for each, (newest, shown) in zip(recorded, self._computed_views.get(view, ())):
                 self.compared[each.topic] += 1
-                different = tuple(differences(each.message, computed.message))
-                mismatch = Mismatch(each.topic, each.index, computed.newest, different)
-                self.mismatches.append(mismatch)
+                different = tuple(differences(each.message, shown))
+                self.mismatches.append(Mismatch(each.topic, each.index, newest, different))
         for key, report in self.evidence.reports.items():
             if (key, report.survived) in self._held:
                 self.passed_over += self.not_yet_held
@@ -383,7 +330,7 @@ class Fold:
         try:
             if head.newest is None:
                 ledger = self._begin(recorded.message)
-                different = [*self._differences(ledger, head, recorded.message, self._tolerance)]
+                different = [*self._differences(ledger, head, recorded.message)]
             else:
                 different = self._search(recorded, head, head.newest)
         except UndecidedError as error:
@@ -396,17 +343,7 @@ class Fold:
         self._is_astray, self._is_undecided = bool(different), False
         if different:
             self.mismatches.append(found(tuple(different)))
-        rounded = [] if different else self._rounded(recorded.message, head)
-        if rounded:
-            self.roundings.append(found(tuple(rounded)))
-        self._show(recorded.topic, head, self._tolerance if rounded else 0.0)
-
-    def _rounded(self, belief: Any, head: Head) -> list[Difference]:
-        """Return how a belief that is reproduced differs from what was computed."""
-        if not self._tolerance:
-            return []
-        assert self._ledger is not None
-        return [*self._differences(self._ledger, head, belief, 0.0)]
+        self._show(recorded.topic, head)
 
     def _begin(self, belief: Any) -> TrialLedger:
         """Begin with the prior of an estimator."""
@@ -466,7 +403,7 @@ class Fold:
         ledger, taken = likeliest or (self._ledger, [])
         self._tell(ledger, taken, last)
         self._keep(ledger)
-        return [*self._differences(ledger, head, recorded.message, self._tolerance)]
+        return [*self._differences(ledger, head, recorded.message)]
 
     def _starts(self, head: Head) -> list[TrialLedger]:
         """
@@ -533,7 +470,7 @@ class Fold:
         except ValueError:
             return None
         can_be = len(ledger.deployments) == head.held
-        if can_be and not any(self._differences(ledger, head, belief, self._tolerance)):
+        if can_be and not any(self._differences(ledger, head, belief)):
             self._keep(ledger)
             return True
         ledger.take_back()
@@ -549,38 +486,32 @@ class Fold:
         finally:
             self._assimilations += ledger.assimilations - before
 
-    def _differences(
-        self, ledger: TrialLedger, head: Head, belief: Any, tolerance: float
-    ) -> Iterator[Difference]:
+    def _differences(self, ledger: TrialLedger, head: Head, belief: Any) -> Iterator[Difference]:
         mission = from_stamp(belief.info.map_load_time)
-        return differences(belief, belief_maps(ledger, head.stamp, mission), tolerance)
+        return differences(belief, belief_maps(ledger, head.stamp, mission))
 
     def _keep(self, ledger: TrialLedger) -> None:
         """Go on from a ledger with what it was told."""
         self._ledger = ledger
         self._held.update((key, ledger.returned(key)) for key in ledger.keep())
 
-    def _show(self, topic: str, head: Head, tolerance: float) -> None:
-        """Compute the views of a belief; how far those on record may be from them is given."""
+    def _show(self, topic: str, head: Head) -> None:
+        """Compute the views of a belief."""
         assert self._ledger is not None
         grid, belief = self._ledger.grid, self._ledger.belief
         for name in VIEWS:
             view = f'{topic}/{name}', head.stamp
             shown = occupancy_grid(grid, getattr(belief, name), head.stamp)
-            computed = ComputedView(head.newest, shown, tolerance)
-            self._computed_views.setdefault(view, []).append(computed)
+            self._computed_views.setdefault(view, []).append((head.newest, shown))
             self._match_views(view)
 
     def _match_views(self, view: View) -> None:
         """Strike out recorded views of a topic and stamp that are as computed."""
         computed = self._computed_views.get(view, [])
         for recorded in self._views.get(view, []).copy():
-            for index, each in enumerate(computed):
-                if not any(differences(recorded.message, each.message, each.tolerance)):
+            for index, (_, shown) in enumerate(computed):
+                if not any(differences(recorded.message, shown)):
                     self.compared[recorded.topic] += 1
-                    if rounded := tuple(differences(recorded.message, each.message)):
-                        mismatch = Mismatch(recorded.topic, recorded.index, each.newest, rounded)
-                        self.roundings.append(mismatch)
                     self._views[view].remove(recorded)
                     del computed[index]
                     break

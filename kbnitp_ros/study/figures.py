@@ -47,16 +47,16 @@ def mission_maps(
         'a': ('hazard, believed', belief.hazard, 'Reds'),
         'b': ('target, believed', belief.target, 'Greens'),
         'c': ('kappa, believed', belief.kappa, 'Purples'),
-        'd': (f'steps made, {robots(returned)} returned', made, 'Blues'),
+        'd': (f'steps made\n{robots(returned)} that returned', made, 'Blues'),
         'e': ('hazard, true', world.hazard, 'Reds'),
         'f': ('target, true', world.target, 'Greens'),
         'g': (
-            f'steps unknown, {robots(lost)} lost',
+            f'steps that may not have been made\n{robots(lost)} that were lost',
             unknown,
             'Oranges',
         ),
     }
-    figure = Figure(figsize=(15, 7.5), layout='constrained')
+    figure = Figure(figsize=(15, 7), layout='constrained')
     axes = figure.subplot_mosaic([list('abcd'), list('ef.g')])
     for name, (title, values, colours) in panels.items():
         draw_map(axes[name], grid, np.asarray(values, dtype=np.float64), colours, title)

@@ -12,6 +12,7 @@ from kbnitp_ros.core import (
     PLANNERS,
     run_mission,
     SensorModel,
+    Unknowns,
     update,
     World,
 )
@@ -159,3 +160,33 @@ def test_a_world_of_another_grid_is_refused():
     small = World(np.zeros(4, bool), np.zeros(4, bool))
     with pytest.raises(ValueError, match='world.*4 cells.*5 x 5'):
         run_mission(GRID, PRIOR, MODEL, small, 3, np.random.default_rng(0), max_steps=8)
+
+
+def test_robots_are_planned_with_what_is_learnt():
+    """Told that hazards do nothing, but not for sure."""
+    rng = np.random.default_rng(5)
+    world = World.random(GRID, rng, hazard_density=0.3, kappa=0.8, target_background=0.1)
+    unknowns = Unknowns(lethality=(0.0, 1.0))
+    told = SensorModel(0.0)
+    mission = run_mission(
+        GRID,
+        PRIOR,
+        told,
+        world,
+        15,
+        rng,
+        'kappa_bnitp_sampled',
+        max_steps=8,
+        world_model=SensorModel(0.9),
+        unknowns=unknowns,
+        seed=3,
+    )
+    estimator = Estimator(PRIOR, told, 'kappa_bnitp_sampled', unknowns, seed=3)
+    for deployment in mission:
+        best = plan(GRID, estimator.belief, estimator.model, 8)
+        assert deployment.plan.path.tolist() == best.path.tolist()
+        estimator.assimilate(deployment.observation)
+        assert deployment.belief.joint.tobytes() == estimator.belief.joint.tobytes()
+        assert deployment.model == estimator.model
+        assert deployment.model.lethality != told.lethality
+        assert deployment.parameters.keys() == {'lethality'}

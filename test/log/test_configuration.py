@@ -6,7 +6,6 @@ from __future__ import annotations
 from datetime import datetime, timezone
 import math
 from pathlib import Path
-import platform
 import re
 import subprocess
 import sys
@@ -15,8 +14,6 @@ from kbnitp_ros.log.bag.errors import LogError
 from kbnitp_ros.log.bag.reader import read_metadata
 from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.log.configuration import (
-    arithmetic,
-    other_arithmetic,
     PARAMETERS,
     parameters_record,
     read_parameters,
@@ -38,28 +35,6 @@ def test_the_run_names_its_versions():
         assert re.fullmatch(r'\d+\.\d+\.\d+', record[package]), package
     since = datetime.now(timezone.utc) - datetime.fromisoformat(record['time'])
     assert 0 <= since.total_seconds() < 60
-
-
-def test_the_run_names_what_the_last_bits_depend_on():
-    record = run_record('rmw_fastrtps_cpp')
-    assert {**record, **arithmetic()} == record
-    assert record['processor']
-    assert 'SSE2' in record['processor_features'].split() or platform.machine() != 'x86_64'
-    assert record['c_library'] == ' '.join(platform.libc_ver())
-    assert record['numba'] == 'none' or re.match(r'\d+\.\d+', record['numba'])
-
-
-def test_what_differs_from_the_run_is_named(tmp_path):
-    path = tmp_path / 'mission.mcap'
-    with LogWriter(path) as log:
-        log.add_metadata(RUN, run_record('rmw_fastrtps_cpp'))
-    assert other_arithmetic(path) == []
-    with LogWriter(path, resume=True) as log:
-        log.add_metadata(RUN, run_record('rmw_fastrtps_cpp') | {'numpy': '1.0'})
-    assert other_arithmetic(path) == [f'numpy {np.__version__}, of the recorder 1.0']
-    with LogWriter(path, resume=True) as log:
-        log.add_metadata(RUN, {})
-    assert len(other_arithmetic(path)) == len(arithmetic())
 
 
 def test_what_is_not_installed_has_no_version():

@@ -13,10 +13,11 @@ from kbnitp_ros.core.inference.register import (
     Register,
     Report,
 )
-from kbnitp_ros.core.inference.unknowns import Beta, Learnt, Unknowns
+from kbnitp_ros.core.inference.unknowns import ALL_KNOWN, Beta, Learnt, Unknowns
 from kbnitp_ros.core.inference.update import update
 
 __all__ = [
+    'ALL_KNOWN',
     'METHODS',
     'Beta',
     'DeploymentKey',

@@ -8,11 +8,9 @@ from copy import copy
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel, whole_number
 from kbnitp_ros.core.inference.methods import VERSIONS, versions
-from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
+from kbnitp_ros.core.inference.unknowns import ALL_KNOWN, Learnt, Unknowns
 
 METHODS = tuple(VERSIONS)
-
-ALL_KNOWN = Unknowns()
 
 
 class Estimator:
@@ -96,6 +94,11 @@ class Estimator:
     def sampling_error(self) -> float:
         """How far chance takes the belief, as an expected KL divergence in nats; 0 without."""
         return self._inference.sampling_error
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether that is as little as the method aims at."""
+        return self._inference.is_settled
 
     def assimilate(self, observation: Observation) -> None:
         """

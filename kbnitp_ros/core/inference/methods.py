@@ -34,6 +34,8 @@ class Inference(Protocol):
     sampling_error : float
         How far chance takes the belief from what the method would come to without, as an
         expected KL divergence in nats.
+    is_settled : bool
+        Whether that is as little as the method aims at.
 
     """
 
@@ -41,6 +43,7 @@ class Inference(Protocol):
     model: SensorModel
     parameters: Mapping[str, Learnt]
     sampling_error: float
+    is_settled: bool
 
     def assimilate(self, observation: Observation) -> None:
         """Take in one deployment; a refusal, a ValueError, leaves everything as it was."""

@@ -24,10 +24,12 @@ from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
 import numpy as np
 
-# Sweeps are made so many at a time, until chance takes the belief less than SETTLED from what
-# endless sweeps would give (KL divergence, nats), and at most MOST_SWEEPS for a deployment.
+# Sweeps are made so many at a time, until chance takes the belief less than this from what endless
+# sweeps would give (KL divergence, nats), and at most MOST_SWEEPS for a deployment. What is yet to
+# be learnt of a number moves the belief by nats, so there more is left to chance.
 SWEEPS = 4
 SETTLED = 5e-4
+SETTLED_LEARNING = 5e-3
 MOST_SWEEPS = 32
 
 
@@ -61,6 +63,8 @@ class Sampler:
     sampling_error : float
         The KL divergence, in nats, expected between the belief and what endless sweeps would
         give.
+    is_settled : bool
+        Whether that is as little as aimed at.
 
     Raises
     ------
@@ -87,7 +91,7 @@ class Sampler:
         self.model = self._hypotheses.model_with(
             {name: learnt.mean for name, learnt in self.parameters.items()}
         )
-        self.sampling_error = 0.0
+        self.sampling_error, self.is_settled = 0.0, True
 
     def assimilate(self, observation: Observation) -> None:
         """
@@ -104,19 +108,20 @@ class Sampler:
         tally = self._tally.and_one_more(observation)
         self._hypotheses.refuse_impossible(tally)
         rng = np.random.default_rng([self._seed, tally.deployments])
+        settled = SETTLED_LEARNING if self._hypotheses.unknown else SETTLED
         moving = Chains(self._hypotheses, tally, self._hazardous, self._place, rng)
         for _ in range(MOST_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 moving.sweep()
             joint, error = moving.joint()
-            if error <= SETTLED:
+            if error <= settled:
                 break
         self._tally = tally
         self._hazardous, self._place = moving.hazardous, moving.place
         if self._hypotheses.prior_is_known:
             joint[~tally.visited] = self._hypotheses.belief.joint[~tally.visited]
         self.belief = self._hypotheses.belief_of(joint)
-        self.sampling_error = error
+        self.sampling_error, self.is_settled = error, error <= settled
         self.parameters = moving.learnt()
         self.model = moving.model()
 

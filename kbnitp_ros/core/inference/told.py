@@ -32,6 +32,7 @@ class Told:
     learns: ClassVar[bool] = False
     parameters: Mapping[str, Learnt] = MappingProxyType({})
     sampling_error: float = 0.0
+    is_settled: bool = True
 
     def __init__(self, belief: Belief, model: SensorModel, *_: object) -> None:
         self.belief = belief

@@ -204,6 +204,9 @@ class Unknowns:
         return {name: prior for name, prior in given.items() if prior is not None}
 
 
+ALL_KNOWN = Unknowns()
+
+
 def prior(name: str, given: Interval) -> Beta:
     """Return an unknown number's prior."""
     if isinstance(given, Beta):

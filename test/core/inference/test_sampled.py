@@ -4,6 +4,9 @@
 from functools import cache
 from itertools import product
 from math import log
+import os
+import subprocess
+import sys
 
 import brute_force
 from kbnitp_ros.core import (
@@ -137,7 +140,7 @@ def posterior(joint, model, seen, name, bins):
 @pytest.mark.parametrize('name', EVERYTHING)
 @pytest.mark.parametrize('seed', range(3))
 def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
-    monkeypatch.setattr(sampled, 'SETTLED', 0.0)
+    monkeypatch.setattr(sampled, 'SETTLED_LEARNING', 0.0)
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 4, 0)
     model = SensorModel(0.6, malfunction=0.1)
@@ -380,6 +383,54 @@ def test_the_seed_decides():
         for seed in (0, 0, 1)
     ]
     assert beliefs[0] == beliefs[1] != beliefs[2]
+
+
+BITS = """
+import sys
+if sys.argv[1] == 'none':
+    sys.modules['numba'] = None
+from hashlib import sha256
+from kbnitp_ros.core import Belief, Estimator, Grid, Observation, SensorModel, Unknowns
+from kbnitp_ros.core.inference import sampled
+
+sampled.MOST_SWEEPS = 4
+everything = {name: (0.1, 0.9) for name in Unknowns.__dataclass_fields__}
+digest = sha256()
+for unknowns in (Unknowns(), Unknowns(**everything)):
+    estimator = Estimator(
+        Belief.prior(Grid(3, 2), 0.3, 0.4, 0.7), SensorModel(0.5), 'kappa_bnitp_sampled', unknowns
+    )
+    for path, readings in (
+        ([0, 1, 4, 0], None),
+        ([0, 4, 2, 1, 0], None),
+        ([0, 3, 0], [1, 0]),
+        ([0, 1, 1, 4, 3, 0], None),
+    ):
+        estimator.assimilate(Observation(path, readings is not None, readings))
+        digest.update(estimator.belief.joint.tobytes())
+        digest.update(repr(estimator.model).encode())
+        digest.update(repr(estimator.sampling_error).encode())
+print(digest.hexdigest())
+"""
+
+
+def bits(numba='some', **environment):
+    """Return the hash of what is learnt in another process."""
+    ran = subprocess.run(
+        [sys.executable, '-W', 'ignore', '-c', BITS, numba],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return ran.stdout
+
+
+def test_bits_are_the_same_compiled_and_interpreted_in_one_thread_and_in_several():
+    compiled = bits(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
+    assert bits(OMP_NUM_THREADS='4', OPENBLAS_NUM_THREADS='4') == compiled
+    assert bits(NUMBA_DISABLE_JIT='1') == compiled
+    assert bits('none') == compiled
 
 
 # Bad input
