@@ -24,6 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 UNKNOWN = -1
 
 
+def told_resolution(resolution: float) -> float:
+    """Return a cell's side in metres as messages, which have a float32, tell it: 0.1 as 0.1."""
+    return float(str(np.float32(resolution)))
+
+
 def map_metadata(grid: Grid) -> MapMetaData:
     """Return the geometry of `grid`."""
     x, y = grid.origin
@@ -70,8 +75,7 @@ def read_map_metadata(info: Any, base: int = 0, blocked: Iterable[int] = ()) -> 
         width=info.width,
         height=info.height,
         base=base,
-        # A float32 message field: 0.1 m comes back as 0.1, and not as 0.10000000149.
-        resolution=float(str(np.float32(info.resolution))),
+        resolution=told_resolution(info.resolution),
         origin=(origin.position.x, origin.position.y),
         blocked=blocked,
     )

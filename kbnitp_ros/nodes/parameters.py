@@ -17,6 +17,7 @@ from typing import Any
 
 from kbnitp_ros.core import ALLOCATIONS, Grid, METHODS, PLANNERS, SensorModel
 from kbnitp_ros.files import parse_yaml
+from kbnitp_ros.messages.grids import told_resolution
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -556,12 +557,12 @@ def declare(node: Node, name: str) -> dict[str, Any]:
 
 
 def grid_of(values: Mapping[str, Any]) -> Grid:
-    """Return the grid that these parameters describe."""
+    """Return the grid that these parameters describe, as beliefs tell it."""
     return Grid(
         width=values['grid.width'],
         height=values['grid.height'],
         base=values['grid.base'],
-        resolution=values['grid.resolution'],
+        resolution=told_resolution(values['grid.resolution']),
         origin=values['grid.origin'],
         blocked=values['grid.blocked'],
     )

@@ -13,7 +13,7 @@ from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.evidence import PATH, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import key_of_path
-from kbnitp_ros.nodes.parameters import parameters_of
+from kbnitp_ros.nodes.parameters import parameters_of, ROS_PARAMETERS
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
@@ -101,7 +101,7 @@ class Mission:
                 'await_nodes': self._awaited[name],
                 'resume': str(self.log) if self.log.exists() else '',
             }
-            own = parameters_of(name)
+            own = {*parameters_of(name), *ROS_PARAMETERS}
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(
                     name,

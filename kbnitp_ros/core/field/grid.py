@@ -13,6 +13,11 @@ from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+# Into how many parts coordinates must divide a cell: then rounding takes no point of it to the
+# next, which may be computed in several steps.
+APART = 1000
+EPSILON = float(np.finfo(np.float64).eps)
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -30,7 +35,7 @@ class Grid:
     resolution : float
         Side of a cell in metres, positive.
     origin : tuple of float
-        Lower-left corner of cell 0 in metres.
+        Lower-left corner of cell 0 in metres, so near that coordinates tell its cells apart.
     blocked : iterable of int
         Cells no robot can enter, known beforehand. Nothing is looked for there.
     connectivity : int
@@ -69,6 +74,12 @@ class Grid:
         origin = tuple(float(coordinate) for coordinate in self.origin)
         if len(origin) != 2 or not all(map(isfinite, origin)):
             raise ValueError(f'origin is {self.origin}: it must be two finite numbers, in metres')
+        reach = max(map(abs, origin)) + max(width, height) * self.resolution
+        if not reach * EPSILON * APART <= self.resolution:
+            raise ValueError(
+                f'origin is {self.origin}: so far out cells of {self.resolution} m cannot be told '
+                f'apart; it must be within {self.resolution / (APART * EPSILON):.3g} m'
+            )
         if self.connectivity not in (4, 8):
             raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
         for name, value in (

@@ -5,6 +5,8 @@ import math
 from re import escape
 
 import brute_force
+from hypothesis import given
+from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 import numpy as np
 import pytest
@@ -168,12 +170,28 @@ def test_a_cell_walled_off_is_farther_than_any_other():
         ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
         ({'origin': (0.0,)}, 'origin.*two'),
         ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
+        ({'origin': (1e16, 0.0)}, r'origin is \(1e\+16, 0.0\): so far out cells of 1.0 m cannot'),
+        ({'origin': (0.0, -1e308)}, 'origin.*cannot be told apart; it must be within 4.5e'),
         ({'connectivity': 6}, 'connectivity is 6.*4 or 8'),
     ],
 )
 def test_bad_grids_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Grid(**{'width': 4, 'height': 3, **arguments})
+
+
+@given(
+    st.floats(1e-3, 1e3),
+    st.tuples(st.floats(-1e13, 1e13), st.floats(-1e13, 1e13)),
+    st.integers(0, 11),
+)
+def test_a_center_is_in_its_cell_wherever_a_grid_may_lie(resolution, origin, cell):
+    try:
+        grid = Grid(4, 3, resolution=resolution, origin=origin)
+    except ValueError:
+        assert max(map(abs, origin)) > 1e12 * resolution
+    else:
+        assert grid.cells_at(grid.centers([cell])).tolist() == [cell]
 
 
 def test_grids_compare_and_cannot_be_changed():
