@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results test check clean
+.PHONY: build demo results benchmarks test check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -34,6 +34,10 @@ results: build
 	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \
 	done && python3 -m kbnitp_ros.study.page runs/study docs
 
+# What docs/performance.md shows; on a machine that does nothing else.
+benchmarks: build .venv/.benchmarks
+	. ./env.sh && python3 benchmarks/run.py
+
 test: build .venv/.dev
 	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal
 
@@ -59,6 +63,10 @@ clean:
 	tools/step.sh 'Installing requirements-dev.txt into .venv' $(PIP) --requirement requirements-dev.txt
 	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
 	tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
+	touch $@
+
+.venv/.benchmarks: requirements-benchmarks.txt .venv/.run
+	tools/step.sh 'Installing requirements-benchmarks.txt into .venv' $(PIP) --requirement requirements-benchmarks.txt
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a benchmark is: cases that are timed on one machine in one run, and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+import time
+
+# How often a case is run at most, and for how many seconds it is run again.
+RUNS = 20
+SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """
+    Some cases of which the first is what the others are compared with.
+
+    Attributes
+    ----------
+    title : str
+        What is measured.
+    text : str
+        What the cases have in common.
+    cases : dict of str to callable
+        By name: returns the seconds that it takes.
+
+    """
+
+    title: str
+    text: str
+    cases: dict[str, Callable[[], float]]
+
+
+def timed(call: Callable[[], object]) -> float:
+    """
+    Return the median of the seconds that a call takes.
+
+    It is made once before, since a kernel's first call loads or compiles it.
+    """
+    call()
+    times: list[float] = []
+    while not times or (len(times) < RUNS and sum(times) < SECONDS):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return median(times)
+
+
+def in_words(seconds: float) -> str:
+    """Return a time to three digits, in a unit that suits it."""
+    for unit, size in (('s', 1.0), ('ms', 1e-3)):
+        if seconds >= size:
+            return f'{seconds / size:.3g} {unit}'
+    return f'{seconds / 1e-6:.3g} µs'

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Time all that may take long, in one run on one machine; print it and write docs/performance.md.
+
+    make benchmarks
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import os
+from pathlib import Path
+import platform
+import sys
+
+from cases import Benchmark, in_words
+import nodes
+import numba
+import numpy as np
+import peers
+import planning
+import study
+from tqdm import tqdm
+import updates
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'performance.md'
+
+BENCHMARKS = (
+    *planning.BENCHMARKS,
+    *updates.BENCHMARKS,
+    *nodes.BENCHMARKS,
+    *study.BENCHMARKS,
+    *peers.BENCHMARKS,
+)
+
+INTRODUCTION = """\
+# How long it takes
+
+`make benchmarks` wrote this page. Seconds are those of one machine. Ratios tell more: each is to
+the first line of its table, from the same run.
+
+"""
+
+# A benchmark and the seconds of each of its cases.
+Measured = tuple[Benchmark, dict[str, float]]
+
+
+def main() -> int:
+    """Run all; return the exit code."""
+    measured: list[Measured] = []
+    with tqdm(total=sum(len(each.cases) for each in BENCHMARKS), unit='case', disable=None) as bar:
+        for benchmark in BENCHMARKS:
+            seconds = {}
+            for name, case in benchmark.cases.items():
+                bar.set_postfix_str(f'{benchmark.title}: {name}')
+                seconds[name] = case()
+                bar.update()
+            measured.append((benchmark, seconds))
+    print('\n'.join(summary(measured)))
+    PAGE.write_text(INTRODUCTION + '\n'.join(page(measured)), encoding='utf-8')
+    return 0
+
+
+def rows(seconds: dict[str, float]) -> Iterator[tuple[str, str, str]]:
+    """Yield each case, the time it takes and the ratio of that to the first one's."""
+    first = next(iter(seconds.values()))
+    for name, each in seconds.items():
+        yield name, in_words(each), f'{each / first:.3g}'
+
+
+def summary(measured: Sequence[Measured]) -> Iterator[str]:
+    """Yield one table of all, in Markdown."""
+    yield '| | | takes | ratio |'
+    yield '|---|---|---|---|'
+    for benchmark, seconds in measured:
+        for name, takes, ratio in rows(seconds):
+            yield f'| {benchmark.title} | {name} | {takes} | {ratio} |'
+
+
+def page(measured: Sequence[Measured]) -> Iterator[str]:
+    """Yield the page, in Markdown."""
+    yield (
+        f'Measured with Python {platform.python_version()}, numpy {np.__version__} and numba '
+        f'{numba.__version__}\non {os.cpu_count()} cores, {platform.machine()}.'
+    )
+    for benchmark, seconds in measured:
+        yield f'\n## {benchmark.title}\n\n{benchmark.text}\n\n| | takes | ratio |\n|---|---|---|'
+        for row in rows(seconds):
+            yield f'| {" | ".join(row)} |'
+    yield ''
+
+
+if __name__ == '__main__':
+    sys.exit(main())

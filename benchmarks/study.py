@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long a study takes: one mission of each method at each lethality, on one core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import time
+
+from cases import Benchmark
+from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.trial import run_trial, Trial
+
+PAPER = Path(__file__).parents[1] / 'scenarios' / 'paper.yaml'
+
+
+def missions_of(scenario: Scenario, method: str) -> Callable[[], float]:
+    """Return what times a method's missions in the first world, the mean of all lethalities."""
+
+    def run() -> float:
+        start = time.perf_counter()
+        for lethality in scenario.lethalities:
+            run_trial(scenario, Trial(lethality, method, 0))
+        return (time.perf_counter() - start) / len(scenario.lethalities)
+
+    return run
+
+
+SCENARIO = read_scenario(PAPER)
+BENCHMARKS = (
+    Benchmark(
+        'A mission of the study `paper`',
+        f'{SCENARIO.robots} robots, one after another; the study has {SCENARIO.trials} at each '
+        f'of {len(SCENARIO.lethalities)} lethalities, for each method.',
+        {f'`{method}`': missions_of(SCENARIO, method) for method in SCENARIO.methods},
+    ),
+)
