@@ -6,7 +6,7 @@ import re
 
 from documented import ROOT, rows, words
 from kbnitp_ros.core.inference import smoothed, swept
-from kbnitp_ros.core.planning import fates, greedy, labels, voronoi
+from kbnitp_ros.core.planning import fates, greedy, labels, moments, voronoi
 from kbnitp_ros.log.bag import part
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import TABLE
@@ -14,7 +14,7 @@ from kbnitp_ros.study.scenario import read_scenario
 import pytest
 import yaml
 
-IN_WORDS = {4: 'four', 5: 'five', 6: 'six', 10: 'ten', 30: 'thirty'}
+IN_WORDS = {4: 'four', 5: 'five', 6: 'six', 8: 'eight', 9: 'nine', 10: 'ten', 30: 'thirty'}
 DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 
@@ -37,6 +37,12 @@ def test_what_the_method_is_said_to_take():
 def test_what_the_search_is_said_to_take():
     page = 'docs/mathematics.md'
     says(page, 'Values are compared to ', labels.DECIMALS, ' decimals')
+    says(page, 'A label carries ', moments.EXPONENTS.size, ' moments')
+    says(page, f'exponents from 1 to {moments.EXPONENTS[-1]:.0f}')
+    says(page, f'an error of at most {1e5 * moments.ERROR:.3g}e-5 nats')
+    says(page, 'the error is as large ', moments.WEIGHTS.size + 1, ' times')
+    says(page, 'one or two cells in a row are exchanged')
+    assert labels.EXCHANGED == 2
     says(page, f'Of more than {fates.MOST_FATES} fates the least probable are merged')
     says(page, 'from the sixth robot on, fates are merged')
     # The fates before robot j are 2^(j-1).

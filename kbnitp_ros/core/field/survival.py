@@ -47,8 +47,9 @@ def log_predicted_survival(
 
 
 def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return for each value the sum of all the others, shape (n,); -inf is allowed."""
-    before = np.concatenate([[0.0], np.cumsum(values[:-1])])
-    after = np.concatenate([np.cumsum(values[:0:-1])[::-1], [0.0]])
-    sums: NDArray[np.float64] = before + after
+    """Return for each value the sum of all the others, shape (..., n); -inf is allowed."""
+    none = np.zeros((*values.shape[:-1], 1))
+    before = np.concatenate([none, np.cumsum(values[..., :-1], axis=-1)], axis=-1)
+    after = np.cumsum(values[..., :0:-1], axis=-1)[..., ::-1]
+    sums: NDArray[np.float64] = before + np.concatenate([after, none], axis=-1)
     return sums

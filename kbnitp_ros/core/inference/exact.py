@@ -25,7 +25,7 @@ def lost_likelihood(
 
     Parameters
     ----------
-    hazard : ndarray, shape (n,)
+    hazard : ndarray, shape (..., n)
         P(Z = 1) of the visited cells.
     model : SensorModel
         Gives s0 and s1.
@@ -34,10 +34,10 @@ def lost_likelihood(
 
     Returns
     -------
-    ndarray, shape (n, 2)
-        Indexed [visited cell, z], in [0, 1].
+    ndarray, shape (..., n, 2)
+        Indexed [..., visited cell, z], in [0, 1].
 
     """
     log_survival = model.log_survival
     others = sum_of_others(log_predicted_survival(hazard, visits.counts, log_survival))
-    return -np.expm1(times_log(visits.counts[:, None], log_survival) + others[:, None])
+    return -np.expm1(times_log(visits.counts[:, None], log_survival) + others[..., None])

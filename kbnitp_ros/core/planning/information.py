@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
 from math import lgamma
 
 from kbnitp_ros.core.field import (
@@ -16,7 +18,8 @@ from kbnitp_ros.core.field import (
     times_log,
     Visits,
 )
-from kbnitp_ros.core.planning.fates import after_sending, Fate, nobody_sent
+from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
+from kbnitp_ros.core.planning.information_kernels import left_open, new_readings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -57,7 +60,7 @@ def team_information(
     belief: Belief,
     model: SensorModel,
     paths: Iterable[ArrayLike],
-    fates: tuple[Fate, ...] | None = None,
+    fates: Fates | None = None,
 ) -> float:
     """
     Return the mutual information between the field and the outcomes of several deployments.
@@ -73,7 +76,7 @@ def team_information(
         What the robots and their sensors are believed to be like.
     paths : iterable of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
-    fates : tuple of Fate, optional
+    fates : Fates, optional
         Of robots that have left before, to whose information this is added; without it nobody
         has.
 
@@ -96,9 +99,7 @@ def team_information(
     return information
 
 
-def added_information(
-    belief: Belief, model: SensorModel, path: ArrayLike, fates: tuple[Fate, ...]
-) -> float:
+def added_information(belief: Belief, model: SensorModel, path: ArrayLike, fates: Fates) -> float:
     """
     Return the information that a deployment is expected to add to what robots before it bring.
 
@@ -114,7 +115,7 @@ def added_information(
         What the robots and their sensors are believed to be like.
     path : array_like of int, shape (steps + 1,)
         The cells in order.
-    fates : tuple of Fate
+    fates : Fates
         Of the robots before.
 
     Returns
@@ -135,124 +136,95 @@ def added_information(
             f'the belief has the cells 0 to {belief.cells - 1}'
         )
     visits = Visits.of(cells)
-    steps = len(cells) - 1
-    exposures = np.zeros(steps + 1)
-    exposures[0] = 1.0
-    for z, count in zip(belief.hazard[visits.cells], visits.counts):
-        exposures[count:] = (1.0 - z) * exposures[count:] + z * exposures[:-count]
-        exposures[:count] *= 1.0 - z
-    left_open = float(exposures @ fate_entropy(model, steps))
-    information = 0.0
-    for fate in fates:
-        hazard = fate.belief.hazard[visits.cells]
-        survival = np.exp(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
-        read = sum(
-            new_reading_information(fate, model, visits.cells[visits.counts == count], count).sum()
-            for count in np.unique(visits.counts)
+    joint, readings = fates.of_cells(visits.cells)
+    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
+    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
+    survival = np.exp(log_survival.sum(axis=1))
+    read = Readings.of(model, int(visits.counts.max()), readings.shape[-1] - 1)
+    added = read.new(joint, readings, visits.counts).sum(axis=1)
+    # What is left open is the same whatever became of the others.
+    open_fate = left_open(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+    of_each = binary_entropy(survival) + survival * added - open_fate
+    return float((fates.probability * of_each).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """
+    What any number of readings of a cell may be.
+
+    Attributes
+    ----------
+    survival : ndarray, shape (most visits + 1, 2)
+        P(n visits survived | Z = z), indexed [n, z].
+    likelihood : ndarray, shape (most readings + 1, most readings + 1, 2)
+        P(k of m readings are positive | X = x), indexed [m, k, x].
+    noise : ndarray, shape (most readings + 1, 2)
+        Entropy of that count, nats, indexed [m, x].
+
+    """
+
+    survival: NDArray[np.float64]
+    likelihood: NDArray[np.float64]
+    noise: NDArray[np.float64]
+
+    @classmethod
+    @lru_cache(maxsize=8)
+    def of(cls, model: SensorModel, visits: int, earlier: int) -> Readings:
+        """
+        Return what up to `visits` readings of a robot, and up to `earlier` ones before, may be.
+
+        Parameters
+        ----------
+        model : SensorModel
+            What the robots and their sensors are believed to be like.
+        visits, earlier : int
+            At least 0.
+
+        """
+        most = visits + earlier
+        m, k = np.ogrid[: most + 1, : most + 1]
+        log_factorial = np.array([lgamma(count + 1.0) for count in range(most + 1)])
+        orderings = log_factorial[m] - log_factorial[k] - log_factorial[np.maximum(m - k, 0)]
+        read_not, read = model.log_reading
+        log_likelihood = times_log(k[..., None], read)
+        log_likelihood = log_likelihood + times_log(np.maximum(m - k, 0)[..., None], read_not)
+        likelihood = np.exp(orderings[..., None] + log_likelihood) * (k <= m)[..., None]
+        survival = np.exp(times_log(np.arange(visits + 1)[:, None], model.log_survival))
+        return cls(survival, likelihood, surprisal(likelihood).sum(axis=1))
+
+    def new(
+        self,
+        joint: NDArray[np.float64],
+        earlier: NDArray[np.float64],
+        visits: NDArray[np.intp],
+    ) -> NDArray[np.float64]:
+        """
+        Return what a robot that survives n visits reads of cells on top of earlier readings.
+
+        Parameters
+        ----------
+        joint : ndarray, shape (..., cells, 2, 2)
+            P(Z = z, X = x).
+        earlier : ndarray, shape (..., cells, most + 1)
+            P(m earlier readings).
+        visits : ndarray of int, shape (cells,)
+            n, with a reading each.
+
+        Returns
+        -------
+        ndarray, shape (..., cells)
+            Nats; 0 where n visits cannot be survived.
+
+        """
+        information = np.empty(joint.shape[:-2])
+        new_readings(
+            np.ascontiguousarray(joint).reshape(-1, 2, 2),
+            np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
+            np.broadcast_to(visits, information.shape).ravel(),
+            self.survival,
+            self.likelihood,
+            self.noise,
+            information.reshape(-1),
         )
-        # What is left open is the same whatever became of the others.
-        information += fate.probability * (binary_entropy(survival) - left_open + survival * read)
-    return float(information)
-
-
-def fate_entropy(model: SensorModel, steps: int) -> NDArray[np.float64]:
-    """
-    Return the entropy of a robot's fate for each number of exposures to hazards.
-
-    Parameters
-    ----------
-    model : SensorModel
-        Gives s0 and s1.
-    steps : int
-        Of the path, at least 1.
-
-    Returns
-    -------
-    ndarray, shape (steps + 1,)
-        h(s0^(steps - c) s1^c) for c = 0 to `steps` steps into hazardous cells, in nats.
-
-    """
-    exposures = np.arange(steps + 1)
-    safe, deadly = model.log_survival
-    return binary_entropy(
-        np.exp(times_log(steps - exposures, safe) + times_log(exposures, deadly))
-    )
-
-
-def new_reading_information(
-    fate: Fate, model: SensorModel, cells: NDArray[np.intp], visits: int
-) -> NDArray[np.float64]:
-    """
-    Return what a robot that survives n visits reads of cells on top of earlier robots' readings.
-
-    Parameters
-    ----------
-    fate : Fate
-        Of the earlier robots.
-    model : SensorModel
-        What the robots and their sensors are believed to be like.
-    cells : ndarray of int, shape (n_cells,)
-        Which.
-    visits : int
-        n, at least 1, with a reading each.
-
-    Returns
-    -------
-    ndarray, shape (n_cells,)
-        Nats; 0 where n visits cannot be survived.
-
-    """
-    information = np.zeros(len(cells))
-    for earlier, chance in enumerate(fate.readings[cells].T):
-        some = chance > 0.0
-        if not some.any():
-            continue
-        joint = fate.belief.joint[cells[some]]
-        added = reading_information(joint, model, visits, visits + earlier)
-        if earlier:
-            added -= reading_information(joint, model, visits, earlier)
-        information[some] += chance[some] * added
-    return information
-
-
-def reading_information(
-    joint: NDArray[np.float64], model: SensorModel, visits: int, readings: int
-) -> NDArray[np.float64]:
-    """
-    Return I(X; Y^m | a robot survived n visits) of cells, with m readings in each.
-
-    The readings enter through their count of positives, which is sufficient.
-
-    Parameters
-    ----------
-    joint : ndarray, shape (n_cells, 2, 2)
-        The cells' joint beliefs.
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
-    visits : int
-        n, at least 1.
-    readings : int
-        m, at least 1.
-
-    Returns
-    -------
-    ndarray, shape (n_cells,)
-        Nats; 0 where n visits cannot be survived.
-
-    """
-    survived = joint * np.exp(visits * model.log_survival)[:, None]
-    total = survived.sum(axis=(1, 2))
-    target = survived.sum(axis=1) / np.where(total > 0.0, total, 1.0)[:, None]
-    positives = np.arange(readings + 1)
-    orderings = np.array(
-        [lgamma(readings + 1) - lgamma(k + 1) - lgamma(readings - k + 1) for k in positives]
-    )
-    read_not, read = model.log_reading
-    given = np.exp(
-        orderings[:, None]
-        + times_log(positives[:, None], read)
-        + times_log((readings - positives)[:, None], read_not)
-    )
-    entropy: NDArray[np.float64] = surprisal(target @ given.T).sum(axis=1)
-    entropy -= target @ surprisal(given).sum(axis=0)
-    return entropy
+        return information

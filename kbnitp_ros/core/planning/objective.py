@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, cost, Grid, SensorModel
-from kbnitp_ros.core.planning.fates import after_sending, Fate, nobody_sent
+from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +26,7 @@ class Objective:
         What a lost robot is worth, nats, at least 0.
     interest : ndarray, shape (cells,)
         What counts of the information of readings in each cell, in [0, 1].
-    fates : tuple of Fate
+    fates : Fates
         Of the robots that leave in the same round and whose paths are known.
 
     """
@@ -35,7 +35,7 @@ class Objective:
     model: SensorModel
     loss_cost: float
     interest: NDArray[np.float64]
-    fates: tuple[Fate, ...]
+    fates: Fates
 
     @classmethod
     def alone(cls, grid: Grid, belief: Belief, model: SensorModel, loss_cost: float) -> Objective:

@@ -114,10 +114,10 @@ def test_what_may_have_happened_averages_to_what_is_believed(seed):
     for _ in range(7):
         path = brute_force.random_path(rng, 6, 5, 8, 6)
         after = fates.after_sending(after, model, path)
-    assert len(after) <= fates.MOST_FATES
-    chance = np.array([fate.probability for fate in after])
-    assert chance.sum() == pytest.approx(1, abs=1e-9)
-    hazard = chance @ [fate.belief.hazard for fate in after]
+    assert after.probability.size <= fates.MOST_FATES
+    assert after.probability.sum() == pytest.approx(1, abs=1e-9)
+    joint, _ = after.of_cells(np.arange(belief.cells))
+    hazard = after.probability @ joint[:, :, 1].sum(axis=-1)
     np.testing.assert_allclose(hazard, belief.hazard, rtol=0, atol=1e-9)
 
 

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the next visit to a cell does to a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.planning.information import Readings
+from kbnitp_ros.core.planning.moments import EXPONENTS
+from kbnitp_ros.core.planning.objective import Objective
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """
+    What the next visit multiplies, and what it adds to, by cell and the number of visits before.
+
+    Attributes
+    ----------
+    factor : ndarray, shape (cells, max_visits, powers + fates)
+        E[p^a] after it over E[p^a] before it for each of `EXPONENTS`, where p is the chance to
+        survive the path given the hazards; then the same of the survival in each fate. 0 where
+        nobody survives.
+    term : ndarray, shape (cells, max_visits, 1 + fates)
+        The change of E[p ln p] / E[p]; then in each fate that of the information of readings,
+        nats, less that of the log of the survival.
+
+    """
+
+    factor: NDArray[np.float64]
+    term: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
+        """Return the gains in `cells`, shape (n,)."""
+        model, fates = objective.model, objective.fates
+        visits = np.arange(max_visits + 1)
+        belief = objective.belief
+        hazard = belief.hazard[cells]
+        nothing_read = np.eye(1, fates.readings.shape[-1])
+        shape = (fates.probability.size, cells.size, visits.size)
+        log_survival = np.broadcast_to(
+            log_predicted_survival(hazard[:, None], visits, model.log_survival), shape
+        ).copy()
+        readings = Readings.of(model, max_visits, nothing_read.size - 1)
+        read = np.zeros(shape)
+        read[..., 1:] = _read(readings, belief.joint[cells], nothing_read.repeat(cells.size, 0))
+        here, there = fates.places_of(cells)
+        if here.size:
+            joint = fates.joint[:, there]
+            log_survival[:, here] = log_predicted_survival(
+                joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
+            )
+            read[:, here, 1:] = _read(readings, joint, fates.readings[:, there])
+
+        alive = log_survival[..., 1:] > -np.inf
+        with np.errstate(invalid='ignore'):
+            # Once nobody survives nothing more can be lost.
+            log_ratio = np.where(alive, np.diff(log_survival), 0.0)
+        added = np.diff(read) * objective.interest[cells, None] - log_ratio
+        moment, spread = _moments(hazard, model, visits)
+        factor = [moment, np.moveaxis(np.exp(log_ratio) * alive, 0, -1)]
+        term = [spread[..., None], np.moveaxis(added, 0, -1)]
+        return cls(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
+
+
+def _read(
+    readings: Readings, joint: NDArray[np.float64], earlier: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what 1, 2, ... visits read, shape (..., cells, max_visits)."""
+    return np.stack(
+        [
+            readings.new(joint, earlier, np.full(joint.shape[-3], count))
+            for count in range(1, len(readings.survival))
+        ],
+        axis=-1,
+    )
+
+
+def _moments(
+    hazard: NDArray[np.float64], model: SensorModel, visits: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors of moments, (cells, max_visits, powers), and the change of spread."""
+    safe, deadly = 1.0 - hazard[:, None], hazard[:, None]
+    log_power = times_log(visits[:, None], model.log_survival)
+    power = np.exp(times_log(EXPONENTS, log_power[:, :, None]))
+    moment = safe[..., None] * power[:, 0] + deadly[..., None] * power[:, 1]
+    before = moment[:, :-1]
+    ratio = np.divide(moment[:, 1:], before, out=np.zeros_like(before), where=before > 0.0)
+    # The first power is p itself.
+    p_log_p = times_log(power[:, :, 0], log_power)
+    spread = safe * p_log_p[:, 0] + deadly * p_log_p[:, 1]
+    mean = moment[..., 0]
+    spread = np.divide(spread, mean, out=np.zeros_like(spread), where=mean > 0.0)
+    return ratio, np.diff(spread)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loops over the readings of cells, and over the exposures of a path."""
+
+from __future__ import annotations
+
+from math import exp, expm1, log
+from typing import Any
+
+from kbnitp_ros.core.field import compiled
+import numpy as np
+
+
+@compiled
+def new_readings(
+    joint: Any,
+    earlier: Any,
+    visits: Any,
+    survival: Any,
+    likelihood: Any,
+    noise: Any,
+    information: Any,
+) -> None:
+    """
+    Find what a robot that survives n visits reads of cells on top of earlier robots' readings.
+
+    The sum over m of P(m earlier readings) * (I(X; Y^(m + n)) - I(X; Y^m)), given the n visits
+    survived. Readings enter through their count of positives, which is sufficient.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (cells, 2, 2)
+        P(Z = z, X = x), indexed [cell, z, x].
+    earlier : ndarray, shape (cells, most + 1)
+        P(m earlier readings).
+    visits : ndarray of int, shape (cells,)
+        n of each cell.
+    survival : ndarray, shape (most visits + 1, 2)
+        P(n visits survived | Z = z), indexed [n, z].
+    likelihood : ndarray, shape (most readings + 1, most readings + 1, 2)
+        P(k of m readings are positive | X = x), indexed [m, k, x].
+    noise : ndarray, shape (most readings + 1, 2)
+        Entropy of that count, indexed [m, x].
+    information : ndarray, shape (cells,)
+        The result, nats; 0 where n visits cannot be survived.
+
+    """
+    for cell in range(joint.shape[0]):
+        n = visits[cell]
+        without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
+        target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
+        information[cell] = 0.0
+        if without + target == 0.0:
+            continue
+        target /= without + target
+        for m in range(earlier.shape[1]):
+            if earlier[cell, m] > 0.0:
+                more = reading_information(target, m + n, likelihood, noise)
+                more -= reading_information(target, m, likelihood, noise)
+                information[cell] += earlier[cell, m] * more
+
+
+@compiled
+def reading_information(target: float, readings: int, likelihood: Any, noise: Any) -> Any:
+    """Return I(X; Y^m) for P(X = 1) = `target`, nats; arguments as of `new_readings`."""
+    entropy = 0.0
+    for positive in range(readings + 1):
+        p = (1.0 - target) * likelihood[readings, positive, 0]
+        p += target * likelihood[readings, positive, 1]
+        if p > 0.0:
+            entropy -= p * log(p)
+    entropy -= (1.0 - target) * noise[readings, 0] + target * noise[readings, 1]
+    return entropy
+
+
+@compiled
+def left_open(steps: Any, hazard: Any, log_safe: float, log_deadly: float) -> float:
+    """
+    Return E_z[h(P(survive | z))] of a path, nats.
+
+    The hazards decide the number of exposures c, and with it P(survive | z) = s0^(steps - c) s1^c.
+
+    Parameters
+    ----------
+    steps : ndarray of int, shape (steps,)
+        The cell that each step leads to.
+    hazard : ndarray, shape (cells,)
+        P(Z = 1).
+    log_safe, log_deadly : float
+        log s0 and log s1, in [-inf, 0].
+
+    """
+    visits = np.zeros(hazard.size, np.int64)
+    for cell in steps:
+        visits[cell] += 1
+    # P(c), a Poisson-binomial distribution of the cells so far.
+    exposures = np.zeros(steps.size + 1)
+    exposures[0] = 1.0
+    most = 0
+    for cell in steps:
+        z, n = hazard[cell], visits[cell]
+        if n == 0:
+            continue
+        visits[cell] = 0
+        most += n
+        for c in range(most, n - 1, -1):
+            exposures[c] = (1.0 - z) * exposures[c] + z * exposures[c - n]
+        for c in range(n):
+            exposures[c] *= 1.0 - z
+    entropy = 0.0
+    for c in range(most + 1):
+        log_survival = 0.0
+        if c < most:
+            log_survival += (most - c) * log_safe
+        if c > 0:
+            log_survival += c * log_deadly
+        survival, loss = exp(log_survival), -expm1(log_survival)
+        if survival > 0.0 and loss > 0.0:
+            entropy -= exposures[c] * (survival * log_survival + loss * log(loss))
+    return entropy

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The label search: what its numbers mean, what it costs, and the same bits on every way."""
+
+import os
+import subprocess
+import sys
+
+import brute_force
+from kbnitp_ros.core import Belief, Grid, path_information, plan, SensorModel
+from kbnitp_ros.core.planning import labels
+from kbnitp_ros.core.planning.label_kernels import label_worth, take
+from kbnitp_ros.core.planning.moments import ERROR, WEIGHTS
+from kbnitp_ros.core.planning.objective import Objective
+import numpy as np
+import pytest
+
+PLANS = """
+import sys
+{before}
+import numpy as np
+import brute_force
+from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, plan, plan_team, SensorModel
+
+for seed, lethality in enumerate((0.0, 0.5, 1.0)):
+    grid = Grid(5, 4, base=7, blocked=(12,))
+    rng = np.random.default_rng(seed)
+    belief, model = Belief(brute_force.random_joint(rng, 20, 7)), SensorModel(lethality)
+    for planner, width in (('relaxed', 1), ('beam', 5)):
+        found = plan(grid, belief, model, 9, planner, width=width)
+        print(found.path.tolist(), found.information.hex(), found.survival.hex())
+for allocation in ('greedy', 'voronoi'):
+    team = plan_team(grid, belief, model, 6, 5, allocation, width=3, loss_cost=0.2)
+    print([planned.path.tolist() for planned in team.plans], team.information.hex())
+print('numba' in sys.modules and sys.modules['numba'] is not None, file=sys.stderr)
+"""
+
+
+def plans(before='', **environment):
+    """Return what a process of its own prints of its plans, and whether it has numba."""
+    done = subprocess.run(
+        [sys.executable, '-W', 'ignore', '-c', PLANS.format(before=before)],
+        env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout, done.stderr.strip() == 'True'
+
+
+def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_many():
+    printed, has_numba = plans()
+    assert has_numba
+    assert len(printed.splitlines()) == 8
+    for threads in ('1', '2'):
+        assert plans(NUMBA_NUM_THREADS=threads, OMP_NUM_THREADS=threads) == (printed, True)
+    assert plans(NUMBA_DISABLE_JIT='1') == (printed, True)
+    # A module that is None in sys.modules cannot be imported.
+    assert plans("sys.modules['numba'] = None") == (printed, False)
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_labels_are_worth_what_their_paths_are(seed):
+    """By moments to within their error, and ranked at the base by the exact information."""
+    rng = np.random.default_rng(seed)
+    grid = Grid(4, 3, base=5)
+    belief = Belief(brute_force.random_joint(rng, 12, 5))
+    model = SensorModel(**brute_force.random_sensors(rng))
+    search = labels.Search(grid, Objective.alone(grid, belief, model, 0.0), 8, 1, 8)
+    rank = np.argsort(search.reach.cells)
+    factor, term = (np.empty((1, gain.shape[2])) for gain in search.gains)
+    visits = np.empty(12, dtype=np.int64)
+    for _ in range(10):
+        path = brute_force.random_path(rng, 4, 3, 5, int(rng.integers(1, 9)))
+        information = path_information(belief, model, path)
+        assert search.exact(rank[path]) == pytest.approx(information, abs=2e-9)
+        take(rank[path], 0, 0, *search.gains, visits, factor, term)
+        worth = label_worth(factor, term, 0, WEIGHTS, np.ones(1), 0.0, 1e9) / 1e9
+        assert worth == pytest.approx(information, abs=ERROR + 2e-9)
+        assert visits.sum() == len(path) - 1
+
+
+def test_a_plan_is_the_same_in_a_larger_field():
+    """What is out of reach changes nothing, and nothing is searched there."""
+    rng = np.random.default_rng(1)
+    small, large = Grid(13, 13, base=84), Grid(40, 50, base=25 * 40 + 20)
+    inside = (np.arange(19, 32)[:, None] * 40 + np.arange(14, 27)).ravel()
+    joint = brute_force.random_joint(rng, 169, 84)
+    wide = brute_force.random_joint(rng, 2000, large.base)
+    wide[inside] = joint
+    near = plan(small, Belief(joint), SensorModel(0.5), 12)
+    far = plan(large, Belief(wide), SensorModel(0.5), 12)
+    assert far.path.tolist() == inside[near.path].tolist()
+    assert far.information == near.information
+
+
+@pytest.mark.parametrize(
+    'size, arguments',
+    [
+        (600, {'max_steps': 1200}),
+        (100, {'max_steps': 200, 'width': 4096}),
+        (300, {'max_steps': 600, 'max_visits': 600}),
+    ],
+)
+def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments):
+    grid = Grid(size, size)
+    belief, steps = Belief.prior(grid, 0.3, 0.4, 0.8), arguments['max_steps']
+    with pytest.raises(ValueError, match=rf'max_steps = {steps}.*width.*max_visits.* GB.*lower'):
+        plan(grid, belief, SensorModel(0.5), **arguments)
+
+
+def test_the_best_of_a_wide_search_is_found():
+    """On beliefs of a mission: most is known near the base, and little beyond."""
+    grid = Grid(9, 9)
+    near = np.clip(1.3 - grid.steps_to_base / 6, 0.02, 1.0)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        known = rng.random(81) < near
+        hazard = np.where(known, np.where(rng.random(81) < 0.15, 0.8, 0.1), 0.5)
+        target = np.where(known, np.where(rng.random(81) < 0.2, 0.9, 0.04), 0.45)
+        hazard[0] = 0.0
+        belief, model = Belief.from_maps(hazard, target, target), SensorModel(0.3)
+        found, best = (plan(grid, belief, model, 18, width=w).information for w in (16, 128))
+        assert found >= 0.99 * best
