@@ -199,7 +199,7 @@ class Ways:
         need = head.held - held - 1
         for counts in ([span.least for span in spans], [span.most for span in spans]):
             if sum(counts) - sum(span.known for span in spans) == need:
-                parts = (span.said[span.known : count] for span, count in zip(spans, counts))
+                parts = (span.said[slice(span.known, n)] for span, n in zip(spans, counts))
                 return [*chain(*parts)]
         return None
 
@@ -209,7 +209,7 @@ class Ways:
         """Yield what else may have been taken in, the likeliest first; arguments as `certain`."""
         for publishers in (self._agents, self._silent):
             before, *spans = self._spans(publishers, ledger, last, number)
-            own = before.said[before.known : before.least]
+            own = before.said[slice(before.known, before.least)]
             self.steps += len(own)
             taken = {last[0], *keys_of(own)}
             new = sum(not ledger.knows(key) for key in taken)
@@ -281,7 +281,7 @@ class Ways:
                 break
             if count >= span.least and need - len(new) <= room:
                 for more in self._fill(rest, need - len(new), taken, ledger):
-                    yield [*span.said[span.known : count], *more]
+                    yield [*span.said[slice(span.known, count)], *more]
             if count < span.most:
                 key, _ = span.said[count]
                 if key not in taken and not ledger.knows(key):

@@ -166,7 +166,8 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
 def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: str) -> None:
     """Check that ROS, to which a rule is one more line of section /**, does not overrule it."""
     sections = list(dict.fromkeys([*(name for file in files for name in file), '/**']))
-    for section in sections[sections.index('/**') + 1 :]:
+    after = sections.index('/**') + 1
+    for section in sections[after:]:
         if _fits(section, node) and any(parameter in file.get(section, {}) for file in files):
             raise ValueError(
                 f'-p {rule} would change nothing: to ROS, section {section!r} of the parameter '

@@ -82,12 +82,12 @@ class Estimator:
 
     @property
     def model(self) -> SensorModel:
-        """The sensor model to plan with: as given, or as expected by what was learnt."""
+        """Return the sensor model to plan with: as given, or as expected by what was learnt."""
         return self._inference.model
 
     @property
     def parameters(self) -> Mapping[str, Learnt]:
-        """What is known by now of each number that was not, by its name in `Unknowns`."""
+        """Return what is known by now of each number that was not, by its name in `Unknowns`."""
         return self._inference.parameters
 
     @property

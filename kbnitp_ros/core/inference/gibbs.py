@@ -166,7 +166,8 @@ def exchange_hazards(
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
             path = int(numbers[0] * exposures.size)
-            cells = ties.cell[ties.first_cell[path] : ties.first_cell[path + 1]]
+            start, stop = ties.first_cell[path], ties.first_cell[path + 1]
+            cells = ties.cell[start:stop]
             hazards = 0
             for cell in cells:
                 hazards += hazardous[cell]

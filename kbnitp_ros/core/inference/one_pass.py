@@ -59,7 +59,8 @@ class OnePass:
             belief = given(
                 belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
             )
-        visits = Visits.of(observation.path[observation.steps_survived :])
+        steps = observation.steps_survived
+        visits = Visits.of(observation.path[steps:])
         lost = self.lost(belief.hazard[visits.cells], model, visits)
         with np.errstate(divide='ignore'):
             return given(belief, visits.cells, np.log(lost)[:, :, None])

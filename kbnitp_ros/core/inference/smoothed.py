@@ -176,7 +176,8 @@ class Smoother(Told):
         else:
             visits = Visits.of(observation.path[: observation.steps_survived + 1])
             said = survived_log_likelihood(self.model, visits)[:, :, None]
-            lost = Visits.of(observation.path[observation.steps_survived :])
+            steps = observation.steps_survived
+            lost = Visits.of(observation.path[steps:])
             losses = losses.and_one_of(lost, self.model)
         local, odds = self._local.copy(), self._odds.copy()
         local[visits.cells] += said
@@ -286,5 +287,6 @@ def padded(rows: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.fl
     """Return new rows, each as long as `end` and with its last values where it was shorter."""
     grown = np.empty((len(rows), len(end)))
     grown[:, : rows.shape[1]] = rows
-    grown[:, rows.shape[1] :] = end[rows.shape[1] :]
+    known = rows.shape[1]
+    grown[:, known:] = end[known:]
     return grown

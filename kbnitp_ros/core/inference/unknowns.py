@@ -130,12 +130,12 @@ class Learnt:
 
     @property
     def mean(self) -> float:
-        """The mean."""
+        """Return the mean."""
         return float((self.weights * self.bins.values).sum())
 
     @property
     def sd(self) -> float:
-        """The standard deviation."""
+        """Return the standard deviation."""
         return float(np.sqrt((self.weights * (self.bins.values - self.mean) ** 2).sum()))
 
     def quantile(self, q: float) -> float:

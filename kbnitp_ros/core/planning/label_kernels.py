@@ -324,8 +324,8 @@ def search(
     if home.shape[0] and not is_home_known:
         # No steps left, and there.
         home[0, :powers] = objective[0]
-        home[0, powers : powers + 2] = 1.0
-        home[0, powers + 2 :] = 0.0
+        home[0, powers:] = 0.0
+        home[0, powers] = home[0, powers + 1] = 1.0
         best_home[0] = 0.0
 
     for step in range(1, max_steps + 1):
@@ -536,9 +536,12 @@ def improve(
                     depth += 1
                     stretch[depth], column[depth] = there, 0
         if found >= 0:
-            rest = path[last : steps + 1].copy()
-            path[first + 1 : first + 1 + found] = best[1 : found + 1]
-            path[first + 1 + found : first + 1 + found + rest.size] = rest
+            stop = steps + 1
+            rest = path[last:stop].copy()
+            for k in range(1, found + 1):
+                path[first + k] = best[k]
+            for k in range(rest.size):
+                path[first + found + 1 + k] = rest[k]
             steps += found - between
             unchanged = 0
         else:

@@ -380,7 +380,8 @@ def content(body: bytes, length: int) -> bytes | memoryview:
         raise
     if stream.count + size != length or (not compression and size != original_size):
         raise ValueError(f'a chunk of {length} bytes has content of {size}')
-    stored = memoryview(body)[stream.count :]
+    start = stream.count
+    stored = memoryview(body)[start:]
     if is_cut:
         return b'' if compression else stored
     check_size('a chunk', original_size)

@@ -61,7 +61,7 @@ def test_the_published_loss_starts_from_the_steps_survived(seed):
     observation = Observation(path, survived=False, steps_survived=steps)
     found = update(Belief(joint), model, observation, 'kappa_bnitp_published')
     alive = joint.copy()
-    for cell in path[1 : steps + 1]:
+    for cell in path[: steps + 1][1:]:
         alive[cell] *= np.array(brute_force.step_survival(model))[:, None]
     alive /= alive.sum(axis=(1, 2), keepdims=True)
     for cell, (hazard, target, _) in brute_force.published_loss(

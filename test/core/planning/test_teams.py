@@ -167,7 +167,7 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
         print(f'{allocation}, {steps} steps: {figures[0]}, on average {figures[1]}')
         assert max(of_best) <= 1 + 1e-9
         if allocation in page:
-            assert figures == page[allocation][place : place + 2]
+            assert figures == page[allocation][place:][:2]
     assert min(share['greedy'] for share in shares) >= 0.98
 
 

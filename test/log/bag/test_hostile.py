@@ -121,7 +121,8 @@ def test_what_other_programs_attach_is_passed_over(whole_mission, tmp_path):
     # Its checksum is left out, since what is attached changes it.
     ended = entry(Opcode.DATA_END, bytes(4))
     attached = entry(Opcode.ATTACHMENT, bytes(2 * 2**20))
-    log.write_bytes(content[:at] + attached + ended + content[at + len(ended) :])
+    after = at + len(ended)
+    log.write_bytes(content[:at] + attached + ended + content[after:])
     assert len(list(read_log(log))) == len(whole_mission.sent)
 
 

@@ -417,7 +417,8 @@ def test_damage_anywhere_is_noticed_before_a_log_is_gone_on_with(
         record_to(log, whole_mission.sent[6:9])
     content = path.read_bytes()
     for at in [*range(0, len(content), 97), *range(len(content) - 40, len(content))]:
-        path.write_bytes(content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :])
+        flipped, after = bytes([content[at] ^ 0x10]), at + 1
+        path.write_bytes(content[:at] + flipped + content[after:])
         with pytest.raises(LogError, match=r'is damaged near byte|is no MCAP file'):
             LogWriter(path, resume=True)
         assert [file.name for file in sorted(tmp_path.iterdir())] == [
