@@ -18,7 +18,6 @@ from kbnitp_ros.core import Belief, DeploymentKey, Grid, Ledger, SensorModel
 from kbnitp_ros.messages.grids import map_metadata, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,
-    check_text,
     from_stamp,
     header,
     read_name,
@@ -120,8 +119,6 @@ def read_belief_maps(message: Any) -> Snapshot:
 
     """
     check_frame('header.frame_id', message.header.frame_id)
-    for name in ('method', 'agent'):
-        check_text(name, getattr(message, name))
     if message.deployments and not message.agent:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"

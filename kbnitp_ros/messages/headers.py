@@ -129,17 +129,3 @@ def check_frame(name: str, frame_id: str) -> None:
         raise ValueError(
             f'{name} is {shown(frame_id)}: it must be {FRAME!r}, the frame of the grid'
         )
-
-
-def check_text(name: str, text: str) -> None:
-    """
-    Check that a text was one before rclpy, which puts a sign in place of what is none, read it.
-
-    Raises
-    ------
-    ValueError
-        If it was not UTF-8.
-
-    """
-    if '\ufffd' in text:
-        raise ValueError(f'{name} is {shown(text)}: it must be UTF-8')

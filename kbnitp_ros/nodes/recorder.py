@@ -11,7 +11,7 @@ import sys
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from kbnitp_ros.log.bag import LogWriter, qos_profiles_yaml
+from kbnitp_ros.log.bag import check_texts, LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
 from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.evidence import BELIEF, GRID, PATH, REPORT
@@ -19,7 +19,7 @@ from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
-from kbnitp_ros.messages.headers import check_text, to_stamp
+from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.sizes import (
     check_size,
@@ -261,6 +261,7 @@ class RecorderNode(Shell):
             return
         check_size(data, LARGEST[topic.type_name])
         message = deserialize_message(data, message_class(topic.type_name))
+        check_texts(topic.type_name, data)
         if topic.recorded:
             stamp = read_path_name(message)
             self._succession.hear(mission_of_path(message))
@@ -271,8 +272,6 @@ class RecorderNode(Shell):
             snapshot = read_belief_maps(message)
             self._succession.check(snapshot, self.count_authors(topic.name, BELIEF))
             self._succession.take(snapshot)
-        else:
-            check_text('header.frame_id', message.header.frame_id)
 
     def _tell_recorded(self) -> None:
         """Tell the agents which of their paths are on the disk."""

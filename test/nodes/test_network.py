@@ -7,10 +7,12 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.bag import read_log
 from kbnitp_ros.messages.deployments import path_message, read_path, report_message
+from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
-from nav_msgs.msg import Path
+from nav_msgs.msg import OccupancyGrid, Path
 import pytest
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from samples import FIELD, GRID, HOME, key, lost, path
 from std_msgs.msg import String
@@ -155,3 +157,17 @@ def test_a_path_tells_when_the_mission_of_its_belief_began(field):
 def test_a_node_that_waits_says_for_whom_on_the_console(field):
     field.start('planner', {**FIELD, 'await_nodes': ['estimator']})
     field.until(lambda: 'waiting for the belief' in field.said('/planner'), 'word')
+
+
+def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
+    log = field.folder / 'mission.mcap'
+    field.start('recorder', {'file': str(log)}, '/m')
+    maps = field.talk(OccupancyGrid, '/m/belief/hazard')
+    sound = occupancy_grid(GRID, [0.5] * GRID.cells, 1)
+    data = serialize_message(sound)
+    place = data.index(b'map\0')
+    for text in (b'm\xffp\0', b'\0\xc0p\0'):
+        maps.publish(data[:place] + text + data[place + 4 :])
+    assert 'a text that is not UTF-8' in field.until_refused('/m/recorder', 2)
+    maps.publish(sound)
+    field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')

@@ -2,6 +2,7 @@
 """The files of a log: parts, schemas, metadata and repair. Knows bags, and nothing of missions."""
 
 from kbnitp_ros.log.bag.errors import LogError, same_types
+from kbnitp_ros.log.bag.legible import check_texts
 from kbnitp_ros.log.bag.lock import LogLock
 from kbnitp_ros.log.bag.parts import check_is_new, parts_of
 from kbnitp_ros.log.bag.reader import is_finished, log_size, LoggedMessage, read_log, read_metadata
@@ -17,6 +18,7 @@ __all__ = [
     'LoggedMessage',
     'Recorded',
     'check_is_new',
+    'check_texts',
     'is_finished',
     'log_size',
     'parts_of',

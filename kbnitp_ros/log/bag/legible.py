@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the texts of a message can be read again, before it is written to a log."""
+
+from __future__ import annotations
+
+from functools import cache
+import re
+from typing import Any
+
+from kbnitp_ros.log.bag.schema import describe, ENCODING, SEPARATOR
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+# The fields of many numbers: texts come before them, and to read them takes long.
+MANY = re.compile(r'^(?:float64|int8)\[\] ', re.MULTILINE)
+
+
+def check_texts(type_name: str, data: bytes) -> None:
+    """
+    Check that the texts of a message are UTF-8 to their ends.
+
+    rclpy puts another sign in place of one that is none, and ends a text at its first zero. Other
+    readers do neither: they read no such message.
+
+    Parameters
+    ----------
+    type_name : str
+        Of an installed type.
+    data : bytes
+        What rclpy read a message of.
+
+    Raises
+    ------
+    ValueError
+        If one is not.
+
+    """
+    try:
+        decoder(type_name)(data)
+    except UnicodeDecodeError as error:
+        raise ValueError(f'it has a text that is not UTF-8: {error.reason}') from error
+
+
+@cache
+def decoder(type_name: str) -> Any:
+    """Return what reads a message of a type up to its first field of many numbers."""
+    own, separator, others = describe(type_name).definition.partition(SEPARATOR)
+    definition = MANY.split(own)[0] + separator + others
+    schema = Schema(id=1, name=type_name, encoding=ENCODING, data=definition.encode())
+    return DecoderFactory().decoder_for('cdr', schema)
