@@ -31,6 +31,13 @@ SWEEPS = 4
 SETTLED = 5e-4
 SETTLED_LEARNING = 5e-3
 MOST_SWEEPS = 32
+# Seeds are shared with the worlds of simulations, whose generators are keyed by seed and number.
+OWN_KEY = 0x53414D50
+
+
+def generator(seed: int, deployments: int) -> np.random.Generator:
+    """Return the generator for one deployment, which no world and no robot of that seed has."""
+    return np.random.default_rng([OWN_KEY, seed, deployments])
 
 
 class Sampler:
@@ -79,9 +86,7 @@ class Sampler:
         self._hypotheses = Hypotheses(belief, model, unknowns)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
-        self._hazardous, self._place = chains.start(
-            self._hypotheses, np.random.default_rng([seed, 0])
-        )
+        self._hazardous, self._place = chains.start(self._hypotheses, generator(seed, 0))
         self.belief = self._hypotheses.belief
         self.parameters: Mapping[str, Learnt] = {
             name: Learnt(bins, np.exp(bins.log_prior))
@@ -107,7 +112,7 @@ class Sampler:
         check_cells(self.belief, observation)
         tally = self._tally.and_one_more(observation)
         self._hypotheses.refuse_impossible(tally)
-        rng = np.random.default_rng([self._seed, tally.deployments])
+        rng = generator(self._seed, tally.deployments)
         settled = SETTLED_LEARNING if self._hypotheses.unknown else SETTLED
         moving = Chains(self._hypotheses, tally, self._hazardous, self._place, rng)
         for _ in range(MOST_SWEEPS // SWEEPS):

@@ -433,6 +433,13 @@ def test_bits_are_the_same_compiled_and_interpreted_in_one_thread_and_in_several
     assert bits('none') == compiled
 
 
+def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
+    for others in (5, [5, 0], [5, 3]):
+        drawn = np.random.default_rng(others).random(4)
+        for deployments in (0, 3):
+            assert not np.isin(sampled.generator(5, deployments).random(4), drawn).any()
+
+
 # Bad input
 
 
