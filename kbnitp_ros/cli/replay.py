@@ -28,6 +28,9 @@ EXAMPLES = (
     'python3 -m kbnitp_ros replay runs/small/mission.mcap --repair runs/whole/mission.mcap',
 )
 
+# How many messages that nobody took are told of one by one.
+REFUSALS = 20
+
 T = TypeVar('T', LoggedMessage, Recorded)
 
 
@@ -106,7 +109,9 @@ def lines(report: ReplayReport) -> Iterator[str]:
         yield f'deployment {key} has no report on record: the robot was still out'
     for key in evidence.without_path:
         yield f'deployment {key} has no path on record'
-    for refusal in evidence.refused:
+    for refusal in evidence.refused[:REFUSALS]:
         yield f'refused: {refusal}'
+    if len(evidence.refused) > REFUSALS:
+        yield f'refused: {len(evidence.refused) - REFUSALS} more'
     if not report.finished:
         yield 'the log is unfinished: it was still being written, or its end is missing'

@@ -66,6 +66,31 @@ def differences(recorded: Any, computed: Any) -> Iterator[Difference]:
             yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
 
 
+def content(message: Any, like: Any) -> tuple[Any, ...]:
+    """
+    Return what is in a message: equal for messages that do not differ, whoever decoded them.
+
+    Parameters
+    ----------
+    message : object
+        As decoded from a log, or a ROS message.
+    like : ROS message
+        One of its type.
+
+    """
+    return tuple(
+        content_of_field(getattr(message, name), getattr(like, name))
+        for name in like.get_fields_and_field_types()
+    )
+
+
+def content_of_field(value: Any, like: Any) -> Any:
+    """Return what is in a field, arrays as their bytes."""
+    if hasattr(like, 'get_fields_and_field_types'):
+        return content(value, like)
+    return np.asarray(value, like.typecode).tobytes() if isinstance(like, array) else value
+
+
 def array_differences(name: str, theirs: ArrayLike, ours: array[Any]) -> Iterator[Difference]:
     """Yield the worst difference of two arrays, if there is any."""
     recorded, computed = np.asarray(theirs, dtype=ours.typecode), np.asarray(ours)

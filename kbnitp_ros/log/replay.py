@@ -9,16 +9,17 @@ have published is then compared with what is on record, field by field and bit f
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from kbnitp_ros.core import DeploymentKey, Estimator, Grid, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
-from kbnitp_ros.log.compare import Difference, differences
+from kbnitp_ros.log.compare import content, Difference, differences
 from kbnitp_ros.log.evidence import (
     BELIEF,
     Evidence,
@@ -33,9 +34,13 @@ from kbnitp_ros.log.ways import Head, Ways
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
+from nav_msgs.msg import OccupancyGrid
 
 # A view's topic and its stamp, which may be that of several beliefs.
 View = tuple[str, int]
+
+S = TypeVar('S')
+T = TypeVar('T')
 
 # How many steps a replay may take, for each message and besides: deployments taken in, and reports
 # looked at. An estimator that goes back for late reports takes a few dozen for a message.
@@ -201,7 +206,7 @@ def replay_with(
             raise LogError(
                 f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
             )
-        fold = Fold(evidence, heads, version)
+        fold = Fold(evidence, heads, topic, version)
         for logged in progress(read_log(path, (BELIEF, GRID))):
             fold.take(logged)
         fold.finish()
@@ -246,13 +251,19 @@ class Fold:
         All of the log.
     heads : sequence of Head
         Of the log's beliefs.
+    topic : str
+        Theirs.
     version : int, optional
         Which of the method's `versions` to compute with; the last unless given.
 
     """
 
     def __init__(
-        self, evidence: Evidence, heads: Sequence[Head], version: int | None = None
+        self,
+        evidence: Evidence,
+        heads: Sequence[Head],
+        topic: str,
+        version: int | None = None,
     ) -> None:
         self.evidence = evidence
         self.version = version
@@ -277,8 +288,8 @@ class Fold:
         # With whether their robots came back: a late return is more than the loss it replaces.
         self._held: set[tuple[DeploymentKey, bool]] = set()
         self._seen: Counter[str] = Counter()
-        self._views: dict[View, list[Recorded]] = {}
-        self._computed_views: dict[View, list[tuple[DeploymentKey | None, Any]]] = {}
+        self._view_topics = {f'{topic}/{name}' for name in VIEWS}
+        self._views: dict[View, Views] = defaultdict(Views)
 
     @property
     def version_used(self) -> int | None:
@@ -295,9 +306,10 @@ class Fold:
         recorded = Recorded(logged.topic, self._seen[logged.topic], logged.message)
         self._seen[logged.topic] += 1
         if logged.type_name == GRID:
+            if logged.topic not in self._view_topics:
+                return
             view = logged.topic, from_stamp(logged.message.header.stamp)
-            self._views.setdefault(view, []).append(recorded)
-            self._match_views(view)
+            self.compared[logged.topic] += self._views[view].is_matched_by_recorded(recorded)
         elif recorded.index < len(self._heads):
             # The log may have grown since its evidence was read.
             self._compare_belief(recorded, self._heads[recorded.index])
@@ -305,8 +317,8 @@ class Fold:
     def finish(self) -> None:
         """Compare what still waits, and find deployments in no belief."""
         # What is left has another value, or belongs to a belief that is not on record.
-        for view, recorded in self._views.items():
-            for each, (newest, shown) in zip(recorded, self._computed_views.get(view, ())):
+        for views in self._views.values():
+            for each, (newest, shown) in views.unmatched():
                 self.compared[each.topic] += 1
                 different = tuple(differences(each.message, shown))
                 self.mismatches.append(Mismatch(each.topic, each.index, newest, different))
@@ -502,19 +514,43 @@ class Fold:
         for name in VIEWS:
             view = f'{topic}/{name}', head.stamp
             shown = occupancy_grid(grid, getattr(belief, name), head.stamp)
-            self._computed_views.setdefault(view, []).append((head.newest, shown))
-            self._match_views(view)
+            found = self._views[view].is_matched_by_computed(head.newest, shown)
+            self.compared[f'{topic}/{name}'] += found
 
-    def _match_views(self, view: View) -> None:
-        """Strike out recorded views of a topic and stamp that are as computed."""
-        computed = self._computed_views.get(view, [])
-        for recorded in self._views.get(view, []).copy():
-            for index, (_, shown) in enumerate(computed):
-                if not any(differences(recorded.message, shown)):
-                    self.compared[recorded.topic] += 1
-                    self._views[view].remove(recorded)
-                    del computed[index]
-                    break
+
+class Views:
+    """The views of one topic and stamp that are recorded and not computed, or the other way."""
+
+    def __init__(self) -> None:
+        self._recorded: dict[Hashable, list[Recorded]] = {}
+        self._computed: dict[Hashable, list[tuple[DeploymentKey | None, Any]]] = {}
+
+    def is_matched_by_recorded(self, recorded: Recorded) -> bool:
+        """Return whether a recorded view has been computed, and strike both out."""
+        key = content(recorded.message, OccupancyGrid())
+        return strike_out(key, self._computed, self._recorded, recorded)
+
+    def is_matched_by_computed(self, newest: DeploymentKey | None, shown: OccupancyGrid) -> bool:
+        """Return whether a computed view has been recorded, and strike both out."""
+        return strike_out(content(shown, shown), self._recorded, self._computed, (newest, shown))
+
+    def unmatched(self) -> Iterator[tuple[Recorded, tuple[DeploymentKey | None, Any]]]:
+        """Yield what was recorded in the place of something else."""
+        recorded = sorted(chain(*self._recorded.values()), key=lambda each: each.index)
+        return zip(recorded, chain(*self._computed.values()))
+
+
+def strike_out(
+    key: Hashable, others: dict[Hashable, list[S]], own: dict[Hashable, list[T]], view: T
+) -> bool:
+    """Remove one of the others that has the same content, or keep this one if there is none."""
+    if key not in others:
+        own.setdefault(key, []).append(view)
+        return False
+    others[key].pop()
+    if not others[key]:
+        del others[key]
+    return True
 
 
 class UndecidedError(Exception):

@@ -11,10 +11,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation, Report, versions
+from kbnitp_ros.log import replay as replaying
 from kbnitp_ros.log.bag import writer
 from kbnitp_ros.log.bag.reader import LogError
 from kbnitp_ros.log.bag.schema import describe
 from kbnitp_ros.log.bag.writer import LogWriter
+from kbnitp_ros.log.compare import content
 from kbnitp_ros.log.deployments import read_deployments, read_newest_round
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.history import read_history
@@ -557,9 +559,30 @@ def test_what_is_too_entangled_is_said_to_be_undecided(replayed, tmp_path, capsy
     assert f'/belief: {compared - undecided} of {compared} reproduced' in told
 
 
+def test_any_number_of_views_of_one_time_is_compared_once_each(
+    whole_mission, replayed, monkeypatch
+):
+    view = on(whole_mission.sent, '/belief/hazard')[3]
+    changed = []
+    for number in range(300):
+        changed.append(deepcopy(view.message))
+        changed[-1].data[0] = number % 50
+    looked_at = 0
+
+    def counted(message, like):
+        nonlocal looked_at
+        looked_at += 1
+        return content(message, like)
+
+    monkeypatch.setattr(replaying, 'content', counted)
+    sent = [*whole_mission.sent, *(Sent(view.topic, each, view.time) for each in changed)]
+    assert replayed(sent).reproduced
+    assert looked_at == len(changed) + 2 * sum(REPRODUCED[name] for name in VIEWS)
+
+
 @pytest.mark.parametrize('first', ['path', 'reports'])
 def test_any_number_of_reports_of_one_deployment_is_read_once_each(
-    whole_mission, replayed, monkeypatch, first
+    whole_mission, replayed, tmp_path, capsys, monkeypatch, first
 ):
     """However many there are, each is compared with few others."""
     whole = deepcopy(whole_mission)
@@ -589,6 +612,13 @@ def test_any_number_of_reports_of_one_deployment_is_read_once_each(
     assert report.not_yet_held == [key]
     assert report.evidence.survived == 1 + replayed(whole.sent, 'whole.mcap').evidence.survived
     assert compared < 2 * len(junk)
+    assert main([str(tmp_path / 'mission.mcap')]) == 0
+    refused = [line for line in capsys.readouterr().out.splitlines() if 'refused: ' in line]
+    if first == 'path':
+        # Of each instant the return that does not fit, and none of the losses.
+        assert len(report.evidence.refused) == len(junk) / 3
+        assert len(refused) == 21
+        assert refused[-1] == f'refused: {len(junk) // 3 - 20} more'
     assert report.work < 3 * len(whole.sent)
 
 
