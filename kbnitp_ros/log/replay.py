@@ -309,7 +309,8 @@ class Fold:
             if logged.topic not in self._view_topics:
                 return
             view = logged.topic, from_stamp(logged.message.header.stamp)
-            self.compared[logged.topic] += self._views[view].is_matched_by_recorded(recorded)
+            if self._views[view].is_matched_by_recorded(recorded):
+                self.compared[logged.topic] += 1
         elif recorded.index < len(self._heads):
             # The log may have grown since its evidence was read.
             self._compare_belief(recorded, self._heads[recorded.index])
@@ -514,8 +515,8 @@ class Fold:
         for name in VIEWS:
             view = f'{topic}/{name}', head.stamp
             shown = occupancy_grid(grid, getattr(belief, name), head.stamp)
-            found = self._views[view].is_matched_by_computed(head.newest, shown)
-            self.compared[f'{topic}/{name}'] += found
+            if self._views[view].is_matched_by_computed(head.newest, shown):
+                self.compared[f'{topic}/{name}'] += 1
 
 
 class Views:
