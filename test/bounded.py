@@ -2,6 +2,7 @@
 """Commands in processes that may take little, to see what a hostile file takes."""
 
 from dataclasses import dataclass
+from functools import cache
 import os
 import re
 import subprocess
@@ -65,3 +66,11 @@ def run_code(code, *arguments, **options):
 def run_command(*arguments, **options):
     """Run a command of the package in a process of its own."""
     return run_code(COMMAND, *arguments, **options)
+
+
+@cache
+def megabytes_at_start(command):
+    """Return the most memory that a command has which does nothing but help."""
+    ended = run_command(command, '--help')
+    assert ended.code == 0, ended
+    return ended.megabytes

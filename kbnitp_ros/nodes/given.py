@@ -8,6 +8,7 @@ ROS hands a node the values only, and passes over in silence what is misspelt or
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 import re
 from typing import Any
@@ -173,6 +174,12 @@ def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: st
                 f'-p {rule} would change nothing: to ROS, section {section!r} of the parameter '
                 f'file counts for more; change {parameter} there'
             )
+
+
+def names_given(arguments: Sequence[str]) -> list[str]:
+    """Return what of a command line says how the node and its topics are called."""
+    renamed = [each for each in _ros_arguments(arguments) if each[0] in REMAP]
+    return ['--ros-args', *chain.from_iterable(renamed)]
 
 
 def _ros_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -18,7 +18,7 @@ from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.diagnostics import Diagnostics
 from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
-from kbnitp_ros.nodes.given import check_given
+from kbnitp_ros.nodes.given import check_given, names_given
 from kbnitp_ros.nodes.parameters import declare
 import rclpy
 from rclpy.clock import Clock
@@ -292,7 +292,9 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
     # What is wrong with the arguments may be wrong with this node, too.
     with suppress(*START_ERRORS):
         if not rclpy.ok():
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            # Parameters that were refused are not for ROS to read.
+            names = names_given(arguments)
+            rclpy.init(args=names, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, enable_rosout=False, start_parameter_services=False)
         Diagnostics(node).fail(error)
 

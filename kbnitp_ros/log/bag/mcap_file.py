@@ -349,6 +349,8 @@ def in_chunk(body: bytes, length: int) -> Iterator[tuple[int, bytes]]:
         begin, start = start + HEAD.size, start + HEAD.size + size
         if kind not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             raise ValueError(f'a chunk has a record of kind {kind}')
+        if kind != Opcode.MESSAGE:
+            check_size('a definition', size, MOST_DEFINITIONS)
         if start <= len(data):
             yield kind, bytes(data[begin:start])
     if start != len(data) and not is_cut:
