@@ -38,16 +38,16 @@ def run_demo(*options):
 def running(tmp_path):
     """Return a demo that has deployed some robots and has many more to go."""
     process = subprocess.Popen(
-        [*DEMO, '--robots', '100000', '--size', '4', '--max-steps', '4', '--out', str(tmp_path)],
+        [*DEMO, '--robots', '20000', '--size', '4', '--max-steps', '4', '--out', str(tmp_path)],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
     log = tmp_path / 'mission.mcap'
     deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline:
-        if log.exists() and log.stat().st_size > 100_000:
-            break
+    while not (log.exists() and log.stat().st_size > 100_000):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
         time.sleep(0.1)
     yield process, log
     # The nodes may be left of it.
