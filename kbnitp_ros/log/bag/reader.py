@@ -264,5 +264,6 @@ def check_definition(definition: bytes) -> None:
     """
     if len(definition) > LONGEST_DEFINITION:
         raise ValueError(f'it is defined in {len(definition)} bytes')
-    if re.search(rb'\[0+\]', definition):
+    # Comments may speak of an array's first element.
+    if re.search(rb'^[^#\n]*\[0+\]', definition, re.MULTILINE):
         raise ValueError('it has an array of no elements')
