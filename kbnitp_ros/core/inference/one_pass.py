@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
 from kbnitp_ros.core.inference.evidence import (
+    check_cells,
     given,
     returned_log_likelihood,
     survived_log_likelihood,
@@ -47,6 +48,7 @@ class OnePass:
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
         """Return the belief after one deployment, as `kbnitp_ros.core.update` does."""
+        check_cells(belief, observation)
         if not self.correlated:
             belief = independent(belief, observation.path[1:])
         if observation.readings is not None:

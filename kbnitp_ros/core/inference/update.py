@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel
-from kbnitp_ros.core.inference.evidence import check_cells
 from kbnitp_ros.core.inference.methods import VERSIONS
 from kbnitp_ros.core.inference.one_pass import OnePass
 
@@ -52,5 +51,4 @@ def update(
             f'method is {method!r}: known for one deployment are {", ".join(one_pass)}; '
             f'{", ".join(others)} need them all, in an Estimator'
         )
-    check_cells(belief, observation)
     return one_pass[method].update(belief, model, observation)
