@@ -182,7 +182,9 @@ def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
     parameters = {**SMALL, 'robots': 6}
     field.start_mission({**parameters, 'use_sim_time': True})
 
-    field.until(lambda: field.state('/estimator') == 'waiting for the clock', 'wait for the clock')
+    field.until(
+        lambda: field.state('/estimator') == 'waiting for the clock to start', 'wait for the clock'
+    )
     assert not paths
     now = [100]
     clock = field.node.create_publisher(rosgraph_msgs.msg.Clock, '/clock', 1)
