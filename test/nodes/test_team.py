@@ -146,7 +146,7 @@ def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field)
 
 
 def test_a_team_carries_on_when_an_agent_leaves(field):
-    team = Team(field, 3, {'robots': 10**6, 'step_period': 0.01}, processes=True)
+    team = Team(field, 3, {'robots': 20_000, 'step_period': 0.01}, processes=True)
     field.until(lambda: all(len(each) > 2 for each in team.reports.values()), 'reports')
     gone = field.processes.started.pop('/m/scout_2/agent')
     gone.send_signal(signal.SIGINT)

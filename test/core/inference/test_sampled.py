@@ -249,7 +249,8 @@ def test_more_sweeps_come_as_close_as_anyone_likes(monkeypatch):
     exact = marginals(*weight_of_hazards(ENTROPIC.joint, model, observations))
     for sweeps, close in ((8, 1e-3), (128, 1e-4), (2048, 1e-5)):
         away, said = [], []
-        for seed in range(5):
+        # What is said varies as much as what it tells of, so that it takes many to compare them.
+        for seed in range(20):
             monkeypatch.setattr(sampled, 'MOST_SWEEPS', 4)
             estimator = assimilated(ENTROPIC, model, observations[:-1], seed=seed)
             monkeypatch.setattr(sampled, 'MOST_SWEEPS', sweeps)
@@ -257,7 +258,7 @@ def test_more_sweeps_come_as_close_as_anyone_likes(monkeypatch):
             away.append(divergence(exact, estimator.belief.joint))
             said.append(estimator.sampling_error)
         assert np.mean(away) < close
-        assert np.mean(said) == pytest.approx(np.mean(away), rel=0.7)
+        assert 0.5 < np.mean(said) / np.mean(away) < 2.0
 
 
 EXCLUSIVE = SensorModel(0.5, malfunction=1e-9)
