@@ -159,6 +159,12 @@ def test_a_node_that_waits_says_for_whom_on_the_console(field):
     field.until(lambda: 'waiting for the belief' in field.said('/planner'), 'word')
 
 
+@pytest.mark.full
+def test_a_node_that_still_waits_says_so_again(field):
+    field.start('planner', {**FIELD, 'await_nodes': ['estimator']})
+    field.until(lambda: field.said('/planner').count('waiting for the belief') == 2, 'two words')
+
+
 def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
