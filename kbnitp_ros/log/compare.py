@@ -55,15 +55,27 @@ def differences(recorded: Any, computed: Any) -> Iterator[Difference]:
         Its fields are the ones compared.
 
     """
+    # A field that an earlier version of the type did not have yet says what it says by default.
+    default = type(computed)()
     for name in computed.get_fields_and_field_types():
-        theirs, ours = getattr(recorded, name), getattr(computed, name)
-        if hasattr(ours, 'get_fields_and_field_types'):
-            for difference in differences(theirs, ours):
-                yield replace(difference, field=f'{name}.{difference.field}')
-        elif isinstance(ours, array):
-            yield from array_differences(name, theirs, ours)
-        elif theirs != ours:
-            yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
+        theirs, ours = getattr(recorded, name, getattr(default, name)), getattr(computed, name)
+        yield from differences_of_field(name, theirs, ours)
+
+
+def differences_of_field(name: str, theirs: Any, ours: Any) -> Iterator[Difference]:
+    """Yield where a recorded field differs from the computed one."""
+    if hasattr(ours, 'get_fields_and_field_types'):
+        for difference in differences(theirs, ours):
+            yield replace(difference, field=f'{name}.{difference.field}')
+    elif isinstance(ours, array):
+        yield from array_differences(name, theirs, ours)
+    elif isinstance(ours, list) and len(theirs) == len(ours):
+        for index, elements in enumerate(zip(theirs, ours)):
+            yield from differences_of_field(f'{name}[{index}]', *elements)
+    elif isinstance(ours, list):
+        yield Difference(name, f'has {len(theirs)} values, computed are {len(ours)}')
+    elif theirs != ours:
+        yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
 
 
 def content(message: Any, like: Any) -> tuple[Any, ...]:
@@ -88,6 +100,8 @@ def content_of_field(value: Any, like: Any) -> Any:
     """Return what is in a field, arrays as their bytes."""
     if hasattr(like, 'get_fields_and_field_types'):
         return content(value, like)
+    if isinstance(like, list):
+        return tuple(value)
     return np.asarray(value, like.typecode).tobytes() if isinstance(like, array) else value
 
 

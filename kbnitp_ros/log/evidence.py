@@ -14,6 +14,7 @@ from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, re
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 GRID = 'nav_msgs/msg/OccupancyGrid'
+MODEL = 'kbnitp_msgs/msg/ModelBelief'
 PATH = 'nav_msgs/msg/Path'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 

@@ -17,6 +17,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
+from kbnitp_msgs.msg import ModelBelief
 from kbnitp_ros.core import DeploymentKey, Estimator, Grid, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import content, Difference, differences
@@ -25,6 +26,7 @@ from kbnitp_ros.log.evidence import (
     Evidence,
     first_belief,
     GRID,
+    MODEL,
     PATH,
     REPORT,
     Reported,
@@ -34,6 +36,7 @@ from kbnitp_ros.log.ways import Head, Ways
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.models import model_belief
 from nav_msgs.msg import OccupancyGrid
 
 # A view's topic and its stamp, which may be that of several beliefs.
@@ -56,6 +59,9 @@ GAP = 5_000
 NO_RULES = Grid(1, 1), 1
 
 VIEWS = ('hazard', 'target', 'kappa')
+
+# A message of each type that shows something of a belief.
+LIKE = {GRID: OccupancyGrid(), MODEL: ModelBelief()}
 
 
 @dataclass(frozen=True)
@@ -207,7 +213,7 @@ def replay_with(
                 f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
             )
         fold = Fold(evidence, heads, topic, version)
-        for logged in progress(read_log(path, (BELIEF, GRID))):
+        for logged in progress(read_log(path, (BELIEF, *LIKE))):
             fold.take(logged)
         fold.finish()
     return ReplayReport(
@@ -288,7 +294,8 @@ class Fold:
         # With whether their robots came back: a late return is more than the loss it replaces.
         self._held: set[tuple[DeploymentKey, bool]] = set()
         self._seen: Counter[str] = Counter()
-        self._view_topics = {f'{topic}/{name}' for name in VIEWS}
+        self._model_topic = f'{topic.rpartition("/")[0]}/model'
+        self._view_types = {f'{topic}/{name}': GRID for name in VIEWS} | {self._model_topic: MODEL}
         self._views: dict[View, Views] = defaultdict(Views)
 
     @property
@@ -305,11 +312,11 @@ class Fold:
         """Compare a belief or a view."""
         recorded = Recorded(logged.topic, self._seen[logged.topic], logged.message)
         self._seen[logged.topic] += 1
-        if logged.type_name == GRID:
-            if logged.topic not in self._view_topics:
+        if logged.type_name != BELIEF:
+            if self._view_types.get(logged.topic) != logged.type_name:
                 return
             view = logged.topic, from_stamp(logged.message.header.stamp)
-            if self._views[view].is_matched_by_recorded(recorded):
+            if self._views[view].is_matched_by_recorded(recorded, LIKE[logged.type_name]):
                 self.compared[logged.topic] += 1
         elif recorded.index < len(self._heads):
             # The log may have grown since its evidence was read.
@@ -512,11 +519,15 @@ class Fold:
         """Compute the views of a belief."""
         assert self._ledger is not None
         grid, belief = self._ledger.grid, self._ledger.belief
-        for name in VIEWS:
-            view = f'{topic}/{name}', head.stamp
-            shown = occupancy_grid(grid, getattr(belief, name), head.stamp)
-            if self._views[view].is_matched_by_computed(head.newest, shown):
-                self.compared[f'{topic}/{name}'] += 1
+        views: dict[str, Any] = {
+            f'{topic}/{name}': occupancy_grid(grid, getattr(belief, name), head.stamp)
+            for name in VIEWS
+        }
+        if self._ledger.estimator.unknowns.priors:
+            views[self._model_topic] = model_belief(self._ledger, head.stamp)
+        for name, shown in views.items():
+            if self._views[name, head.stamp].is_matched_by_computed(head.newest, shown):
+                self.compared[name] += 1
 
 
 class Views:
@@ -526,12 +537,16 @@ class Views:
         self._recorded: dict[Hashable, list[Recorded]] = {}
         self._computed: dict[Hashable, list[tuple[DeploymentKey | None, Any]]] = {}
 
-    def is_matched_by_recorded(self, recorded: Recorded) -> bool:
-        """Return whether a recorded view has been computed, and strike both out."""
-        key = content(recorded.message, OccupancyGrid())
+    def is_matched_by_recorded(self, recorded: Recorded, like: Any) -> bool:
+        """
+        Return whether a recorded view has been computed, and strike both out.
+
+        `like` is a message of its type.
+        """
+        key = content(recorded.message, like)
         return strike_out(key, self._computed, self._recorded, recorded)
 
-    def is_matched_by_computed(self, newest: DeploymentKey | None, shown: OccupancyGrid) -> bool:
+    def is_matched_by_computed(self, newest: DeploymentKey | None, shown: Any) -> bool:
         """Return whether a computed view has been recorded, and strike both out."""
         return strike_out(content(shown, shown), self._recorded, self._computed, (newest, shown))
 
@@ -568,5 +583,7 @@ def started(prior: Snapshot, version: int | None, evidence: Evidence) -> TrialLe
         If the method or the version is unknown.
 
     """
-    estimator = Estimator(prior.belief, prior.model, prior.method, version=version)
+    estimator = Estimator(
+        prior.prior, prior.model, prior.method, prior.unknowns, prior.seed, version=version
+    )
     return TrialLedger(prior.grid, prior.max_steps, estimator, evidence)

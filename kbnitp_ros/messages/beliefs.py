@@ -10,11 +10,12 @@ message says how it can be computed again from the deployments.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from kbnitp_msgs.msg import BeliefMaps
-from kbnitp_ros.core import Belief, DeploymentKey, Grid, Ledger, SensorModel
+from kbnitp_msgs.msg import BeliefMaps, UnknownNumber
+from kbnitp_ros.core import Belief, Beta, DeploymentKey, Grid, Ledger, SensorModel, Unknowns
 from kbnitp_ros.messages.grids import map_metadata, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,
@@ -22,6 +23,7 @@ from kbnitp_ros.messages.headers import (
     header,
     read_name,
     read_stamp,
+    shown,
     to_stamp,
 )
 from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
@@ -46,15 +48,21 @@ class Snapshot:
     max_steps : int
         The most steps of a path.
     model : SensorModel
-        What the estimator believes of robots and sensors.
+        What the estimator believes of robots and sensors by then: what to plan with.
+    unknowns : Unknowns
+        Which numbers of that, and of the prior, it learns.
     method : str
         How it takes deployments in.
+    seed : int
+        Of what the method draws at random.
     deployments : int
         How many it has taken in.
     newest : DeploymentKey or None
         Whose evidence it took in last; None when there is none.
     belief : Belief
         Given those.
+    prior : Belief
+        As it was given, of the first belief: that is averaged over what is learnt of the prior.
 
     """
 
@@ -63,10 +71,26 @@ class Snapshot:
     grid: Grid
     max_steps: int
     model: SensorModel
+    unknowns: Unknowns
     method: str
+    seed: int
     deployments: int
     newest: DeploymentKey | None
     belief: Belief
+    prior: Belief
+
+    def rules(self) -> dict[str, Any]:
+        """Return what an estimator was started with, by name: the same in all its beliefs."""
+        unknowns = self.unknowns.priors
+        model = {each: value for each, value in asdict(self.model).items() if each not in unknowns}
+        return {
+            'grid': self.grid,
+            'max_steps': self.max_steps,
+            'method': self.method,
+            'model': model,
+            'unknowns': unknowns,
+            'seed': self.seed,
+        }
 
 
 def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> BeliefMaps:
@@ -89,14 +113,19 @@ def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> Belief
     info = map_metadata(grid)
     info.map_load_time = to_stamp(mission)
     newest = ledger.newest or DeploymentKey('', 0)
+    estimator = ledger.estimator
+    unknowns = estimator.unknowns.priors
+    given = estimator.prior.joint if unknowns and not ledger.deployments else np.empty(0)
     return BeliefMaps(
         header=header(ledger.newest_stamp if ledger.newest else started),
         info=info,
         base=grid.base,
         blocked=sorted(grid.blocked),
         max_steps=ledger.max_steps,
-        method=ledger.estimator.method,
-        **asdict(ledger.estimator.model),
+        method=estimator.method,
+        **asdict(estimator.model),
+        unknowns=[UnknownNumber(name=name, **asdict(prior)) for name, prior in unknowns.items()],
+        seed=estimator.seed,
         deployments=len(ledger.deployments),
         agent=newest.agent,
         deployment=to_stamp(newest.stamp),
@@ -104,6 +133,7 @@ def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> Belief
         target=float64s(belief.target),
         kappa=float64s(belief.kappa),
         joint=float64s(belief.joint),
+        prior=float64s(given),
     )
 
 
@@ -124,11 +154,9 @@ def read_belief_maps(message: Any) -> Snapshot:
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"
         )
     grid = read_map_metadata(message.info, message.base, message.blocked)
-    joint = np.asarray(message.joint, dtype=np.float64)
-    if joint.size != 4 * grid.cells:
-        raise ValueError(
-            f'joint has {joint.size} values: it must have 4 * width * height = {4 * grid.cells}'
-        )
+    belief = read_joint('joint', message.joint, grid)
+    # Those of earlier versions had no numbers to learn.
+    given = getattr(message, 'prior', ())
     read_name('deployment', message.deployment)
     return Snapshot(
         stamp=read_stamp('header.stamp', message.header.stamp),
@@ -138,11 +166,56 @@ def read_belief_maps(message: Any) -> Snapshot:
         model=SensorModel(
             **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
         ),
+        unknowns=read_unknowns(getattr(message, 'unknowns', ())),
         method=message.method,
+        seed=getattr(message, 'seed', 0),
         deployments=message.deployments,
         newest=newest_deployment(message),
-        belief=Belief(joint.reshape(-1, 2, 2)),
+        belief=belief,
+        prior=read_joint('prior', given, grid) if len(given) else belief,
     )
+
+
+def read_joint(name: str, values: Any, grid: Grid) -> Belief:
+    """
+    Return the belief that a field holds.
+
+    Raises
+    ------
+    ValueError
+        If it has not four values a cell, or they are no distribution.
+
+    """
+    joint = np.asarray(values, dtype=np.float64)
+    if joint.size != 4 * grid.cells:
+        raise ValueError(
+            f'{name} has {joint.size} values: it must have 4 * width * height = {4 * grid.cells}'
+        )
+    try:
+        return Belief(joint.reshape(-1, 2, 2))
+    except ValueError as error:
+        raise ValueError(str(error).replace('joint', name, 1)) from error
+
+
+def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
+    """
+    Return what kbnitp_msgs/UnknownNumbers say is learnt.
+
+    Raises
+    ------
+    ValueError
+        If there is no such number, one stands twice, or its distribution is none.
+
+    """
+    priors: dict[str, Beta] = {}
+    known = [field.name for field in fields(Unknowns)]
+    for number in numbers:
+        if number.name not in known or number.name in priors:
+            raise ValueError(
+                f'unknowns has {shown(number.name)}: it must name each once, of {", ".join(known)}'
+            )
+        priors[number.name] = Beta(number.a, number.b, number.low, number.high)
+    return Unknowns(**priors)
 
 
 def newest_deployment(message: Any) -> DeploymentKey | None:

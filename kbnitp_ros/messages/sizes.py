@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 # In bytes: what all but the poses, readings and cells take, names and frames of others included;
-# a pose with the header of its own; a reading; a cell with its joint, its three views and its
-# number among those that are blocked. A time is 12 bytes with the head of its message.
+# a pose with the header of its own; a reading; a cell with its joint, its prior, its three views
+# and its number among those that are blocked. A time is 12 bytes with the head of its message.
 REST = 4096
 POSE = 256
 READING = 8
-CELL = 64
+CELL = 96
 TIME = 12
 
 
@@ -26,6 +26,11 @@ def largest_report(max_steps: int) -> int:
 def largest_belief(cells: int) -> int:
     """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
     return REST + CELL * cells
+
+
+def largest_model() -> int:
+    """Return the most bytes of a kbnitp_msgs/ModelBelief."""
+    return REST
 
 
 def check_size(data: bytes, largest: int) -> None:

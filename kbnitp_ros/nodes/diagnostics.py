@@ -37,6 +37,10 @@ class Diagnostics:
         Messages held until what they belong to has come.
     state : str
         What the node is doing, in a few words; 'waiting for' whom and why if it is.
+    warning : str
+        What is not as it should be for now; empty when nothing.
+    values : dict of str to str
+        What else is to be told.
 
     """
 
@@ -45,6 +49,8 @@ class Diagnostics:
         self.refused = 0
         self.waiting = 0
         self.state = 'running'
+        self.warning = ''
+        self.values: dict[str, str] = {}
         self._last_refusal = ''
         self._failure = ''
         self._told = 0
@@ -97,11 +103,12 @@ class Diagnostics:
             'accepted': self.accepted,
             'refused': self.refused,
             'waiting': self.waiting,
+            **self.values,
         }
         status = DiagnosticStatus(
             level=self._level(),
             name=self._node.get_fully_qualified_name(),
-            message=self._failure or self._last_refusal or self.state,
+            message=self._failure or self.warning or self._last_refusal or self.state,
             hardware_id='kbnitp_ros',
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
@@ -112,4 +119,4 @@ class Diagnostics:
     def _level(self) -> bytes:
         if self._failure:
             return DiagnosticStatus.ERROR
-        return DiagnosticStatus.WARN if self.refused else DiagnosticStatus.OK
+        return DiagnosticStatus.WARN if self.refused or self.warning else DiagnosticStatus.OK

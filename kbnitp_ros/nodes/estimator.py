@@ -8,8 +8,8 @@ from contextlib import suppress
 from functools import partial
 import sys
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import Belief, Estimator, Ledger
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
+from kbnitp_ros.core import Estimator, Ledger
 from kbnitp_ros.log.bag import read_log, same_types
 from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
@@ -18,9 +18,10 @@ from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
+from kbnitp_ros.messages.models import model_belief
 from kbnitp_ros.messages.sizes import largest_path, largest_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.parameters import agents_of, estimator_of, grid_of
 from kbnitp_ros.nodes.shell import run, Shell
 from nav_msgs.msg import OccupancyGrid, Path
 
@@ -30,15 +31,8 @@ class EstimatorNode(Shell):
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        grid = grid_of(self.values)
-        prior = Belief.prior(
-            grid,
-            self.values['prior.hazard'],
-            self.values['prior.target'],
-            self.values['prior.kappa'],
-        )
-        estimator = Estimator(prior, sensor_model_of(self.values), self.values['method'])
-        self._ledger = Ledger(grid, self.values['max_steps'], estimator)
+        estimator = estimator_of(self.values)
+        self._ledger = Ledger(grid_of(self.values), self.values['max_steps'], estimator)
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
         self._mission: int | None = None
@@ -49,6 +43,11 @@ class EstimatorNode(Shell):
             name: self.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
             for name in ('hazard', 'target', 'kappa')
         }
+        self._model = (
+            self.create_publisher(ModelBelief, 'model', qos.LATCHED)
+            if estimator.unknowns.priors
+            else None
+        )
         self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
         for agent in agents_of(self.values):
             self.hear(
@@ -161,6 +160,19 @@ class EstimatorNode(Shell):
         stamp = from_stamp(message.header.stamp)
         for name, publisher in self._maps.items():
             publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))
+        if self._model is not None:
+            self._model.publish(model_belief(ledger, stamp))
+        self._say_how_sure(ledger.estimator)
+
+    def _say_how_sure(self, estimator: Estimator) -> None:
+        """Tell how far chance takes the belief, and warn if that is further than aimed at."""
+        error = f'{estimator.sampling_error:.2g}'
+        self.diagnostics.values['sampling_error'] = error
+        self.diagnostics.warning = (
+            ''
+            if estimator.is_settled
+            else f'sampling has not settled: the belief is {error} nats off by chance'
+        )
 
     def _say_what_is_held(self) -> None:
         self.diagnostics.state = (

@@ -15,7 +15,17 @@ import json
 import re
 from typing import Any
 
-from kbnitp_ros.core import ALLOCATIONS, Grid, METHODS, PLANNERS, SensorModel
+from kbnitp_ros.core import (
+    ALLOCATIONS,
+    Belief,
+    Beta,
+    Estimator,
+    Grid,
+    METHODS,
+    PLANNERS,
+    SensorModel,
+    Unknowns,
+)
 from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.messages.grids import told_resolution
 from rcl_interfaces.msg import (
@@ -151,7 +161,10 @@ class Parameter:
             or (self.choices and value not in self.choices)
             or (self.pattern and not re.fullmatch(self.pattern, value))
         ):
-            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.allowed}')
+            meant = nearest(value, self.choices) if self.choices else ''
+            raise ValueError(
+                f'parameter {self.name} is {value!r}: {meant}it must be {self.allowed}'
+            )
         return value
 
     @property
@@ -183,6 +196,20 @@ MOST_CELLS = LONGEST_SIDE**2
 NAME = '[A-Za-z][A-Za-z0-9_]*'
 AGENTS = ('agent', 'team')
 FIELD = ('planner', *AGENTS, 'estimator')
+
+# The numbers that can be learnt: what they are, and what is believed of them at first.
+LEARN = {
+    'lethality': ('sensor.lethality', (0.0, 1.0)),
+    'malfunction': ('sensor.malfunction', (0.0, 1.0, 2.0, 30.0)),
+    'hazard_density': ('prior.hazard', (0.0, 1.0, 1.5, 5.0)),
+    'kappa': ('prior.kappa', (0.0, 1.0, 4.0, 1.5)),
+    'target_background': (
+        'the probability of a target where there is no hazard',
+        (0.0, 1.0, 1.5, 8.0),
+    ),
+    'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
+    'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
+}
 
 TABLE = (
     Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, LONGEST_SIDE)),
@@ -267,6 +294,26 @@ TABLE = (
         'How a deployment is turned into belief.',
         ('estimator',),
         choices=tuple(METHODS),
+    ),
+    Parameter(
+        'learn',
+        (),
+        'Numbers that are not known but learnt, by kappa_bnitp_sampled. Robots are then planned '
+        'with what is known of them.',
+        ('estimator',),
+        element=str,
+        choices=tuple(LEARN),
+    ),
+    *(
+        Parameter(
+            f'learn.{name}',
+            interval,
+            f'What is believed of {meaning} at first, if it is learnt: low and high, and if not '
+            'all between is equally likely a and b of a Beta distribution.',
+            ('estimator',),
+            element=float,
+        )
+        for name, (meaning, interval) in LEARN.items()
     ),
     Parameter(
         'agents',
@@ -380,6 +427,13 @@ TABLE = (
         AGENTS,
         element=str,
         pattern=NAME,
+    ),
+    Parameter(
+        'seed',
+        0,
+        'Seed of the random numbers that the method draws.',
+        ('estimator',),
+        limits=(0, 2**63 - 1),
     ),
     Parameter(
         'seed',
@@ -503,9 +557,10 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return which of the names known may have been meant, as a question; empty when none."""
-    # A name within a group, such as lethality, is further from the whole one than it looks.
-    meant = get_close_matches(name, sorted(known), n=1, cutoff=0.5)
-    return f'did you mean {meant[0]}? ' if meant else ''
+    # A name within groups, such as lethality, is further from the whole ones than it looks.
+    meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
+    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    return f'did you mean {" or ".join(meant)}? ' if meant else ''
 
 
 def declare(node: Node, name: str) -> dict[str, Any]:
@@ -576,6 +631,49 @@ def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
         false_negative=values['sensor.false_negative'],
         true_positive=values['sensor.true_positive'],
         false_positive=values['sensor.false_positive'],
+    )
+
+
+def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
+    """
+    Return which numbers these parameters leave to be learnt.
+
+    Raises
+    ------
+    ValueError
+        If one is named twice, or what is believed of it at first is no distribution.
+
+    """
+    learn = values['learn']
+    if len(set(learn)) < len(learn):
+        raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
+    priors = {}
+    for name in learn:
+        believed = values[f'learn.{name}']
+        try:
+            if len(believed) not in (2, 4):
+                raise ValueError('it must be low and high, or low, high, a and b')
+            priors[name] = Beta(*believed[2:], low=believed[0], high=believed[1])
+        except ValueError as error:
+            raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
+    return Unknowns(**priors)
+
+
+def estimator_of(values: Mapping[str, Any]) -> Estimator:
+    """
+    Return the estimator of these parameters, before the first deployment.
+
+    Raises
+    ------
+    ValueError
+        If there is no such prior, or what is to be learnt cannot be.
+
+    """
+    prior = Belief.prior(
+        grid_of(values), values['prior.hazard'], values['prior.target'], values['prior.kappa']
+    )
+    return Estimator(
+        prior, sensor_model_of(values), values['method'], unknowns_of(values), values['seed']
     )
 
 

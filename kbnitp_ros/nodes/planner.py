@@ -5,13 +5,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 import sys
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import check_report, deployment_order, DeploymentKey, Observation, plan_team
+from kbnitp_ros.core import (
+    check_report,
+    deployment_order,
+    DeploymentKey,
+    Observation,
+    plan_team,
+    SensorModel,
+)
 from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
 from kbnitp_ros.log.evidence import BELIEF, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
@@ -366,7 +373,7 @@ class PlannerNode(Shell):
         team = plan_team(
             self._grid,
             known.belief,
-            self._model,
+            self._model_of(known),
             self.values['max_steps'],
             len(agents),
             self.values['allocation'],
@@ -380,6 +387,11 @@ class PlannerNode(Shell):
             DeploymentKey(agent, stamp + number): planned.path
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
         }
+
+    def _model_of(self, known: Snapshot) -> SensorModel:
+        """Return the sensor model to plan with: its numbers that are learnt are the belief's."""
+        learnt = known.unknowns.priors.keys() & vars(self._model).keys()
+        return replace(self._model, **{name: getattr(known.model, name) for name in learnt})
 
     def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]], mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""

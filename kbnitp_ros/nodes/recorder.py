@@ -14,7 +14,7 @@ from builtin_interfaces.msg import Time
 from kbnitp_ros.log.bag import check_texts, LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
 from kbnitp_ros.log.deployments import read_mission
-from kbnitp_ros.log.evidence import BELIEF, GRID, PATH, REPORT
+from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
@@ -24,6 +24,7 @@ from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.sizes import (
     check_size,
     largest_belief,
+    largest_model,
     largest_path,
     largest_report,
 )
@@ -52,7 +53,7 @@ AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
 # Of the topics of a mission, and of those under the name of an agent: nobody who was first to
 # publish something else there keeps them from being recorded.
-TYPES = {'belief': BELIEF, **{f'belief/{name}': GRID for name in VIEWS}}
+TYPES = {'belief': BELIEF, 'model': MODEL, **{f'belief/{name}': GRID for name in VIEWS}}
 AGENT_TYPES = {'path': PATH, 'report': REPORT, 'recorded': 'builtin_interfaces/msg/Time'}
 
 # The most bytes of a message of what a log is read for.
@@ -61,6 +62,7 @@ LARGEST = {
     REPORT: largest_report(MOST_STEPS),
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
+    MODEL: largest_model(),
 }
 
 # How often what is no evidence is put onto the disk, in seconds.

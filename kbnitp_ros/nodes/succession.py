@@ -83,9 +83,9 @@ class Succession:
         if self.newest is None or authors <= 1:
             return
         remedy = f'and {authors} nodes publish beliefs: all but one must end'
-        for name in ('grid', 'max_steps', 'method', 'model'):
-            theirs, ours = getattr(snapshot, name), getattr(self.newest, name)
-            if theirs != ours:
+        rules = self.newest.rules()
+        for name, theirs in snapshot.rules().items():
+            if theirs != (ours := rules[name]):
                 raise ValueError(
                     f'{name} is {shown(str(theirs))}: it was {shown(str(ours))} before, {remedy}'
                 )

@@ -41,10 +41,14 @@ def relay(seed, source, target):
         process.wait()
 
 
-# One of the two methods that depend on the order of the deployments, and the one that does not.
-@pytest.mark.parametrize('method', ['kappa_bnitp_published', 'kappa_bnitp_smoothed'])
-def test_an_estimator_behind_a_relay(set_out, method):
-    parameters = PARAMETERS | {'method': method}
+# Methods that depend on the order of the deployments, and the one that does not.
+@pytest.mark.parametrize('method, learn', [
+    ('kappa_bnitp_published', []),
+    ('kappa_bnitp_smoothed', []),
+    ('kappa_bnitp_sampled', ['lethality', 'malfunction']),
+])  # fmt: skip
+def test_an_estimator_behind_a_relay(set_out, method, learn):
+    parameters = PARAMETERS | {'method': method, 'learn': learn}
     mission = set_out(
         parameters,
         awaited={

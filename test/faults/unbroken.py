@@ -3,20 +3,29 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core import Belief, Estimator, METHODS, Observation, run_mission, World
-from kbnitp_ros.nodes.parameters import grid_of, sensor_model_of, TABLE
+from kbnitp_ros.core import METHODS, Observation, run_mission, World
+from kbnitp_ros.nodes.parameters import (
+    estimator_of,
+    grid_of,
+    sensor_model_of,
+    TABLE,
+    unknowns_of,
+)
 import numpy as np
 
 
 def draw_parameters(rng):
     """Draw the parameters of a small mission of one or more agents that takes some seconds."""
     side = int(rng.integers(5, 6, endpoint=True))
+    method = str(rng.choice(list(METHODS)))
+    learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
     return {
         'grid.width': side,
         'grid.height': side,
         'max_steps': 10,
         'robots': 15,
-        'method': str(rng.choice(list(METHODS))),
+        'method': method,
+        'learn': learn,
         'planner': str(rng.choice(['relaxed', 'beam'])),
         'beam_width': 4,
         'seed': int(rng.integers(2**31)),
@@ -32,15 +41,6 @@ def with_defaults(parameters):
     return {parameter.name: parameter.default for parameter in TABLE} | parameters
 
 
-def prior(parameters):
-    """Return the estimator before the first deployment."""
-    values = with_defaults(parameters)
-    belief = Belief.prior(
-        grid_of(values), values['prior.hazard'], values['prior.target'], values['prior.kappa']
-    )
-    return Estimator(belief, sensor_model_of(values), values['method'])
-
-
 def core_mission(parameters):
     """Return the deployments that core makes with these parameters."""
     values = with_defaults(parameters)
@@ -53,11 +53,10 @@ def core_mission(parameters):
         values['world.kappa'],
         values['world.target_background'],
     )
-    estimator = prior(parameters)
     return run_mission(
         grid,
-        estimator.belief,
-        estimator.model,
+        estimator_of(values).prior,
+        sensor_model_of(values),
         world,
         values['robots'],
         rng,
@@ -69,13 +68,16 @@ def core_mission(parameters):
         agents=len(values['agents']),
         allocation=values['allocation'],
         loss_cost=values['loss_cost'],
+        unknowns=unknowns_of(values),
+        seed=values['seed'],
     )
 
 
 def folded(parameters, evidence):
     """Return the belief that all deployments give, in their order; a return beats a loss."""
-    grid = grid_of(with_defaults(parameters))
-    estimator = prior(parameters)
+    values = with_defaults(parameters)
+    grid = grid_of(values)
+    estimator = estimator_of(values)
     for key in sorted(evidence.reports, key=lambda key: key.stamp):
         (path, *_) = evidence.paths[key]
         report = max(evidence.reports[key], key=lambda report: report.survived)

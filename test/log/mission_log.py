@@ -15,6 +15,7 @@ from kbnitp_ros.core import (
     Ledger,
     run_mission,
     SensorModel,
+    Unknowns,
     World,
 )
 from kbnitp_ros.log.bag.schema import qos_profiles_yaml
@@ -23,6 +24,7 @@ from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.models import model_belief
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -30,6 +32,7 @@ from rclpy.serialization import serialize_message
 GRID = Grid(5, 4, base=2, resolution=0.1, origin=(-1.3, 0.7), blocked=(8, 9))
 MODEL = SensorModel(0.6, malfunction=0.02)
 MAX_STEPS = 8
+KNOWN = Unknowns()
 
 # 2026-11-20, in nanoseconds.
 START = 1_795_132_800_000_000_000
@@ -64,19 +67,36 @@ class Mission:
     Its clock ticks a microsecond with every message.
     """
 
-    def __init__(self, method='kappa_bnitp', namespace='', grid=GRID, version=None):
+    def __init__(
+        self,
+        method='kappa_bnitp',
+        namespace='',
+        grid=GRID,
+        version=None,
+        unknowns=KNOWN,
+        method_seed=0,
+    ):
         self.sent = []
         self.grid = grid
         self.namespace = namespace
         self.method = method
         self.version = version
+        self.unknowns = unknowns
+        self.method_seed = method_seed
         self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
 
     def start_estimator(self):
         """Publish the prior, as an estimator does when it is started."""
-        estimator = Estimator(self.prior, MODEL, self.method, version=self.version)
+        estimator = Estimator(
+            self.prior,
+            MODEL,
+            self.method,
+            self.unknowns,
+            self.method_seed,
+            version=self.version,
+        )
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
         self.started = self.now
         self.publish_belief()
@@ -94,6 +114,8 @@ class Mission:
         for name in ('hazard', 'target', 'kappa'):
             view = getattr(self.ledger.belief, name)
             self.publish(f'belief/{name}', occupancy_grid(self.grid, view, stamp))
+        if self.unknowns.priors:
+            self.publish('model', model_belief(self.ledger, stamp))
 
     def send_out(self, path, agent='scout_1'):
         """Send a robot along a path; return the deployment's key."""
@@ -119,7 +141,7 @@ class Mission:
         return key
 
 
-def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID):
+def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID, unknowns=KNOWN, method_seed=0):
     """Return the deployments of a mission in the core."""
     rng = np.random.default_rng(seed)
     world = World.random(grid, rng, 0.2, 0.7, 0.2)
@@ -132,15 +154,17 @@ def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID):
         rng,
         method,
         max_steps=MAX_STEPS,
+        unknowns=unknowns,
+        seed=method_seed,
     )
 
 
 def mission(robots=8, **options):
     """Return a whole mission, one robot after another."""
-    method = options.get('method', 'kappa_bnitp')
-    grid = options.get('grid', GRID)
     whole = Mission(**options)
-    for deployment in observations(robots, method=method, grid=grid):
+    known = ('method', 'grid', 'unknowns', 'method_seed')
+    chosen = {name: options[name] for name in known if name in options}
+    for deployment in observations(robots, **chosen):
         whole.deploy(deployment.observation)
         assert whole.ledger.belief.joint.tobytes() == deployment.belief.joint.tobytes()
     return whole

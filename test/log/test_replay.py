@@ -9,8 +9,18 @@ import re
 
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from kbnitp_msgs.msg import UnknownNumber
 from kbnitp_ros.cli.replay import main
-from kbnitp_ros.core import DeploymentKey, Grid, METHODS, Observation, Report, versions
+from kbnitp_ros.core import (
+    Beta,
+    DeploymentKey,
+    Grid,
+    METHODS,
+    Observation,
+    Report,
+    Unknowns,
+    versions,
+)
 from kbnitp_ros.log import replay as replaying
 from kbnitp_ros.log.bag import writer
 from kbnitp_ros.log.bag.reader import LogError
@@ -21,9 +31,11 @@ from kbnitp_ros.log.deployments import read_deployments, read_newest_round
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import LEAST_WORK, replay, WORK
+from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from mcap.writer import Writer
+from mcap_ros2 import writer as ros2
 from mission_log import (
     GRID,
     instead,
@@ -120,6 +132,125 @@ def test_a_log_that_no_version_reproduces_is_told_of_by_the_last(replayed):
     report = replayed([*sent, changed])
     assert not report.reproduced
     assert report.version == 2
+
+
+LEARNT = Unknowns(lethality=(0.1, 1.0), hazard_density=(0.02, 0.8), kappa=Beta(3, 2))
+
+
+@pytest.fixture(scope='module')
+def learnt_mission():
+    """Return a mission that learns numbers; not to be changed."""
+    return mission(ROBOTS, method='kappa_bnitp_sampled', unknowns=LEARNT, method_seed=5)
+
+
+def test_what_was_learnt_is_reproduced(learnt_mission, replayed):
+    report = replayed(learnt_mission.sent)
+    assert report.reproduced
+    assert report.compared == {**REPRODUCED, '/model': ROBOTS + 1}
+
+
+def test_the_order_of_learning_is_that_of_the_deployments(replayed):
+    whole = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
+    told = []
+    for deployment in observations(5):
+        path = deployment.observation.path
+        key = whole.send_out(path)
+        told.append((path, *whole.come_back(key, deployment.observation)))
+    for index in (1, 4, 0, 3, 2):
+        whole.assimilate(*told[index])
+    in_order = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
+    for deployment in observations(5):
+        in_order.deploy(deployment.observation)
+    assert whole.ledger.belief.joint.tobytes() == in_order.ledger.belief.joint.tobytes()
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared['/model'] == 6
+
+
+def test_an_estimator_that_was_restarted_has_learnt_the_same(replayed):
+    whole = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
+    for number, deployment in enumerate(observations(6)):
+        if number == 4:
+            told = whole.ledger
+            whole.start_estimator()
+            for key in told.deployments:
+                observation = told.observation(key)
+                report = read_report(report_message(key, observation, 0))[1]
+                whole.assimilate(observation.path, key, report)
+            assert whole.ledger.belief.joint.tobytes() == told.belief.joint.tobytes()
+        whole.deploy(deployment.observation)
+    assert replayed(whole.sent).reproduced
+
+
+@pytest.mark.parametrize('field', ['mean', 'sd', 'quantile_5', 'effective_sample_size'])
+def test_one_flipped_bit_of_what_was_learnt_is_found(learnt_mission, replayed, field):
+    original = on(learnt_mission.sent, '/model')[5]
+    spoiled = flipped(original.message, field, 1, bit=0)
+    report = replayed(instead(learnt_mission.sent, original, spoiled))
+    (mismatch,) = report.mismatches
+    assert (mismatch.topic, mismatch.index) == ('/model', 5)
+    assert mismatch.deployment == keys(learnt_mission.sent)[4]
+    (difference,) = mismatch.differences
+    assert difference.field == field
+    assert 'in value 1' in difference.text
+
+
+@pytest.mark.parametrize(
+    'field, value, told',
+    [
+        ('low', 0.2, 'unknowns[0].low is 0.2, computed is 0.1'),
+        ('name', 'malfunction', "unknowns[0].name is 'malfunction', computed is 'lethality'"),
+    ],
+)
+def test_another_interval_is_found(learnt_mission, replayed, field, value, told):
+    original = beliefs(learnt_mission.sent)[5]
+    spoiled = deepcopy(original.message)
+    setattr(spoiled.unknowns[0], field, value)
+    report = replayed(instead(learnt_mission.sent, original, spoiled))
+    (mismatch,) = report.mismatches
+    assert told in str(mismatch)
+
+
+def test_a_model_of_others_is_none_of_the_mission(learnt_mission, replayed):
+    others = [
+        Sent('/model', Path(), START),
+        Sent('/other/model', on(learnt_mission.sent, '/model')[0].message, START),
+    ]
+    assert replayed([*others[1:], *learnt_mission.sent]).reproduced
+    assert replayed([others[0], *mission(ROBOTS).sent], 'known.mcap').reproduced
+
+
+# Lines of the message's definition that versions before did not have.
+NEW = re.compile(
+    r'^(?:UnknownNumber\[\] unknowns|uint64 seed|float64\[\] prior) .*\n(?: +#.*\n)*', re.MULTILINE
+)
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_a_log_of_before_numbers_were_learnt_is_reproduced(tmp_path, method):
+    sent = mission(3, method=method).sent
+    definition = NEW.sub('', describe(BELIEF).definition)
+    assert 'seed' not in definition.split('MSG:')[0]
+    path = tmp_path / 'mission.mcap'
+    with path.open('wb') as file:
+        log = ros2.Writer(file)
+        schemas = {
+            name: log.register_msgdef(
+                name, definition if name == BELIEF else describe(name).definition
+            )
+            for name in {each.type_name for each in sent}
+        }
+        for each in sent:
+            log.write_message(
+                each.topic, schemas[each.type_name], each.message, each.time, each.time
+            )
+        log.finish()
+    report = replay(path)
+    assert report.compared['/belief'] == 4
+    assert report.reproduced
+    assert read_history(path).beliefs[-1].joint.tobytes() == (
+        read_belief_maps(beliefs(sent)[-1].message).belief.joint.tobytes()
+    )
 
 
 def test_another_grid_is_reproduced(replayed):
@@ -325,6 +456,9 @@ def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data
         ('max_steps', 9),
         ('method', 'relaxed_itp'),
         ('lethality', 0.6000000000000001),
+        ('seed', 5),
+        ('unknowns', [UnknownNumber(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0)]),
+        ('prior', array('d', [0.25] * 80)),
         ('false_positive', 0.0),
         ('deployments', 4),
         ('deployments', 6),

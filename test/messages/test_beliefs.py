@@ -6,9 +6,10 @@ from math import nan
 
 from hypothesis import given
 from hypothesis import strategies as st
-from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_msgs.msg import BeliefMaps, UnknownNumber
 from kbnitp_ros.core import (
     Belief,
+    Beta,
     DeploymentKey,
     Estimator,
     Grid,
@@ -16,12 +17,15 @@ from kbnitp_ros.core import (
     METHODS,
     Report,
     SensorModel,
+    Unknowns,
 )
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
+KNOWN = Unknowns()
+LEARNT = Unknowns(lethality=(0.1, 0.9), kappa=Beta(3, 2), true_positive=Beta(9, 1, low=0.5))
 MODEL = SensorModel(0.3, 0.02, 0.07, 0.9, 0.04)
 KEY = DeploymentKey('scout_3', 5_000_000_007)
 
@@ -31,11 +35,11 @@ def over_the_wire(message):
     return deserialize_message(serialize_message(message), type(message))
 
 
-def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL):
+def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNOWN):
     """Return a ledger with a random prior."""
     grid = grid or Grid(4, 3, base=1, resolution=0.1, origin=(-3.3, 0.7), blocked=(10, 5))
     joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
-    estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), model, method)
+    estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), model, method, unknowns, seed)
     return Ledger(grid, 6, estimator)
 
 
@@ -106,6 +110,83 @@ def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
     ledger = ledger_of(model=SensorModel(*probabilities))
     snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, started=0)))
     assert snapshot.model == SensorModel(*probabilities)
+
+
+def test_what_is_learnt_comes_back_bit_for_bit():
+    ledger = ledger_of(seed=4, method='kappa_bnitp_sampled', unknowns=LEARNT)
+    first = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
+    assert first.unknowns == LEARNT
+    assert first.seed == 4
+    assert first.prior.joint.tobytes() == ledger.estimator.prior.joint.tobytes()
+    assert first.belief.joint.tobytes() == ledger.belief.joint.tobytes()
+    assert first.belief.joint.tobytes() != first.prior.joint.tobytes()
+    # So it can be computed again from that message alone.
+    again = Estimator(first.prior, first.model, first.method, first.unknowns, first.seed)
+    assert again.belief.joint.tobytes() == ledger.belief.joint.tobytes()
+    assert again.model == ledger.estimator.model
+
+    ledger.record_path(KEY, [1, 2, 1])
+    ledger.record_report(KEY, Report(False, stamp=9))
+    message = over_the_wire(belief_maps(ledger, started=9))
+    later = read_belief_maps(message)
+    assert later.model == ledger.estimator.model != first.model
+    assert later.rules() == first.rules()
+    assert not message.prior
+
+
+def test_rules_are_those_an_estimator_is_started_with():
+    def rules(**options):
+        options = {'method': 'kappa_bnitp_sampled', 'unknowns': LEARNT, **options}
+        return read_belief_maps(belief_maps(ledger_of(**options), started=0)).rules()
+
+    assert rules(model=SensorModel(0.8, 0.02, 0.07, 0.6, 0.04)) == rules()
+    for other in (
+        {'model': SensorModel(0.3, 0.03, 0.07, 0.9, 0.04)},
+        {'seed': 1},
+        {'unknowns': Unknowns(lethality=(0.1, 0.9))},
+        {'unknowns': KNOWN},
+        {'unknowns': KNOWN, 'method': 'kappa_bnitp'},
+    ):
+        assert rules(**other) != rules()
+
+
+def test_without_unknowns_a_prior_stands_once():
+    for method in METHODS:
+        assert not belief_maps(ledger_of(method=method), started=0).prior
+
+
+def unknown(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0):
+    """Return the message of a number that is learnt."""
+    return UnknownNumber(name=name, a=a, b=b, low=low, high=high)
+
+
+@pytest.mark.parametrize(
+    'unknowns, error',
+    [
+        ([unknown('kapa')], "unknowns has 'kapa': it must name each once, of lethality, malf"),
+        ([unknown('x' * 5000)], r"unknowns has 'x{100}'... \(5000 characters\)"),
+        ([unknown(), unknown()], "unknowns has 'kappa': it must name each once"),
+        ([unknown(low=0.5, high=0.5)], 'interval is from 0.5 to 0.5'),
+        ([unknown(low=nan)], 'low is nan'),
+        ([unknown(a=0.0)], 'a of a Beta is 0.0'),
+        ([UnknownNumber()], "unknowns has ''"),
+    ],
+)
+def test_bad_unknowns_are_refused(unknowns, error):
+    message = belief_maps(ledger_of(), started=0)
+    message.unknowns = unknowns
+    with pytest.raises(ValueError, match=error):
+        read_belief_maps(over_the_wire(message))
+
+
+def test_a_prior_of_another_size_is_refused():
+    message = belief_maps(ledger_of(), started=0)
+    message.prior = array('d', [0.25] * 44)
+    with pytest.raises(ValueError, match='prior has 44 values'):
+        read_belief_maps(message)
+    message.prior = array('d', [0.3] * 48)
+    with pytest.raises(ValueError, match='prior of cell 0 .* sum to 1'):
+        read_belief_maps(message)
 
 
 def test_the_views_on_the_wire_are_those_of_the_joint():

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
+from diagnostic_msgs.msg import DiagnosticStatus
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, TargetReading
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import from_stamp, header
+from kbnitp_ros.nodes.parameters import LEARN
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from samples import BAD_PATHS, changed, FIELD, GRID, HOME, in_frame, key, lost, 
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'agents': ['scout_1', 'scout_2']}
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
+SAMPLED = {'method': 'kappa_bnitp_sampled', 'seed': 7}
 
 
 @pytest.fixture
@@ -148,3 +151,59 @@ def test_an_outcome_that_cannot_be_is_refused(field):
     assert 'impossible' in field.until_refused('/estimator', 1)
     reports.publish(returned(1))
     assert np.isfinite(until_held(field, 1)).all()
+
+
+def test_a_restarted_estimator_has_learnt_the_same(field):
+    parameters = {**PARAMETERS, **SAMPLED, 'learn': ['lethality', 'kappa']}
+    beliefs = field.listen(BeliefMaps, '/belief')
+    models = field.listen(ModelBelief, '/model')
+    field.start('estimator', parameters)
+    paths = field.talk(Path, '/scout_1/path')
+    reports = field.talk(DeploymentReport, '/scout_1/report')
+    for number in range(1, 6):
+        paths.publish(path(number))
+        reports.publish(lost(number) if number % 2 else returned(number))
+    field.until(lambda: beliefs and beliefs[-1].deployments == 5, 'belief in all')
+    field.until(lambda: models and models[-1].deployments == 5, 'model of all')
+    before = beliefs[-1], models[-1]
+    field.kill('/estimator')
+    beliefs.clear()
+    models.clear()
+    field.start('estimator', parameters)
+    # What was last told is told of whatever comes last, and that is decided by DDS.
+    field.until(lambda: beliefs and beliefs[-1].deployments == 5, 'belief in all again')
+    field.until(lambda: models and models[-1].deployments == 5, 'model of all again')
+    for again, first in zip((beliefs[-1], models[-1]), before):
+        for name in ('joint', 'lethality', 'mean', 'sd', 'quantile_95', 'effective_sample_size'):
+            assert getattr(again, name, None) == getattr(first, name, None)
+
+
+def test_a_model_is_told_only_if_something_is_learnt(field):
+    beliefs = field.listen(BeliefMaps, '/belief')
+    field.start('estimator', {**PARAMETERS, **SAMPLED})
+    field.until(lambda: beliefs, 'prior')
+    assert '/model' not in dict(field.node.get_topic_names_and_types())
+    assert not beliefs[0].unknowns
+    assert beliefs[0].seed == 7
+
+
+def test_sampling_that_does_not_settle_is_told(field):
+    """All numbers may be anything: readings that tell nothing leave most of it open."""
+    intervals = {f'learn.{name}': [0.0, 1.0] for name in LEARN}
+    parameters = {**PARAMETERS, **SAMPLED, 'learn': list(LEARN), **intervals}
+    beliefs = field.listen(BeliefMaps, '/belief')
+    field.start('estimator', parameters)
+    paths = field.talk(Path, '/scout_1/path')
+    reports = field.talk(DeploymentReport, '/scout_1/report')
+    for number in range(1, 9):
+        paths.publish(path(number))
+        reports.publish(returned(number) if number % 3 else lost(number))
+    field.until(lambda: beliefs and beliefs[-1].deployments == 8, 'belief in all')
+    told = 'sampling has not settled: '
+    field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
+    status = field.diagnosed('/estimator')
+    assert status.level == DiagnosticStatus.WARN
+    (error,) = (each.value for each in status.values if each.key == 'sampling_error')
+    assert float(error) > 0.0
+    assert error in status.message
+    assert field.count('/estimator', 'refused') == 0

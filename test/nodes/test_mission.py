@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.log.bag.reader import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.models import read_model_belief
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
@@ -35,6 +36,14 @@ ODD = {
     'method': 'kappa_bnitp_published',
     'beam_width': 4,
     'max_visits': 2,
+}
+
+LEARNING = {
+    **SMALL,
+    'method': 'kappa_bnitp_sampled',
+    'learn': ['lethality', 'hazard_density', 'false_positive'],
+    'learn.hazard_density': [0.05, 0.6],
+    'beam_width': 4,
 }
 
 
@@ -76,8 +85,12 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
 
 @pytest.mark.parametrize(
     'parameters',
-    [{'seed': 3, 'robots': 40}, {**ODD, 'seed': 4, 'robots': 25}],
-    ids=['default', 'odd'],
+    [
+        {'seed': 3, 'robots': 40},
+        {**ODD, 'seed': 4, 'robots': 25},
+        {**LEARNING, 'seed': 5, 'robots': 25},
+    ],
+    ids=['default', 'odd', 'learning'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'
@@ -101,6 +114,34 @@ def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     assert report.finished
     assert report.reproduced
     assert report.compared['/m/belief'] == len(beliefs)
+
+
+def test_what_is_learnt_is_that_of_core_also_on_record(field):
+    """The planner has other numbers than the truth, and plans with what the belief says."""
+    log = field.folder / 'mission.mcap'
+    parameters = {**LEARNING, 'seed': 6, 'robots': 20, 'sensor.lethality': 0.9}
+    heard = listen(field, '/m')
+    models = field.listen(ModelBelief, '/m/model')
+    field.start_mission(parameters, '/m', log)
+    wait_for_end(field, parameters, heard)
+    field.until(lambda: len(models) == 21, 'last model')
+    assert set(field.processes.stop().values()) == {0}
+    expected = core_mission(parameters)
+    assert [message.deployments for message in models] == list(range(21))
+    for message, belief, deployment in zip(models[1:], heard[2][1:], expected):
+        assert message.header == belief.header
+        known = read_model_belief(message)
+        assert known.keys() == deployment.parameters.keys() == set(parameters['learn'])
+        for name, number in deployment.parameters.items():
+            assert known[name].mean == number.mean
+            assert known[name].sd == number.sd
+            quantiles = [number.quantile(q) for q in (0.05, 0.25, 0.5, 0.75, 0.95)]
+            assert known[name].quantiles == tuple(quantiles)
+            assert known[name].effective_samples == number.effective_samples
+        assert read_belief_maps(belief).model == deployment.model
+    report = replay(log)
+    assert report.reproduced
+    assert report.compared['/m/model'] == report.compared['/m/belief'] == 21
 
 
 def test_missions_in_two_namespaces_do_not_meet(field):

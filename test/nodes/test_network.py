@@ -82,6 +82,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
     for number, (name, value, expected) in enumerate(
         (
             ('lethality', 0.25, 'model is '),
+            ('seed', 9, "seed is '9': it was '0' before"),
             ('method', 'relaxed_itp', "method is 'relaxed_itp': it was 'kappa_bnitp' before"),
             ('deployments', 5, 'deployments is 5: only 0 are known'),
             ('deployments', 4_000_000_000, 'deployments is 4000000000: a mission has at most'),

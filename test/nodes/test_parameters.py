@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
-from kbnitp_ros.core import METHODS, PLANNERS
+from kbnitp_ros.core import Beta, METHODS, PLANNERS, Unknowns
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     declare,
     grid_of,
+    LEARN,
     NODES,
     parameters_of,
     reference_page,
     sensor_model_of,
     TABLE,
+    unknowns_of,
 )
 import pytest
 import rclpy
@@ -82,7 +85,7 @@ def test_nodes_declare_the_table(make_node, name):
         ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
         (
             {'lethality': 0.5},
-            'lethality is unknown to every node: did you mean sensor.lethality? ',
+            'every node: did you mean learn.lethality or sensor.lethality? ',
         ),
     ],
     ids=lambda case: str(case)[:40],
@@ -94,6 +97,32 @@ def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
 
 
 DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
+
+
+def test_numbers_to_learn_have_intervals_or_distributions():
+    given = {'learn': ('kappa', 'lethality'), 'learn.lethality': (0.2, 0.9)}
+    believed = unknowns_of(DEFAULTS | given)
+    assert believed == Unknowns(lethality=(0.2, 0.9), kappa=Beta(4.0, 1.5))
+    assert unknowns_of(DEFAULTS) == Unknowns()
+    assert list(LEARN) == [field.name for field in fields(Unknowns)]
+
+
+@pytest.mark.parametrize(
+    'learn, given, told',
+    [
+        (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
+        (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
+        (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
+        (('lethality',), (-0.1, 0.5), r'learn.lethality is \[-0.1, 0.5\]: low is -0.1'),
+        (('lethality',), (0.1, float('nan')), 'high is nan'),
+        (('lethality',), (), r'learn.lethality is \[\]: it must be low and high'),
+        (('lethality',), (0.1, 0.5, 2.0), 'it must be low and high, or low, high, a and b'),
+        (('lethality',), (0.1, 0.5, 0.0, 1.0), 'a of a Beta is 0.0: it must be above 0'),
+    ],
+)
+def test_what_is_no_distribution_is_refused(learn, given, told):
+    with pytest.raises(ValueError, match=told):
+        unknowns_of(DEFAULTS | {'learn': learn, 'learn.lethality': given})
 
 
 @pytest.mark.parametrize('agents', [(), ('a', 'b', 'a')])

@@ -42,6 +42,8 @@ def run(*arguments):
         ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
         ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
         ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
+        ('estimator', 'learn:=[lethalty]', "learn is 'lethalty': did you mean lethality? it must"),
+        ('estimator', 'learn:=[kappa]', 'kappa cannot be unknown to kappa_bnitp, which takes all'),
         ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
         ('recorder', 'file:=/', "'/'"),
         ('recorder', 'file', "Couldn't parse parameter override rule"),

@@ -36,8 +36,8 @@ class Estimator:
 
     Attributes
     ----------
-    version : int
-        Of the method.
+    prior, method, unknowns, seed, version
+        What it was made with.
 
     Raises
     ------
@@ -69,6 +69,7 @@ class Estimator:
                 f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
                 f'numbers for right: use {" or ".join(learners)}'
             )
+        self.prior = belief
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the message means that tells of the numbers that are learnt."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from typing import Any
+
+from kbnitp_msgs.msg import ModelBelief
+from kbnitp_ros.core import Ledger
+from kbnitp_ros.messages.headers import check_frame, header
+
+# Per cent.
+QUANTILES = (5, 25, 50, 75, 95)
+
+
+@dataclass(frozen=True)
+class Known:
+    """
+    What is known of a number after some deployments.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Its mean and standard deviation.
+    quantiles : tuple of float
+        One for each of `QUANTILES`.
+    effective_samples : float
+        As many independent draws would tell the mean as well.
+
+    """
+
+    mean: float
+    sd: float
+    quantiles: tuple[float, ...]
+    effective_samples: float
+
+
+def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
+    """
+    Return the message that goes with a belief.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        The deployments so far.
+    stamp : int
+        Of the belief, in nanoseconds.
+
+    """
+    parameters = ledger.estimator.parameters.values()
+    return ModelBelief(
+        header=header(stamp),
+        deployments=len(ledger.deployments),
+        name=list(ledger.estimator.parameters),
+        mean=array('d', [each.mean for each in parameters]),
+        sd=array('d', [each.sd for each in parameters]),
+        effective_sample_size=array('d', [each.effective_samples for each in parameters]),
+        **{
+            f'quantile_{percent}': array(
+                'd', [each.quantile(percent / 100) for each in parameters]
+            )
+            for percent in QUANTILES
+        },
+    )
+
+
+def read_model_belief(message: Any) -> dict[str, Known]:
+    """
+    Return what a kbnitp_msgs/ModelBelief says, by the names of the numbers.
+
+    Raises
+    ------
+    ValueError
+        If it is in another frame, or an array has not one value for each name.
+
+    """
+    check_frame('header.frame_id', message.header.frame_id)
+    fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
+    values = {field: list(getattr(message, field)) for field in fields}
+    for field, each in values.items():
+        if len(each) != len(message.name):
+            raise ValueError(
+                f'{field} has {len(each)} values: it must have one for each of the '
+                f'{len(message.name)} names'
+            )
+    return {
+        name: Known(mean, sd, tuple(quantiles), samples)
+        for name, mean, sd, *quantiles, samples in zip(message.name, *values.values())
+    }
