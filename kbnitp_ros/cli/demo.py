@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise
 import os
 from pathlib import Path
@@ -24,7 +25,7 @@ from kbnitp_ros.files import in_words
 from kbnitp_ros.log.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import PATH
-from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
@@ -32,10 +33,18 @@ from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.command_line import command_parser
 from kbnitp_ros.nodes.given import read_sections, values_for
-from kbnitp_ros.nodes.parameters import agents_of, check_known, grid_of, nearest, parameters_of
+from kbnitp_ros.nodes.parameters import (
+    agents_of,
+    check_known,
+    estimator_of,
+    grid_of,
+    nearest,
+    parameters_of,
+)
 from kbnitp_ros.nodes.world_file import read_world
-from kbnitp_ros.study.figures import mission_maps, mission_progress
+from kbnitp_ros.study.figures import mission_maps, mission_progress, Number
 from kbnitp_ros.study.reach import reach_note
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -55,6 +64,12 @@ AWAITED = {
 # need no time for their way, but their processes may be kept waiting by others.
 RETURN_DEADLINE = 1.0
 
+# What the demo sets by itself unless told otherwise: as long as the method is the one that learns,
+# estimator and planner do not know what destroys robots.
+LEARNER = 'kappa_bnitp_sampled'
+LEARNT = ('lethality',)
+DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'method': LEARNER, 'learn': None}
+
 # Options that set one parameter of that name in every node that has it.
 OPTIONS = {
     'robots': 'robots',
@@ -67,7 +82,7 @@ OPTIONS = {
     'seed': 'seed',
 }
 
-# What the demo sets by itself, so that a mission can be gone on with and shown beside the truth.
+# What the demo always sets, so that a mission can be gone on with and shown beside the truth.
 HELD = {'publish_truth': True, 'recorded': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
@@ -78,6 +93,9 @@ DESCRIPTION = """
 Run a whole mission with real nodes, each a process of its own: deploy the robots, record the
 mission, compute every belief of the recording again and draw what became known. Or go on with a
 mission that died.
+
+The lethality is hidden from estimator and planner, which learn it, unless another method is named
+or --set learn=[].
 
 Where several say something, --set counts for more than the other options, and these for more than
 the file of --params.
@@ -126,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         deploy(parameters)
-        return conclude(log, reach)
+        return conclude(log, reach, parameters)
     except KeyboardInterrupt:
         complain('demo', f'interrupted; {how_to_go_on(log)}')
         return 130
@@ -148,7 +166,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     table = {name: each for node in NODES for name, each in parameters_of(node).items()}
     parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
     for option, name in OPTIONS.items():
-        parameter, flag = table[name], f'--{option.replace("_", "-")}'
+        default = DEFAULTS.get(name, table[name].default)
+        parameter, flag = replace(table[name], default=default), f'--{option.replace("_", "-")}'
         if parameter.default is False:
             parser.add_argument(
                 flag, action='store_true', default=None, help=parameter.description
@@ -214,8 +233,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for node in NODES:
         table = parameters_of(node)
         values = {name: parameter.default for name, parameter in table.items()}
-        if 'return_deadline' in table:
-            values['return_deadline'] = RETURN_DEADLINE
+        values |= {name: value for name, value in DEFAULTS.items() if name in table}
         # The team is all agents, and takes what a file has for those.
         for section in ('agent', 'team') if node == 'team' else (node,):
             given = values_for(sections, f'/{section}')
@@ -229,6 +247,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
                 values[name] = table[name].check(value)
     for rule in options.set:
         set_parameter(parameters, rule)
+    estimator = parameters['estimator']
+    if estimator['learn'] is None:
+        estimator['learn'] = LEARNT if estimator['method'] == LEARNER else ()
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
         values |= {name: '' for name in ('file', 'resume') if name in values}
@@ -293,7 +314,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     agents_of(team)
     if team['world.file']:
         read_world(team['world.file'], grid)
-    Belief.prior(grid, *(estimator[f'prior.{name}'] for name in ('hazard', 'target', 'kappa')))
+    estimator_of(estimator)
 
 
 def how_to_go_on(log: Path) -> str:
@@ -444,17 +465,50 @@ class Observer(Node):
                 bar.update(self._held - bar.n)
 
 
-def conclude(log: Path, note: str) -> int:
-    """Replay the log, draw the figures, say where everything is; return the exit code."""
+def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) -> int:
+    """Replay the log, draw the figures, say what became known; return the exit code."""
     report = replay(log)
     history = read_history(log)
     assert history.world is not None, 'the agent was told to publish the truth'
     maps, progress = log.with_name('maps.png'), log.with_name('progress.png')
     observations = history.observations
-    mission_maps(maps, history.grid, history.beliefs[-1], history.world, observations, note)
-    mission_progress(progress, history.beliefs, history.world, observations)
+    numbers = numbers_learnt(history, true_numbers(parameters))
+    belief, world = history.beliefs[-1], history.world
+    mission_maps(maps, history.grid, belief, world, observations, numbers, note)
+    mission_progress(progress, history.beliefs, world, observations)
     first, last = history.beliefs[0].entropy(), history.beliefs[-1].entropy()
     say(*lines(report))
     say(f'entropy {first:.1f} -> {last:.1f} nats')
+    for name, number in numbers.items():
+        low, _, middle, _, high = number.quantiles[-1]
+        truth = '' if number.truth is None else f'; it is {number.truth:.3g}'
+        say(f'{name} learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}{truth}')
     say(*(f'wrote {path}' for path in (log, maps, progress)))
     return 0 if report.reproduced else 1
+
+
+def true_numbers(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Return what the numbers are that can be learnt, as far as the parameters tell."""
+    team, estimator = parameters['team'], parameters['estimator']
+    numbers = {
+        name: team[f'sensor.{name}']
+        for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
+    }
+    # A hazard that destroys no robot has failed or was not lethal, which nobody can tell.
+    working = 1.0 - estimator['sensor.false_negative']
+    if working > 0.0:
+        numbers['lethality'] *= (1.0 - team['sensor.false_negative']) / working
+    if not team['world.file']:
+        for name in ('hazard_density', 'kappa', 'target_background'):
+            numbers[name] = team[f'world.{name}']
+    return numbers
+
+
+def numbers_learnt(history: History, truth: Mapping[str, float]) -> dict[str, Number]:
+    """Return how the mission came to know the numbers that it learnt."""
+    names = history.learnt[-1] if history.learnt else ()
+    quantiles = {
+        name: [known[name].quantiles for known in history.learnt if name in known]
+        for name in names
+    }
+    return {name: Number(np.array(each), truth.get(name)) for name, each in quantiles.items()}

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.core import Belief, Grid, log_loss, Observation, World
@@ -13,16 +14,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+@dataclass(frozen=True, eq=False)
+class Number:
+    """
+    A number that was learnt in a mission.
+
+    Attributes
+    ----------
+    quantiles : ndarray, shape (deployments + 1, 5)
+        Its 5, 25, 50, 75 and 95 % quantiles, before the first deployment and after each.
+    truth : float or None
+        What it is, if that is known.
+
+    """
+
+    quantiles: NDArray[np.float64]
+    truth: float | None
+
+
 def mission_maps(
     path: Path,
     grid: Grid,
     belief: Belief,
     world: World,
     observations: Sequence[Observation],
+    numbers: Mapping[str, Number],
     note: str = '',
 ) -> None:
     """
-    Draw the final belief maps beside the truth, and where the robots went.
+    Draw the final belief maps beside the truth, where the robots went, and what was learnt.
 
     Parameters
     ----------
@@ -36,6 +56,8 @@ def mission_maps(
         The hidden truth.
     observations : sequence of Observation
         All deployments.
+    numbers : mapping of str to Number
+        What was learnt besides, by name; the first of them is drawn.
     note : str
         What else is to be known of the mission.
 
@@ -57,9 +79,11 @@ def mission_maps(
         ),
     }
     figure = Figure(figsize=(15, 7), layout='constrained')
-    axes = figure.subplot_mosaic([list('abcd'), list('ef.g')])
+    axes = figure.subplot_mosaic([list('abcd'), list('efhg' if numbers else 'ef.g')])
     for name, (title, values, colours) in panels.items():
         draw_map(axes[name], grid, np.asarray(values, dtype=np.float64), colours, title)
+    for name in list(numbers)[:1]:
+        draw_number(axes['h'], name.replace('_', ' '), numbers[name])
     figure.suptitle(note)
     figure.savefig(path, dpi=120)
 
@@ -108,6 +132,23 @@ def draw_map(
     axes.set_xlabel('x (m)')
     axes.set_ylabel('y (m)')
     axes.figure.colorbar(drawn, ax=axes, shrink=0.8)
+
+
+def draw_number(axes: Axes, title: str, number: Number) -> None:
+    """Draw what was known of a number after each deployment, and what it is, from 0 to 1."""
+    low, lower, middle, upper, high = number.quantiles.T
+    deployments = np.arange(middle.size)
+    axes.fill_between(deployments, low, high, color='0.85', label='90 %')
+    axes.fill_between(deployments, lower, upper, color='0.65', label='50 %')
+    axes.plot(deployments, middle, color='black', label='median')
+    if number.truth is not None:
+        axes.axhline(number.truth, color='tab:red', linestyle='--', label='truth')
+    axes.set_xlim(0, max(1, middle.size - 1))
+    axes.set_ylim(0, 1)
+    axes.set_title(f'{title}, learnt')
+    axes.set_xlabel('deployment')
+    axes.grid(alpha=0.3)
+    axes.legend(ncols=2)
 
 
 def steps_into(

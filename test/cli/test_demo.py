@@ -10,8 +10,8 @@ import subprocess
 import sys
 import time
 
-from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse
-from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, World
+from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse, true_numbers
+from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, Unknowns, World
 from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_recorded
 from kbnitp_ros.log.bag.recorded import RecordedMetadata
 from kbnitp_ros.log.bag.repair import copy
@@ -102,9 +102,8 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
 
 def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     options = ['--robots', '40', '--size', '5', '--max-steps', '8', '--lethality', '0.3']
-    method = ['--method', 'kappa_bnitp_smoothed', '--seed', '7']
     killed = subprocess.Popen(
-        [*DEMO, *options, *method, '--out', str(tmp_path)],
+        [*DEMO, *options, '--seed', '7', '--out', str(tmp_path)],
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
@@ -125,11 +124,15 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     rng = np.random.default_rng(7)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    expected = run_mission(grid, prior, model, world, 40, rng, method[1], max_steps=8)
+    expected = run_mission(
+        grid, prior, model, world, 40, rng, 'kappa_bnitp_sampled',
+        max_steps=8, unknowns=Unknowns(lethality=(0.0, 1.0)), seed=7,
+    )  # fmt: skip
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]
     assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
+    assert history.learnt[-1]['lethality'].mean == expected[-1].parameters['lethality'].mean
 
     both = run_demo('--resume', log, '--robots', 50)
     assert both.returncode == 2
@@ -188,8 +191,9 @@ def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
 
 def test_a_team_that_loses_robots_in_silence(tmp_path):
     options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
+    known = ['--set', 'learn=[]']
     small = ['--size', '4', '--max-steps', '6', '--planner', 'relaxed', '--lethality', '0.9']
-    done = run_demo(*options, *small, '--out', tmp_path)
+    done = run_demo(*options, *small, *known, '--out', tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     history = read_history(tmp_path)
     grid, model = Grid(4, 4), SensorModel(0.9)
@@ -197,7 +201,7 @@ def test_a_team_that_loses_robots_in_silence(tmp_path):
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
     expected = run_mission(
-        grid, prior, model, world, 8, rng,
+        grid, prior, model, world, 8, rng, 'kappa_bnitp_sampled',
         max_steps=6, planner='relaxed', agents=3, allocation='voronoi',
     )  # fmt: skip
     assert 0 < sum(d.observation.survived for d in expected) < 8
@@ -262,7 +266,57 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))
     assert plain[node].keys() == given[node].keys()
     differing = {name for name, value in plain[node].items() if given[node][name] != value}
-    assert differing == ({'return_deadline'} if node == 'planner' else set())
+    expected = {'planner': {'return_deadline'}, 'estimator': {'method', 'learn'}}
+    assert differing == expected.get(node, set())
+
+
+@pytest.mark.parametrize(
+    'options, method, learn',
+    [
+        ([], 'kappa_bnitp_sampled', ('lethality',)),
+        (['--method', 'kappa_bnitp_sampled'], 'kappa_bnitp_sampled', ('lethality',)),
+        (['--method', 'relaxed_itp'], 'relaxed_itp', ()),
+        (['--set', 'estimator:method=kappa_bnitp'], 'kappa_bnitp', ()),
+        (['--set', 'learn=[]'], 'kappa_bnitp_sampled', ()),
+        (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp_sampled', ('kappa', 'malfunction')),
+    ],
+)
+def test_the_lethality_is_learnt_unless_something_else_is_said(options, method, learn):
+    estimator = chosen_parameters(parse(options))['estimator']
+    assert (estimator['method'], estimator['learn']) == (method, learn)
+
+
+def test_a_demo_learns_the_lethality_and_shows_it(tmp_path):
+    done = run_demo(
+        '--robots', 6, '--size', 4, '--max-steps', 6, '--planner', 'relaxed', '--lethality', 0.9,
+        '--out', tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '/model: 7 of 7 reproduced' in done.stdout
+    history = read_history(tmp_path)
+    assert len(history.learnt) == len(history.beliefs) == 7
+    low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles
+    told = f'lethality learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}; it is 0.9'
+    assert told in done.stdout.splitlines()
+    assert (tmp_path / 'maps.png').read_bytes().startswith(b'\x89PNG')
+    # Nobody but the robots was told.
+    assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
+
+
+def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
+    options = ['--set', 'team:sensor.malfunction=0.01', '--set', 'team:world.kappa=0.7']
+    parameters = chosen_parameters(parse(options))
+    numbers = true_numbers(parameters)
+    assert numbers == {
+        'lethality': 0.5, 'malfunction': 0.01, 'true_positive': 0.95, 'false_positive': 0.05,
+        'hazard_density': 0.15, 'kappa': 0.7, 'target_background': 0.1,
+    }  # fmt: skip
+    # A hazard that fails is as good as one that is less lethal.
+    parameters['team']['sensor.false_negative'] = 0.24
+    parameters['team']['world.file'] = 'hidden.yaml'
+    known = true_numbers(parameters)
+    assert known['lethality'] == pytest.approx(0.5 * 0.76 / 0.95)
+    assert 'kappa' not in known
 
 
 def test_a_simulated_clock_is_refused(tmp_path):
@@ -308,6 +362,9 @@ def reports_in(log):
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
     (['--set', 'world.file=no.yaml'], 'no.yaml.*No such file or directory'),
+    (['--set', 'learn=[lethalty]'], "learn is 'lethalty': did you mean lethality"),
+    (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
+    (['--method', 'kappa_bnitp', '--set', 'learn=[kappa]'], 'kappa cannot be unknown to kappa_b'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
     (['--out', '/proc/here'], r'folder /proc/here cannot be made \(No such file.*name another'),
 ])  # fmt: skip

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from kbnitp_ros.core import Belief, Grid, Observation, World
-from kbnitp_ros.study.figures import mission_maps, steps_into
+from kbnitp_ros.study.figures import draw_number, mission_maps, Number, steps_into
 from kbnitp_ros.study.reach import reach_note
+from matplotlib.figure import Figure
 import numpy as np
 import pytest
 
@@ -28,8 +29,25 @@ def test_no_deployments_have_no_steps():
 def test_the_maps_are_drawn(tmp_path):
     world = World(np.zeros(6, dtype=bool), np.ones(6, dtype=bool))
     prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
-    mission_maps(tmp_path / 'maps.png', GRID, prior, world, [RETURNED, LOST], 'a note')
-    assert (tmp_path / 'maps.png').read_bytes().startswith(b'\x89PNG')
+    numbers = {'lethality': Number(np.linspace([0.0] * 5, [0.3, 0.4, 0.5, 0.6, 0.7], 3), 0.5)}
+    for name, learnt in (('maps.png', {}), ('learnt.png', numbers)):
+        mission_maps(tmp_path / name, GRID, prior, world, [RETURNED, LOST], learnt, 'a note')
+        assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.parametrize('truth', [0.45, None])
+def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
+    quantiles = np.sort(np.random.default_rng(0).random((4, 5)), axis=1)
+    axes = Figure().subplots()
+    draw_number(axes, 'lethality', Number(quantiles, truth))
+    median, *others = axes.lines
+    assert median.get_xdata().tolist() == [0, 1, 2, 3]
+    assert median.get_ydata().tolist() == quantiles[:, 2].tolist()
+    assert [line.get_ydata()[0] for line in others] == ([] if truth is None else [truth])
+    assert axes.get_ylim() == (0, 1)
+    outer, inner = (band.get_paths()[0].get_extents() for band in axes.collections)
+    assert (outer.y0, outer.y1) == (quantiles[:, 0].min(), quantiles[:, 4].max())
+    assert (inner.y0, inner.y1) == (quantiles[:, 1].min(), quantiles[:, 3].max())
 
 
 @pytest.mark.parametrize(
