@@ -7,6 +7,7 @@ from math import inf
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.planning.fates import Fates
 from kbnitp_ros.core.planning.gains import Gains
 from kbnitp_ros.core.planning.information_kernels import left_open
 from kbnitp_ros.core.planning.label_kernels import fate_worth, improve, search, take, trace
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 DECIMALS = 9
 
 # As many closed paths are ranked by their exact worth, or `width` if that is more.
-RANKED = 16
+RANKED = 8
 
 # A closed path is improved by exchanging up to so many cells in a row.
 EXCHANGED = 2
@@ -108,7 +109,7 @@ class Search:
         max_visits = min(max_visits, max_steps)
         fates = objective.fates.probability
         self.reach = Reach.of(grid, max_steps)
-        check_memory(self.reach, max_steps, width, max_visits, fates.size)
+        check_memory(self.reach, max_steps, width, max_visits, objective.fates)
         gains = Gains.of(objective, self.reach.cells, max_visits)
         self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
         self._hazard = objective.belief.hazard[self.reach.cells]
@@ -194,7 +195,7 @@ class Search:
         return round(worth, DECIMALS)
 
 
-def check_memory(reach: Reach, max_steps: int, width: int, max_visits: int, fates: int) -> None:
+def check_memory(reach: Reach, max_steps: int, width: int, max_visits: int, fates: Fates) -> None:
     """
     Check that a search can have the memory that it takes.
 
@@ -204,16 +205,18 @@ def check_memory(reach: Reach, max_steps: int, width: int, max_visits: int, fate
         With an estimate, if it is more than `MOST_MEMORY`.
 
     """
-    powers = WEIGHTS.size
-    labels, cells = int(reach.within.sum()), reach.cells.size
     number = 8
+    labels, cells = int(reach.within.sum()), reach.cells.size
+    factors_and_terms = WEIGHTS.size + 1 + 2 * fates.probability.size
+    readings = max_visits + fates.readings.shape[-1]
     estimate = (
         # Where each label comes from, and the ways home.
-        labels * (4 * width + number * (powers + 4))
-        # The labels of two steps: factors, terms, mark and the visits around.
-        + 2 * int(reach.within.max()) * width * (number * (powers + 2 + 2 * fates) + 4 * 9)
-        # The gains, and as much again while they are made.
-        + 2 * number * cells * max_visits * (powers + 1 + 2 * fates)
+        labels * (4 * width + number * (WEIGHTS.size + 4))
+        # The labels of two steps, with their marks and the visits around.
+        + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
+        # The gains and the chances of readings, while they are made.
+        + 3 * number * cells * max_visits * factors_and_terms
+        + 10 * number * readings * readings
     )
     if estimate > MOST_MEMORY:
         raise ValueError(

@@ -99,6 +99,7 @@ def test_a_plan_is_the_same_in_a_larger_field():
         (600, {'max_steps': 1200}),
         (100, {'max_steps': 200, 'width': 4096}),
         (300, {'max_steps': 600, 'max_visits': 600}),
+        (9, {'max_steps': 10_000, 'max_visits': 10_000}),
     ],
 )
 def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments):
