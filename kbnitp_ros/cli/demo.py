@@ -36,6 +36,7 @@ from kbnitp_ros.nodes.given import read_sections, values_for
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     check_known,
+    check_search,
     estimator_of,
     grid_of,
     nearest,
@@ -312,6 +313,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     team, estimator = parameters['team'], parameters['estimator']
     grid = grid_of(team)
     agents_of(team)
+    check_search(parameters['planner'])
     if team['world.file']:
         read_world(team['world.file'], grid)
     estimator_of(estimator)

@@ -15,7 +15,7 @@ from kbnitp_ros.cli.processes import share
 from kbnitp_ros.nodes.command_line import command_parser
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import read_scenario
 from kbnitp_ros.study.trial import trials_of
 from kbnitp_ros.study.workers import BACKENDS, workers
@@ -127,6 +127,7 @@ def study(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         try:
             scenario = read_scenario(scenario_file(options.scenario))
+            check_memory(scenario)
             folder = Folder(options.out, scenario)
             pool = stack.enter_context(
                 workers(options.backend, options.workers, options.scheduler)

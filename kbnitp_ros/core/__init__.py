@@ -30,6 +30,7 @@ from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
     path_information,
+    PathFinder,
     Plan,
     plan,
     plan_team,
@@ -53,6 +54,7 @@ __all__ = [
     'Learnt',
     'Ledger',
     'Observation',
+    'PathFinder',
     'Plan',
     'Regions',
     'Register',

@@ -22,6 +22,7 @@ from kbnitp_ros.core import (
     Estimator,
     Grid,
     METHODS,
+    PathFinder,
     PLANNERS,
     SensorModel,
     Unknowns,
@@ -192,6 +193,7 @@ PROBABILITY = (0.0, 1.0)
 MOST_ROBOTS = 20_000
 MOST_STEPS = 10_000
 LONGEST_SIDE = 1000
+MOST_AGENTS = 100
 MOST_CELLS = LONGEST_SIDE**2
 NAME = '[A-Za-z][A-Za-z0-9_]*'
 AGENTS = ('agent', 'team')
@@ -318,7 +320,8 @@ TABLE = (
     Parameter(
         'agents',
         ('scout_1',),
-        'Names of all agents of the team; each has its topics under its name.',
+        f'Names of all agents of the team, at most {MOST_AGENTS}; each has its topics under its '
+        'name.',
         FIELD,
         element=str,
         pattern=NAME,
@@ -684,13 +687,18 @@ def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If there is none, two have one name, or there are more than free cells.
+        If there is none, two have one name, or there are more than `MOST_AGENTS` or than free
+        cells.
 
     """
     agents: tuple[str, ...] = values['agents']
     if not agents or len(set(agents)) < len(agents):
         raise ValueError(
             f'parameter agents is {list(agents)}: it must be one or more names, no two alike'
+        )
+    if len(agents) > MOST_AGENTS:
+        raise ValueError(
+            f'parameter agents has {len(agents)} names: there can be at most {MOST_AGENTS}'
         )
     free = int(grid_of(values).free.sum())
     if len(agents) > free:
@@ -699,6 +707,20 @@ def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
             f'{free} free cells'
         )
     return agents
+
+
+def check_search(values: Mapping[str, Any]) -> None:
+    """
+    Check that the planner can have the memory that it takes with these parameters.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if not.
+
+    """
+    limits = (values[name] for name in ('planner', 'max_steps', 'beam_width', 'max_visits'))
+    PathFinder(grid_of(values), *limits).check_memory(len(agents_of(values)))
 
 
 def reference_page() -> str:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import sys
+import time
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
@@ -31,16 +32,26 @@ from kbnitp_ros.messages.deployments import (
 from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name, SECOND
 from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.parameters import (
+    agents_of,
+    check_search,
+    grid_of,
+    parameters_of,
+    sensor_model_of,
+)
 from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.nodes.shell import run, Shell
 from kbnitp_ros.nodes.succession import Succession
+from kbnitp_ros.study.reach import reach_note
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
+
+# A field of which paths reach less than this part is worth a warning.
+MOST = 0.5
 
 
 @dataclass
@@ -72,6 +83,9 @@ class PlannerNode(Shell):
         self._grid = grid_of(self.values)
         self._model = sensor_model_of(self.values)
         self._agents = agents_of(self.values)
+        check_search(self.values)
+        if note := reach_note(self._grid, self.values['max_steps'], MOST):
+            self.get_logger().warning(note)
         self._paths = {
             agent: self.create_publisher(Path, f'{agent}/path', qos.EVIDENCE)
             for agent in self._agents
@@ -97,6 +111,7 @@ class PlannerNode(Shell):
         self._last_stamp = 0
         self._time = 0
         self._is_heard = False
+        self._is_slow = False
         self._answering: dict[str, int] = {}
         self._strangers: set[str] = set()
         self._estimators = 0
@@ -104,7 +119,7 @@ class PlannerNode(Shell):
             self._restore(self.values['resume'])
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
-        self.add_on_set_parameters_callback(self._check_robots)
+        self.add_on_set_parameters_callback(self._check_changes)
         self.diagnostics.state = 'waiting for the belief'
         self._beliefs = self._hear_beliefs()
         for agent in self._agents:
@@ -164,11 +179,20 @@ class PlannerNode(Shell):
             f'least that; {left} ends the mission'
         )
 
-    def _check_robots(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse fewer robots than have left; whatever else is wrong is refused elsewhere."""
-        given = [each.value for each in changes if each.name == 'robots']
-        refusals = [self._too_few(robots) for robots in given if isinstance(robots, int)]
-        return SetParametersResult(successful=not any(refusals), reason=''.join(refusals))
+    def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse fewer robots than have left, and searches that take too much memory."""
+        known = parameters_of('planner')
+        try:
+            given = {
+                each.name: known[each.name].check(each.value)
+                for each in changes
+                if each.name in known
+            }
+            check_search(self.values | given)
+            refusal = self._too_few(given['robots']) if 'robots' in given else ''
+        except ValueError as error:
+            refusal = str(error)
+        return SetParametersResult(successful=not refusal, reason=refusal)
 
     def _complete_round(
         self, planned_on: Snapshot, recorded: dict[DeploymentKey, NDArray[np.intp]]
@@ -370,6 +394,7 @@ class PlannerNode(Shell):
         self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
     ) -> dict[DeploymentKey, NDArray[np.intp]]:
         """Return the paths of robots that leave together, the first of them named by `stamp`."""
+        start = time.monotonic()
         team = plan_team(
             self._grid,
             known.belief,
@@ -383,6 +408,8 @@ class PlannerNode(Shell):
             loss_cost=self.values['loss_cost'],
             out=out,
         )
+        longest = max((len(each.path) - 1 for each in team.plans), default=0)
+        self._say_if_slow(time.monotonic() - start, self.values['step_period'] * longest)
         return {
             DeploymentKey(agent, stamp + number): planned.path
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
@@ -392,6 +419,15 @@ class PlannerNode(Shell):
         """Return the sensor model to plan with: its numbers that are learnt are the belief's."""
         learnt = known.unknowns.priors.keys() & vars(self._model).keys()
         return replace(self._model, **{name: getattr(known.model, name) for name in learnt})
+
+    def _say_if_slow(self, planning: float, away: float) -> None:
+        """Say once that robots wait longer for their paths than they are away, in seconds."""
+        if 0.0 < away < planning and not self._is_slow:
+            self._is_slow = True
+            self.get_logger().warning(
+                f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
+                'a lower beam_width, or the planner relaxed, takes less'
+            )
 
     def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]], mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""

@@ -7,14 +7,24 @@ from kbnitp_ros.core import Grid
 import numpy as np
 
 
-def reach_note(grid: Grid, max_steps: int) -> str:
+def reach_note(grid: Grid, max_steps: int, enough: float = 1.0) -> str:
     """
-    Return how much of a field paths of at most `max_steps` reach; empty if they reach all of it.
+    Return how much of a field paths of at most `max_steps` reach; empty if it is enough.
 
     Cells that are cut off are left out: no path reaches them, however long.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    max_steps : int
+        The most steps of a path.
+    enough : float
+        Which part of the cells, from 0 to 1.
+
     """
     reached, joined = grid.in_reach(max_steps), grid.steps_to_base < grid.cells
-    if reached.sum() == joined.sum():
+    if reached.sum() >= enough * joined.sum():
         return ''
     rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
     extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'

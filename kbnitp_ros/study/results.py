@@ -12,6 +12,38 @@ import numpy as np
 from numpy.typing import NDArray
 import pyarrow as pa
 
+# The most bytes that a mission may take, of which each worker has one, and the results of all.
+MOST_OF_A_MISSION = 1 << 30
+MOST_OF_ALL = 1 << 32
+
+
+def check_memory(scenario: Scenario) -> None:
+    """
+    Check that a study can have the memory that it takes.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if not.
+
+    """
+    number = 8
+    cells, deployments = scenario.field().cells, scenario.robots + 1
+    missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
+    # The beliefs of a mission; of each the last maps, the truth and the measures, in two tables.
+    mission = 4 * number * cells * deployments
+    outcome = 2 * (number + 1) * cells + len(MEASURES) * number * deployments
+    for what, bytes_taken, most in (
+        ('a mission', mission, MOST_OF_A_MISSION),
+        (f'{missions} missions', 2 * missions * outcome, MOST_OF_ALL),
+    ):
+        if bytes_taken > most:
+            raise ValueError(
+                f'{what} of {scenario.robots} robots on {cells} cells takes about '
+                f'{bytes_taken / 1e9:.1f} GB, and {most / 1e9:.1f} GB are allowed: lower '
+                'grid.width, grid.height, robots or trials'
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Results:

@@ -7,7 +7,16 @@ from dataclasses import dataclass, fields, is_dataclass, MISSING
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
 
-from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, METHODS, PLANNERS, SensorModel, team_size
+from kbnitp_ros.core import (
+    ALLOCATIONS,
+    Belief,
+    Grid,
+    METHODS,
+    PathFinder,
+    PLANNERS,
+    SensorModel,
+    team_size,
+)
 from kbnitp_ros.files import read_yaml
 
 # A value's type, and what is allowed: the lowest and the highest number, or the names known.
@@ -165,6 +174,11 @@ class Scenario:
         for team in self.teams:
             team_size(self.field(), team.agents)
 
+    def check_search(self) -> None:
+        """Refuse paths that cannot be searched for within the memory allowed."""
+        finder = PathFinder(self.field(), **vars(self.planning))
+        finder.check_memory(max(team.agents for team in self.teams))
+
     def field(self) -> Grid:
         """Return the grid, with cells of 1 m."""
         return Grid(self.grid.width, self.grid.height, self.grid.base)
@@ -197,6 +211,7 @@ def read_scenario(path: Path) -> Scenario:
             ('grid', scenario.field),
             ('prior', scenario.belief),
             ('teams', scenario.check_teams),
+            ('planning', scenario.check_search),
         ):
             try:
                 check()

@@ -105,6 +105,24 @@ def start():
         process.wait()
 
 
+def test_a_study_beyond_memory_is_refused_with_an_estimate(tmp_path):
+    large = {'grid': {'width': 1000, 'height': 1000, 'base': 0}}
+    planning = {'planner': 'beam', 'max_steps': 10**6, 'width': 1, 'max_visits': 10**6}
+    for changes, told in (
+        (
+            {**large, 'robots': 100},
+            r'a mission of 100 robots on 1000000 cells takes about 3\.2 GB',
+        ),
+        ({**large, 'trials': 1000}, r'4000 missions of 12 robots .* GB.*lower'),
+        ({'planning': planning}, 'planning: .*max_steps = 1000000.* takes about .* GB'),
+    ):
+        out = tmp_path / 'out'
+        done = run_study(write(tmp_path / 'large.yaml', **changes), out)
+        assert done.returncode == 2
+        assert re.fullmatch(f'study: .*{told}.*\n', done.stderr), done.stderr
+        assert not out.exists()
+
+
 def test_a_study_leaves_its_table_figures_and_summary(whole):
     table = parquet.read_table(whole / 'table.parquet')
     assert table.num_rows == TRIALS * 13

@@ -406,16 +406,46 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         assert told in field.said(f'{namespace}/planner')
 
 
-def set_robots(field, robots):
-    """Do `ros2 param set /planner robots N`, and return what the planner answers."""
+def set_number(field, name, number):
+    """Do `ros2 param set /planner NAME N`, and return what the planner answers."""
     client = field.node.create_client(SetParameters, '/planner/set_parameters')
     field.until(client.service_is_ready, 'service of the planner')
-    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=robots)
-    request = SetParameters.Request(parameters=[ParameterMessage(name='robots', value=value)])
+    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=number)
+    request = SetParameters.Request(parameters=[ParameterMessage(name=name, value=value)])
     future = client.call_async(request)
     field.until(future.done, 'answer of the planner')
     (result,) = future.result().results
     return result
+
+
+def test_a_field_that_paths_hardly_reach_is_told(field):
+    field.start('planner', {'grid.width': 30, 'grid.height': 30, 'max_steps': 18})
+    told = '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all'
+    field.until(lambda: told in field.said('/planner'), 'warning')
+
+
+def test_robots_that_wait_for_their_plans_are_told_of_once(field):
+    mission = Mission(field, {'robots': 2, 'step_period': 1e-9})
+    for number in range(2):
+        mission.show_belief()
+        mission.until_sent(number)
+        mission.reports.publish(mission.lose(number))
+    said = field.said('/planner')
+    assert said.count('planning took') == 1
+    assert 'a lower beam_width, or the planner relaxed, takes less' in said
+
+
+def test_a_search_beyond_memory_is_refused(field):
+    large = {'grid.width': 100, 'grid.height': 100, 'max_steps': 200}
+    field.start('planner', large)
+    refused = set_number(field, 'beam_width', 10_000)
+    assert not refused.successful
+    told = 'a beam width of 10000 and max_visits = 3 takes about'
+    assert told in refused.reason
+    assert set_number(field, 'beam_width', 17).successful
+    planner = field.start('planner', {**large, 'beam_width': 10_000}, '/a')
+    assert planner.wait(timeout=60) == 2
+    assert told in field.said('/a/planner')
 
 
 def test_fewer_robots_than_have_left_are_refused(field):
@@ -426,11 +456,11 @@ def test_fewer_robots_than_have_left_are_refused(field):
         if number < 2:
             mission.reports.publish(mission.lose(number))
     for robots in (0, 2):
-        refused = set_robots(field, robots)
+        refused = set_number(field, 'robots', robots)
         assert not refused.successful
         assert f'robots is {robots}: 3 robots have left' in refused.reason
     mission.reports.publish(mission.lose(2))
-    assert set_robots(field, 3).successful
+    assert set_number(field, 'robots', 3).successful
     mission.show_belief()
     mission.until_state('done: 3 of 3 robots deployed')
 

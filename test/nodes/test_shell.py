@@ -12,6 +12,7 @@ import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from kbnitp_ros.core import Belief, Grid, plan_team, SensorModel
 from kbnitp_ros.log.bag.reader import is_finished
 from kbnitp_ros.nodes.given import check_given
 from kbnitp_ros.nodes.parameters import NODES, parameters_of
@@ -126,6 +127,9 @@ def test_a_signal_ends_every_node_well(field, number):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
+    # Kernels that are compiled for the first time are told of on the terminal.
+    grid = Grid(4, 4)
+    plan_team(grid, Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5), 6, 1)
     field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6}, '/', log)
     field.until(lambda: field.count('/estimator', 'accepted') > 5, 'third deployment')
     nodes = field.processes.started

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+import logging
 from typing import Any, TypeVar
 from warnings import warn
 
@@ -27,8 +28,8 @@ def compiled(kernel: Kernel) -> Kernel:
     """
     Return the kernel compiled by numba, or itself where that cannot be.
 
-    The machine code is kept beside the source or in the home's cache, so that it is made once. A
-    RuntimeWarning tells once why kernels are not compiled.
+    The machine code is kept beside the source or in the home's cache, so that it is made once,
+    which is said in the log. A RuntimeWarning tells once why kernels are not compiled.
 
     Parameters
     ----------
@@ -69,7 +70,26 @@ def _numba() -> Any:
             RuntimeWarning,
             stacklevel=3,
         )
+    event = numba.core.event
+
+    class Notice(event.Listener):  # type: ignore[misc, name-defined]
+        """Hears of code that is compiled, but not of what was kept."""
+
+        def on_start(self, _: object) -> None:
+            _say_once()
+
+        def on_end(self, _: object) -> None:
+            """Say nothing."""
+
+    event.register('numba:compile', Notice())
     return numba
+
+
+@cache
+def _say_once() -> None:
+    logging.getLogger(__package__).warning(
+        'kernels are compiled for the first time, which takes up to a minute'
+    )
 
 
 @cache

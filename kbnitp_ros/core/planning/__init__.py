@@ -4,13 +4,14 @@
 from kbnitp_ros.core.planning.allocations import ALLOCATIONS
 from kbnitp_ros.core.planning.information import path_information, team_information
 from kbnitp_ros.core.planning.plan import Plan, plan
-from kbnitp_ros.core.planning.planners import PLANNERS
+from kbnitp_ros.core.planning.planners import PathFinder, PLANNERS
 from kbnitp_ros.core.planning.regions import Regions
 from kbnitp_ros.core.planning.team import plan_team, team_size, TeamPlan
 
 __all__ = [
     'ALLOCATIONS',
     'PLANNERS',
+    'PathFinder',
     'Plan',
     'Regions',
     'TeamPlan',

@@ -7,7 +7,6 @@ from math import inf
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import Grid
-from kbnitp_ros.core.planning.fates import Fates
 from kbnitp_ros.core.planning.gains import Gains
 from kbnitp_ros.core.planning.information_kernels import left_open
 from kbnitp_ros.core.planning.label_kernels import fate_worth, improve, search, take, trace
@@ -106,10 +105,11 @@ class Search:
     def __init__(
         self, grid: Grid, objective: Objective, max_steps: int, width: int, max_visits: int
     ) -> None:
-        max_visits = min(max_visits, max_steps)
         fates = objective.fates.probability
         self.reach = Reach.of(grid, max_steps)
-        check_memory(self.reach, max_steps, width, max_visits, objective.fates)
+        earlier = objective.fates.readings.shape[-1] - 1
+        check_memory(self.reach, max_steps, width, max_visits, fates.size, earlier)
+        max_visits = min(max_visits, max_steps)
         gains = Gains.of(objective, self.reach.cells, max_visits)
         self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
         self._hazard = objective.belief.hazard[self.reach.cells]
@@ -195,9 +195,20 @@ class Search:
         return round(worth, DECIMALS)
 
 
-def check_memory(reach: Reach, max_steps: int, width: int, max_visits: int, fates: Fates) -> None:
+def check_memory(
+    reach: Reach, max_steps: int, width: int, max_visits: int, fates: int, earlier: int
+) -> None:
     """
     Check that a search can have the memory that it takes.
+
+    Parameters
+    ----------
+    reach : Reach
+        Of the paths.
+    max_steps, width, max_visits : int
+        As of `best_paths`.
+    fates, earlier : int
+        How many fates the robots before have, and the most readings that they bring of a cell.
 
     Raises
     ------
@@ -206,21 +217,23 @@ def check_memory(reach: Reach, max_steps: int, width: int, max_visits: int, fate
 
     """
     number = 8
+    visits = min(max_visits, max_steps)
     labels, cells = int(reach.within.sum()), reach.cells.size
-    factors_and_terms = WEIGHTS.size + 1 + 2 * fates.probability.size
-    readings = max_visits + fates.readings.shape[-1]
+    factors_and_terms = WEIGHTS.size + 1 + 2 * fates
     estimate = (
-        # Where each label comes from, and the ways home.
-        labels * (4 * width + number * (WEIGHTS.size + 4))
+        # Where each label comes from, and the ways home if some are kept for what they promise.
+        labels * (4 * width + (number * (WEIGHTS.size + 4) if width > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
         + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
         # The gains and the chances of readings, while they are made.
-        + 3 * number * cells * max_visits * factors_and_terms
-        + 10 * number * readings * readings
+        + 3 * number * cells * visits * factors_and_terms
+        + 10 * number * (visits + earlier + 1) ** 2
+        # What the robots before bring.
+        + 2 * number * fates * cells * (earlier + 5)
     )
     if estimate > MOST_MEMORY:
         raise ValueError(
-            f'planning with max_steps = {max_steps}, width = {width} and max_visits = '
+            f'planning with max_steps = {max_steps}, a beam width of {width} and max_visits = '
             f'{max_visits} takes about {estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB '
             'are allowed: lower one of them'
         )

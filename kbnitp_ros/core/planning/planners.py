@@ -3,7 +3,7 @@
 The planners: how each looks for the path of the next deployment.
 
 A planner takes (grid, objective, max_steps, width, max_visits) and returns closed paths, the best
-first. A new one is one file and one line here.
+first. A new one is one file and one line here; a label search has another among `LABELS`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import Grid, whole_number
-from kbnitp_ros.core.planning.labels import best_paths, Found
+from kbnitp_ros.core.planning.fates import MOST_FATES
+from kbnitp_ros.core.planning.labels import best_paths, check_memory, Found
 from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.reach import Reach
 
 Planner = Callable[[Grid, Objective, int, int, int], list[Found]]
 
@@ -26,6 +28,9 @@ def relaxed(
 
 
 PLANNERS: dict[str, Planner] = {'relaxed': relaxed, 'beam': best_paths}
+
+# How many labels the label searches among them keep, of a width that they are given.
+LABELS: dict[str, Callable[[int], int]] = {'relaxed': lambda _: 1, 'beam': lambda width: width}
 
 
 @dataclass(frozen=True)
@@ -56,3 +61,27 @@ class PathFinder:
         """Return the closed paths found for an objective, at least one, the best first."""
         planner = PLANNERS[self.planner]
         return planner(self.grid, objective, self.max_steps, self.width, self.max_visits)
+
+    def check_memory(self, robots: int) -> None:
+        """
+        Check that paths can be searched for within the memory allowed, before any is.
+
+        Parameters
+        ----------
+        robots : int
+            How many leave together or are out, at least 1.
+
+        Raises
+        ------
+        ValueError
+            With an estimate, if it takes more.
+
+        """
+        if labels := LABELS.get(self.planner):
+            before = robots - 1
+            # As many as there can be, without powers of two that nobody can count.
+            fates = 2 ** min(before, MOST_FATES.bit_length() - 1)
+            earlier = before * min(self.max_visits, self.max_steps)
+            reach = Reach.of(self.grid, self.max_steps)
+            width = labels(self.width)
+            check_memory(reach, self.max_steps, width, self.max_visits, fates, earlier)

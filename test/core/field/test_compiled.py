@@ -42,6 +42,16 @@ def test_kernels_are_compiled(tmp_path):
     assert run(KERNEL, folder=tmp_path) == (['0.5', '1.0', 'CPUDispatcher'], [])
 
 
+def test_the_first_compilation_is_told_of_once(tmp_path):
+    path = tmp_path / 'kernel.py'
+    path.write_text(KERNEL)
+    told = []
+    for _ in range(2):
+        done = subprocess.run([sys.executable, path], capture_output=True, text=True, check=True)
+        told.append(done.stderr)
+    assert told == ['kernels are compiled for the first time, which takes up to a minute\n', '']
+
+
 def test_compilation_can_be_switched_off(tmp_path):
     printed, warnings = run(KERNEL, folder=tmp_path, NUMBA_DISABLE_JIT='1')
     assert printed == ['0.5', '1.0', 'function']

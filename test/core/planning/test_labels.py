@@ -6,8 +6,16 @@ import subprocess
 import sys
 
 import brute_force
-from kbnitp_ros.core import Belief, Grid, path_information, plan, SensorModel
-from kbnitp_ros.core.planning import labels
+from kbnitp_ros.core import (
+    Belief,
+    Grid,
+    path_information,
+    PathFinder,
+    plan,
+    plan_team,
+    SensorModel,
+)
+from kbnitp_ros.core.planning import labels, planners
 from kbnitp_ros.core.planning.label_kernels import label_worth, take
 from kbnitp_ros.core.planning.moments import ERROR, WEIGHTS
 from kbnitp_ros.core.planning.objective import Objective
@@ -107,6 +115,60 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
     belief, steps = Belief.prior(grid, 0.3, 0.4, 0.8), arguments['max_steps']
     with pytest.raises(ValueError, match=rf'max_steps = {steps}.*width.*max_visits.* GB.*lower'):
         plan(grid, belief, SensorModel(0.5), **arguments)
+
+
+@pytest.mark.parametrize(
+    'planner, side, max_steps, width, max_visits, robots',
+    [
+        ('beam', 600, 1200, 16, 3, 1),
+        ('relaxed', 1000, 2000, 16, 3, 1),
+        ('beam', 9, 10_000, 16, 10_000, 1),
+        ('beam', 100, 200, 16, 3, 2000),
+    ],
+)
+def test_memory_can_be_asked_for_before_there_is_a_belief(
+    planner, side, max_steps, width, max_visits, robots
+):
+    finder = PathFinder(Grid(side, side), planner, max_steps, width, max_visits)
+    with pytest.raises(ValueError, match=f'max_steps = {max_steps}.* GB'):
+        finder.check_memory(robots)
+
+
+@pytest.mark.parametrize(
+    'planner, side, max_steps, width, max_visits, robots',
+    [
+        ('beam', 9, 18, 10_000, 10_000, 1),
+        ('beam', 9, 1000, 16, 3, 81),
+        ('beam', 1000, 60, 16, 3, 100),
+        ('relaxed', 300, 600, 10_000, 3, 1),
+    ],
+)
+def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
+    planner, side, max_steps, width, max_visits, robots
+):
+    PathFinder(Grid(side, side), planner, max_steps, width, max_visits).check_memory(robots)
+
+
+@pytest.mark.parametrize('allocation', ['independent', 'voronoi', 'greedy'])
+def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, allocation):
+    """Whatever became of the robots before: a mission that has begun is not refused later."""
+    grid, model, robots = Grid(5, 5), SensorModel(0.5), 7
+    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
+    finder = PathFinder(grid, 'beam', 10, 4, 3)
+    asked = []
+    check = labels.check_memory
+
+    def spy(reach, *sizes):
+        asked.append(sizes)
+        check(reach, *sizes)
+
+    monkeypatch.setattr(labels, 'check_memory', spy)
+    monkeypatch.setattr(planners, 'check_memory', spy)
+    finder.check_memory(robots)
+    plan_team(grid, belief, model, 10, robots, allocation, width=4)
+    most, *later = asked
+    assert later
+    assert all(np.all(np.array(sizes) <= most) for sizes in later)
 
 
 def test_the_best_of_a_wide_search_is_found():
