@@ -6,7 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Belief, Grid, Observation, SensorModel, whole_number, World
+from kbnitp_ros.core.field import (
+    Belief,
+    Conduct,
+    Grid,
+    OBEDIENT,
+    Observation,
+    SensorModel,
+    whole_number,
+    World,
+)
 from kbnitp_ros.core.inference import ALL_KNOWN, Estimator, Learnt, Unknowns
 from kbnitp_ros.core.planning import Plan, plan_team, team_size
 import numpy as np
@@ -58,6 +67,7 @@ def run_mission(
     world_model: SensorModel | None = None,
     unknowns: Unknowns = ALL_KNOWN,
     seed: int = 0,
+    conduct: Conduct = OBEDIENT,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -95,6 +105,8 @@ def run_mission(
         known of them by then: with the estimator's model.
     seed : int
         Of the random numbers that the method draws.
+    conduct : Conduct
+        How the robots depart from their orders; by default they do not.
 
     Returns
     -------
@@ -126,7 +138,8 @@ def run_mission(
             loss_cost=loss_cost,
         )
         for planned in team.plans:
-            observation = world.traverse(planned.path, truth, rng.spawn(1)[0])
+            made = conduct.traverse(world, grid, planned.path, truth, rng.spawn(1)[0])
+            observation = made.observation
             estimator.assimilate(observation)
             deployments.append(
                 Deployment(

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from kbnitp_ros.core import DeploymentKey, Grid, Register, Report
+from kbnitp_ros.core import DeploymentKey, Ending, Grid, Outcome, Register, Report
 from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
@@ -90,8 +90,9 @@ class Evidence(Register):
     Attributes
     ----------
     said : list of (DeploymentKey, Report)
-        What fits its path: of each deployment the first loss and the first return, in the order
-        in which path and report were both on record.
+        What fits its path: of each deployment the first return and the first loss after each
+        number of steps known to be survived, in the order in which path and report were both on
+        record.
     reports : dict
         By deployment, in the order in which they were reported: the reports that count.
     refused : list of str
@@ -104,7 +105,7 @@ class Evidence(Register):
         self.said: list[Reported] = []
         self.reports: dict[DeploymentKey, Report] = {}
         self.refused: list[str] = []
-        self._by_outcome: dict[tuple[DeploymentKey, bool], Report] = {}
+        self._said: set[tuple[DeploymentKey, Ending]] = set()
         self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
         self._misfits: dict[DeploymentKey, str] = {}
 
@@ -115,19 +116,20 @@ class Evidence(Register):
         except ValueError as error:
             self.refused.append(f'{logged.topic}: {error}'[:LONGEST])
 
-    def _outcome(self, key: DeploymentKey, report: Report) -> bytes | None:
+    def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
         try:
             outcome = super()._outcome(key, report)
         except ValueError as error:
             self._misfits.setdefault(key, str(error)[:LONGEST])
             raise
         self._by_stamp.setdefault((key, report.stamp), report)
-        if (key, report.survived) not in self._by_outcome:
-            self._by_outcome[key, report.survived] = report
+        said = key, report.ending
+        if said not in self._said:
+            self._said.add(said)
             self.said.append((key, report))
         return outcome
 
-    def _take_in(self, key: DeploymentKey, outcome: bytes | None, report: Report) -> None:
+    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         self.reports[key] = report
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kbnitp_msgs.msg import ModelBelief
-from kbnitp_ros.core import DeploymentKey, Estimator, Grid, METHODS, versions
+from kbnitp_ros.core import DeploymentKey, Ending, Estimator, Grid, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import content, Difference, differences
 from kbnitp_ros.log.evidence import (
@@ -291,8 +291,8 @@ class Fold:
         # Whether the last belief was not reproduced, or not decided.
         self._is_astray = False
         self._is_undecided = False
-        # With whether their robots came back: a late return is more than the loss it replaces.
-        self._held: set[tuple[DeploymentKey, bool]] = set()
+        # With their endings: a late return is more than the loss it replaces.
+        self._held: set[tuple[DeploymentKey, Ending]] = set()
         self._seen: Counter[str] = Counter()
         self._model_topic = f'{topic.rpartition("/")[0]}/model'
         self._view_types = {f'{topic}/{name}': GRID for name in VIEWS} | {self._model_topic: MODEL}
@@ -331,7 +331,7 @@ class Fold:
                 different = tuple(differences(each.message, shown))
                 self.mismatches.append(Mismatch(each.topic, each.index, newest, different))
         for key, report in self.evidence.reports.items():
-            if (key, report.survived) in self._held:
+            if (key, report.ending) in self._held:
                 self.passed_over += self.not_yet_held
                 self.not_yet_held = []
                 continue
@@ -513,7 +513,7 @@ class Fold:
     def _keep(self, ledger: TrialLedger) -> None:
         """Go on from a ledger with what it was told."""
         self._ledger = ledger
-        self._held.update((key, ledger.returned(key)) for key in ledger.keep())
+        self._held.update((key, ledger.ending(key)) for key in ledger.keep())
 
     def _show(self, topic: str, head: Head) -> None:
         """Compute the views of a belief."""

@@ -7,11 +7,16 @@ from bisect import bisect_left
 from collections.abc import Hashable, Iterable
 from contextlib import suppress
 
-from kbnitp_ros.core import deployment_order, DeploymentKey, Estimator, Grid, Ledger, Report
+from kbnitp_ros.core import (
+    deployment_order,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    Outcome,
+    Report,
+)
 from kbnitp_ros.log.evidence import Evidence, Reported
-
-# Of a deployment that was not reported.
-UNKNOWN = b'unknown'
 
 
 class TrialLedger(Ledger):
@@ -41,7 +46,7 @@ class TrialLedger(Ledger):
         super().__init__(grid, max_steps, estimator)
         self.known: dict[Hashable, int] = {}
         self._evidence = evidence
-        self._on_trial: list[tuple[DeploymentKey, bytes | None, dict[int, Estimator]]] = []
+        self._on_trial: list[tuple[DeploymentKey, Outcome | None, dict[int, Estimator]]] = []
         self._before = self.newest, self.newest_stamp
 
     def tell(self, taken: Iterable[Reported], last: Reported) -> None:
@@ -67,14 +72,14 @@ class TrialLedger(Ledger):
             self.record_path(key, self._evidence.path(key))
         self.record_report(key, report)
 
-    def _take_in(self, key: DeploymentKey, outcome: bytes | None, report: Report) -> None:
-        before = key, self._outcomes.get(key, UNKNOWN), self._estimators
+    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+        before = key, self._outcomes.get(key), self._estimators
         super()._take_in(key, outcome, report)
         self._on_trial.append(before)
 
     def holds(self, key: DeploymentKey, report: Report) -> bool:
         """Return whether a report says nothing new."""
-        return key in self._outcomes and (self.returned(key) or not report.survived)
+        return key in self._outcomes and report.ending <= self.ending(key)
 
     def knows(self, key: DeploymentKey) -> bool:
         """Return whether a deployment is held, however it ended."""
@@ -91,7 +96,7 @@ class TrialLedger(Ledger):
         """Be again as before the trial."""
         while self._on_trial:
             key, known, self._estimators = self._on_trial.pop()
-            if known is UNKNOWN:
+            if known is None:
                 del self._outcomes[key]
                 del self.deployments[
                     bisect_left(self.deployments, deployment_order(key), key=deployment_order)

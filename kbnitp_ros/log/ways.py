@@ -17,7 +17,7 @@ from contextlib import suppress
 from itertools import chain
 from typing import NamedTuple
 
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import DeploymentKey, Ending
 from kbnitp_ros.log.evidence import Evidence, Reported
 from kbnitp_ros.log.trial import TrialLedger
 
@@ -86,10 +86,10 @@ class Publishers:
     ) -> None:
         self.publisher_of = publisher_of
         self.said: dict[Hashable, list[Reported]] = defaultdict(list)
-        self._index: dict[tuple[DeploymentKey, bool], int] = {}
+        self._index: dict[tuple[DeploymentKey, Ending], int] = {}
         for reported in evidence.said:
             said = self.said[publisher_of(reported)]
-            self._index[reported[0], reported[1].survived] = len(said)
+            self._index[reported[0], reported[1].ending] = len(said)
             said.append(reported)
         # Of each publisher, the beliefs that took in something of it last, and what.
         self._seen_in: dict[Hashable, list[int]] = defaultdict(list)
@@ -119,7 +119,7 @@ class Publishers:
     def index_of(self, reported: Reported) -> int | None:
         """Return which of what its publisher said it is; None if it is not among that."""
         key, report = reported
-        return self._index.get((key, report.survived))
+        return self._index.get((key, report.ending))
 
     def span(self, publisher: Hashable, known: int, number: int) -> Span:
         """Return how many of a publisher's reports a belief may hold besides those known."""

@@ -8,6 +8,7 @@ report names both.
 
 from __future__ import annotations
 
+from itertools import count
 from typing import Any
 
 from geometry_msgs.msg import Point, Pose, PoseStamped
@@ -154,9 +155,10 @@ def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> 
         deployment=to_stamp(key.stamp),
         survived=observation.survived,
         readings=[
-            TargetReading(cell=cell, detected=detected)
-            for cell, detected in zip(observation.path[1:].tolist(), readings)
+            TargetReading(cell=cell, detected=reading == 1, not_looked=reading == -1)
+            for cell, reading in zip(observation.path[1:].tolist(), readings)
         ],
+        steps_survived=observation.steps_survived,
     )
 
 
@@ -164,7 +166,7 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     """
     Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says.
 
-    Whether the readings are those of the deployment's path is for `Ledger.record_report` to say.
+    Whether a robot can have made it is for `Ledger.record_report` to say.
 
     Parameters
     ----------
@@ -176,7 +178,8 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     Raises
     ------
     ValueError
-        If it is in another frame, a time is none, or it names no agent or another one.
+        If it is in another frame, a time is none, it names no agent or another one, or something
+        is detected without a look.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -186,5 +189,19 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
-    readings = tuple((int(reading.cell), bool(reading.detected)) for reading in message.readings)
-    return key, Report(bool(message.survived), readings, stamp)
+    readings = tuple(map(_read_reading, message.readings, count()))
+    # Logs recorded before there were last contacts say nothing of them.
+    steps_survived = int(getattr(message, 'steps_survived', 0))
+    return key, Report(bool(message.survived), readings, stamp, steps_survived)
+
+
+def _read_reading(message: Any, number: int) -> tuple[int, int]:
+    """Return the cell and the reading of a kbnitp_msgs/TargetReading, the n-th of a report."""
+    # In logs recorded before cameras failed, robots looked everywhere.
+    if not getattr(message, 'not_looked', False):
+        return int(message.cell), int(message.detected)
+    if message.detected:
+        raise ValueError(
+            f'readings[{number}] has detected and not_looked: nothing is detected without a look'
+        )
+    return int(message.cell), -1

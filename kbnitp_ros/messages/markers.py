@@ -6,6 +6,7 @@ from __future__ import annotations
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.messages.headers import header
+import numpy as np
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
@@ -18,7 +19,7 @@ SIZE = 0.3
 
 def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
     """
-    Return a sphere for each reading, in the order of the steps.
+    Return a sphere for each step that the robot looked in, in their order.
 
     Parameters
     ----------
@@ -30,8 +31,9 @@ def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
         When the base learnt it, in nanoseconds.
 
     """
-    readings = () if observation.readings is None else observation.readings.tolist()
-    centers = grid.centers(observation.path[1:])[: len(readings)]
+    readings = np.empty(0) if observation.readings is None else observation.readings
+    looked = np.flatnonzero(readings != -1)
+    centers = grid.centers(observation.path[1:][looked])
     size = SIZE * grid.resolution
     return Marker(
         header=header(stamp),
@@ -41,5 +43,5 @@ def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
         pose=Pose(orientation=Quaternion(w=1.0)),
         scale=Vector3(x=size, y=size, z=size),
         points=[Point(x=x, y=y) for x, y in centers.tolist()],
-        colors=[DETECTED if detected else NOTHING for detected in readings],
+        colors=[DETECTED if detected else NOTHING for detected in readings[looked]],
     )

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from kbnitp_ros.core import LONGEST_WALK
+
 # In bytes: what all but the poses, readings and cells take, names and frames of others included;
 # a pose with the header of its own; a reading; a cell with its joint, its prior, its three views
 # and its number among those that are blocked. A time is 12 bytes with the head of its message.
@@ -19,8 +21,8 @@ def largest_path(max_steps: int) -> int:
 
 
 def largest_report(max_steps: int) -> int:
-    """Return the most bytes of a kbnitp_msgs/DeploymentReport on so many steps."""
-    return REST + READING * max_steps
+    """Return the most bytes of a kbnitp_msgs/DeploymentReport on orders of so many steps."""
+    return REST + READING * LONGEST_WALK * max_steps
 
 
 def largest_belief(cells: int) -> int:

@@ -19,6 +19,7 @@ from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
     Beta,
+    Conduct,
     Estimator,
     Grid,
     METHODS,
@@ -389,6 +390,34 @@ TABLE = (
         limits=(0.0, 1e6),
     ),
     Parameter(
+        'detour_probability',
+        0.0,
+        'Probability that a simulated robot takes a step through a third cell.',
+        AGENTS,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'early_return_probability',
+        0.0,
+        'Probability that a simulated robot turns back before a step; never before its first.',
+        AGENTS,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'last_contact_probability',
+        0.0,
+        'Probability that the base hears, after a step, how far a simulated robot is.',
+        AGENTS,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'camera_failure_probability',
+        0.0,
+        "Probability that a simulated robot's camera fails in a step, for the rest of the way.",
+        AGENTS,
+        limits=PROBABILITY,
+    ),
+    Parameter(
         'silent_loss',
         False,
         'Whether a robot that was destroyed is only known by not coming back.',
@@ -677,6 +706,16 @@ def estimator_of(values: Mapping[str, Any]) -> Estimator:
     )
     return Estimator(
         prior, sensor_model_of(values), values['method'], unknowns_of(values), values['seed']
+    )
+
+
+def conduct_of(values: Mapping[str, Any]) -> Conduct:
+    """Return how simulated robots depart from their orders."""
+    return Conduct(
+        detour=values['detour_probability'],
+        early_return=values['early_return_probability'],
+        last_contact=values['last_contact_probability'],
+        camera_failure=values['camera_failure_probability'],
     )
 
 

@@ -13,10 +13,10 @@ import time
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import (
-    check_report,
     deployment_order,
     DeploymentKey,
     Observation,
+    observation_of,
     plan_team,
     SensorModel,
 )
@@ -279,7 +279,8 @@ class PlannerNode(Shell):
             key, report = read_report(message, agent)
             if key in self._out:
                 # The estimator would refuse it too, and the robot is still out.
-                check_report(key, self._out[key].path, report)
+                path, max_steps = self._out[key].path, self.values['max_steps']
+                observation_of(report, key, path, self._grid, max_steps)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return

@@ -18,7 +18,7 @@ from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
 from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.parameters import agents_of, conduct_of, grid_of, sensor_model_of
 from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.nodes.shell import Shell
 from kbnitp_ros.nodes.world_file import read_world
@@ -46,6 +46,7 @@ class Simulation:
         self.node = node
         self.grid = grid_of(node.values)
         self.model = sensor_model_of(node.values)
+        self.conduct = conduct_of(node.values)
         self.agents = agents_of(node.values)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.world = self._hidden_world()
@@ -216,16 +217,16 @@ class SimulatedAgent:
         simulation, path = self._simulation, self._known[key]
         robot = self._robots.setdefault(key, len(self._robots))
         rng = simulation.generator(self.name, robot)
-        observation = simulation.world.traverse(path, simulation.model, rng)
+        made = simulation.conduct.traverse(
+            simulation.world, simulation.grid, path, simulation.model, rng
+        )
         period = self._node.values['step_period']
         if period == 0.0:
-            self._return(key, observation)
+            self._return(key, made.observation)
             return
-        self._after(period * (len(path) - 1), partial(self._return, key, observation))
+        self._after(period * (len(made.walk) - 1), partial(self._return, key, made.observation))
         if self._node.values['publish_pose']:
-            again = simulation.generator(self.name, robot)
-            steps = simulation.world.steps_made(path, simulation.model, again)
-            for step, cell in enumerate(path[: steps + 1].tolist()):
+            for step, cell in enumerate(made.walk[: made.steps_made + 1].tolist()):
                 self._after(period * step, partial(self._show, cell))
 
     def _after(self, seconds: float, callback: Callable[[], None]) -> None:

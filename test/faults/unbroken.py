@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from kbnitp_ros.core import METHODS, Observation, run_mission, World
 from kbnitp_ros.nodes.parameters import (
+    conduct_of,
     estimator_of,
     grid_of,
     sensor_model_of,
@@ -33,6 +34,19 @@ def draw_parameters(rng):
         'rolling': bool(rng.random() < 0.25),
         'silent_loss': bool(rng.random() < 0.25),
         'return_deadline': 0.5,
+        **draw_conduct(rng),
+    }
+
+
+def draw_conduct(rng):
+    """Draw how robots depart from their orders; in half of the missions they do not."""
+    if rng.random() < 0.5:
+        return {}
+    return {
+        'detour_probability': 0.1,
+        'early_return_probability': 0.02,
+        'last_contact_probability': 0.3,
+        'camera_failure_probability': 0.05,
     }
 
 
@@ -70,6 +84,7 @@ def core_mission(parameters):
         loss_cost=values['loss_cost'],
         unknowns=unknowns_of(values),
         seed=values['seed'],
+        conduct=conduct_of(values),
     )
 
 
@@ -80,10 +95,11 @@ def folded(parameters, evidence):
     estimator = estimator_of(values)
     for key in sorted(evidence.reports, key=lambda key: key.stamp):
         (path, *_) = evidence.paths[key]
-        report = max(evidence.reports[key], key=lambda report: report.survived)
-        readings = [detected for _, detected in report.readings]
-        observation = Observation(
-            grid.cells_at(path), report.survived, readings if report.survived else None
-        )
-        estimator.assimilate(observation)
+        report = max(evidence.reports[key], key=lambda report: report.ending)
+        walk, readings = grid.cells_at(path), None
+        if report.survived:
+            steps, readings = zip(*report.readings)
+            walk = [grid.base, *steps]
+        known = report.steps_survived
+        estimator.assimilate(Observation(walk, report.survived, readings, known))
     return estimator.belief

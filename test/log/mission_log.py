@@ -13,6 +13,7 @@ from kbnitp_ros.core import (
     Estimator,
     Grid,
     Ledger,
+    OBEDIENT,
     run_mission,
     SensorModel,
     Unknowns,
@@ -134,14 +135,23 @@ class Mission:
         assert self.ledger.record_report(key, report)
         self.publish_belief()
 
-    def deploy(self, observation, agent='scout_1'):
-        """Do all of it."""
-        key = self.send_out(observation.path, agent)
-        self.assimilate(observation.path, *self.come_back(key, observation))
+    def deploy(self, observation, agent='scout_1', orders=None):
+        """Do all of it; a robot without orders of its own is sent the way that it goes."""
+        orders = observation.path if orders is None else orders
+        key = self.send_out(orders, agent)
+        self.assimilate(orders, *self.come_back(key, observation))
         return key
 
 
-def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID, unknowns=KNOWN, method_seed=0):
+def observations(
+    robots=8,
+    seed=1,
+    method='kappa_bnitp',
+    grid=GRID,
+    unknowns=KNOWN,
+    method_seed=0,
+    conduct=OBEDIENT,
+):
     """Return the deployments of a mission in the core."""
     rng = np.random.default_rng(seed)
     world = World.random(grid, rng, 0.2, 0.7, 0.2)
@@ -156,16 +166,17 @@ def observations(robots=8, seed=1, method='kappa_bnitp', grid=GRID, unknowns=KNO
         max_steps=MAX_STEPS,
         unknowns=unknowns,
         seed=method_seed,
+        conduct=conduct,
     )
 
 
-def mission(robots=8, **options):
+def mission(robots=8, conduct=OBEDIENT, **options):
     """Return a whole mission, one robot after another."""
     whole = Mission(**options)
     known = ('method', 'grid', 'unknowns', 'method_seed')
     chosen = {name: options[name] for name in known if name in options}
-    for deployment in observations(robots, **chosen):
-        whole.deploy(deployment.observation)
+    for deployment in observations(robots, conduct=conduct, **chosen):
+        whole.deploy(deployment.observation, orders=deployment.plan.path)
         assert whole.ledger.belief.joint.tobytes() == deployment.belief.joint.tobytes()
     return whole
 

@@ -64,15 +64,19 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
 
 def reports_that_do_not_fit(key, whole):
     """Return what an estimator refuses of a robot on the way NEAR."""
-    elsewhere = Observation([2, 1, 2], True, [True, True])
-    far = Observation(FAR, True, [True] * 4)
+    elsewhere = Observation([2, 10, 2], True, [True, True])
     unread, spoken = (report_message(key, Observation(NEAR, False), whole.now) for _ in range(2))
     unread.survived = True
+    few = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
+    few.readings = few.readings[:1]
+    after = report_message(key, Observation(NEAR, False), whole.now)
+    after.steps_survived = 2
     spoken.readings = report_message(key, elsewhere, whole.now).readings
     return {
         'a return without readings': unread,
-        'a return with those of other cells': report_message(key, elsewhere, whole.now),
-        'a return with too many': report_message(key, far, whole.now),
+        'a return with those of cells out of reach': report_message(key, elsewhere, whole.now),
+        'a return with too few': few,
+        'a loss after more steps than there are': after,
         'a loss with readings': spoken,
     }
 

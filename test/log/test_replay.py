@@ -13,9 +13,11 @@ from kbnitp_msgs.msg import UnknownNumber
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import (
     Beta,
+    Conduct,
     DeploymentKey,
     Grid,
     METHODS,
+    OBEDIENT,
     Observation,
     Report,
     Unknowns,
@@ -56,6 +58,7 @@ import numpy as np
 import pytest
 
 ROBOTS = 8
+WILFUL = Conduct(detour=0.3, early_return=0.1, last_contact=0.5, camera_failure=0.2)
 VIEWS = ('/belief/hazard', '/belief/target', '/belief/kappa')
 REPRODUCED = dict.fromkeys(('/belief', *VIEWS), ROBOTS + 1)
 
@@ -105,6 +108,38 @@ def test_a_mission_is_reproduced(replayed, method):
     assert 0 < report.evidence.survived < ROBOTS
     assert report.passed_over == report.not_yet_held == report.evidence.without_report == []
     assert report.evidence.without_path == report.evidence.refused == []
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_what_robots_make_of_their_orders_is_reproduced(replayed, method):
+    """Walks, last contacts and failed cameras."""
+    whole = mission(2 * ROBOTS, method=method, conduct=WILFUL)
+    told = [each.message for each in on(whole.sent, '/scout_1/report')]
+    assert any(each.steps_survived for each in told)
+    assert any(reading.not_looked for each in told for reading in each.readings)
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared['/belief'] == 2 * ROBOTS + 1
+    assert report.evidence.refused == []
+
+
+@pytest.mark.parametrize('recorded', [(), (1,), (2,), (1, 2)])
+def test_a_later_contact_is_reproduced(replayed, recorded):
+    """Beliefs before it have the earlier one; some may be missing."""
+    whole = Mission()
+    tour = [2, 7, 12, 7, 2]
+    key = whole.deploy(Observation(tour, False))
+    for steps in (1, 3):
+        heard = Observation(tour, False, steps_survived=steps)
+        whole.assimilate(tour, *whole.come_back(key, heard))
+    whole.come_back(key, Observation(tour, False, steps_survived=2))
+    whole.deploy(Observation([2, 7, 2], True, [True, False]))
+    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 1, 1, 2]
+    missing = [beliefs(whole.sent)[index] for index in recorded]
+    report = replayed(without(whole.sent, *missing))
+    assert report.mismatches == report.passed_over == report.not_yet_held == []
+    assert report.evidence.refused == []
+    assert report.evidence.observation(key).steps_survived == 3
 
 
 @pytest.mark.parametrize('version', versions('kappa_bnitp_smoothed'))
@@ -352,17 +387,21 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
     """
     It hears what each publisher said in its order, and not all its beliefs are recorded.
 
-    The losses of silent robots are reported by the planner, and some of these come home late.
+    The losses of silent robots are reported by the planner, and some of these come home late, or
+    were heard of.
     """
     whole = Mission()
     told = {}
-    for deployment in observations(6, seed=data.draw(st.integers(0, 5))):
+    conduct = data.draw(st.sampled_from([OBEDIENT, WILFUL]))
+    for deployment in observations(6, seed=data.draw(st.integers(0, 5)), conduct=conduct):
         observation, agent = deployment.observation, f'scout_{data.draw(st.integers(1, 3))}'
-        key = whole.send_out(observation.path, agent)
-        is_late = silent and observation.survived and data.draw(st.booleans())
-        lost = [Observation(observation.path, False)] if is_late else []
+        orders = deployment.plan.path
+        key = whole.send_out(orders, agent)
+        says_more = observation.survived or observation.steps_survived
+        is_late = silent and says_more and data.draw(st.booleans())
+        lost = [Observation(orders, False)] if is_late else []
         for each in (*lost, observation):
-            said = observation.path, *whole.come_back(key, each)
+            said = orders, *whole.come_back(key, each)
             whole.assimilate(*said)
             told.setdefault((agent, silent and each.survived), []).append(said)
     first_run = len(whole.sent)
@@ -729,7 +768,7 @@ def test_any_number_of_reports_of_one_deployment_is_read_once_each(
         for outcome in (
             Observation(tour, False),
             Observation(tour, True, [False, True]),
-            Observation([2, 1, 2], True, [stamp % 2 == 0, stamp % 3 == 0]),
+            Observation([2, 10, 2], True, [stamp % 2 == 0, stamp % 3 == 0]),
         )
     ]
     compared = 0
@@ -818,7 +857,7 @@ def test_what_the_estimator_refused_is_refused_again(replayed, tmp_path, capsys)
     assert report.compared['/belief'] == 3
     assert len(report.evidence.refused) == 2
     misfit = report.evidence.refused[-1]
-    assert f'readings of deployment {key} are of the 1 cells [3]' in misfit
+    assert f'readings of deployment {key} has 1 values' in misfit
     assert main([str(tmp_path / 'mission.mcap')]) == 0
     assert f'refused: {misfit}' in capsys.readouterr().out
 

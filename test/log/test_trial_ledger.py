@@ -21,10 +21,12 @@ def reported(draw):
     """Return what may be said of one of the deployments, also what is refused."""
     key = draw(st.sampled_from(sorted(PATHS)))
     survived = draw(st.booleans())
-    cells = draw(st.sampled_from([PATHS[key][1:], PATHS[key][1:], [2]])) if survived else []
-    detected = draw(st.booleans())
+    walks = [PATHS[key][1:], PATHS[key][1:], [2], [7]]
+    cells = draw(st.sampled_from(walks)) if survived else []
+    reading = draw(st.sampled_from([0, 1, -1]))
     stamp = draw(st.integers(0, 9))
-    return key, Report(survived, tuple((cell, detected) for cell in cells), stamp)
+    known = 0 if survived else draw(st.integers(0, 3))
+    return key, Report(survived, tuple((cell, reading) for cell in cells), stamp, known)
 
 
 def estimator():
@@ -36,7 +38,7 @@ def state(ledger):
     """Return all that a belief is published of."""
     return (
         ledger.deployments.copy(),
-        [ledger.returned(key) for key in ledger.deployments],
+        [ledger.ending(key) for key in ledger.deployments],
         ledger.newest,
         ledger.newest_stamp,
         ledger.belief.joint.tobytes(),

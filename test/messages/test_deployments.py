@@ -2,6 +2,7 @@
 """What the messages of a deployment mean."""
 
 from math import inf, nan
+from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -141,16 +142,17 @@ def test_a_lost_robot_reports_no_readings():
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 2**32 - 1), st.booleans()), max_size=30),
+    st.lists(st.tuples(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, -1])), max_size=30),
     st.booleans(),
     st.integers(0, LAST_NAME),
 )
 def test_a_report_comes_back(steps, survived, stamp):
     key = DeploymentKey('scout_7', stamp)
-    readings = [detected for _, detected in steps]
+    readings = [reading for _, reading in steps]
     path = [0, *(cell for cell, _ in steps[:-1]), 0]
     if not steps or not survived:
-        observation, said = Observation([0, 0], False), Report(False)
+        observation = Observation([0] * 40, False, steps_survived=len(steps))
+        said = Report(False, steps_survived=len(steps))
     else:
         observation = Observation(path, True, readings)
         said = Report(True, tuple(zip(path[1:], readings)))
@@ -162,6 +164,27 @@ def test_what_is_said_is_read_even_if_it_makes_no_sense():
     message = report_message(KEY, Observation(PATH, True, [True] * 5), STAMP)
     message.survived = False
     assert read_report(message)[1] == Report(False, tuple((cell, True) for cell in PATH[1:]))
+
+
+def test_a_detection_without_a_look_is_refused():
+    message = report_message(KEY, Observation(PATH, True, [True, True, -1, False, False]), STAMP)
+    assert [each.not_looked for each in message.readings] == [False, False, True, False, False]
+    assert read_report(message)[1].readings[2] == (PATH[3], -1)
+    message.readings[2].detected = True
+    with pytest.raises(ValueError, match=r'readings\[2\] has detected and not_looked'):
+        read_report(message)
+
+
+def test_what_reports_on_record_lack_has_its_old_meaning():
+    """As those of logs that were recorded before there were last contacts and failed cameras."""
+    message = report_message(KEY, Observation(PATH, True, [True] * 5), STAMP)
+    lacking = SimpleNamespace(
+        **{name: getattr(message, name) for name in ('header', 'agent', 'deployment', 'survived')},
+        readings=[
+            SimpleNamespace(cell=each.cell, detected=each.detected) for each in message.readings
+        ],
+    )
+    assert read_report(lacking) == read_report(message)
 
 
 def test_a_report_tells_when_the_base_learnt_it():

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.core import Grid, Observation, Report, SensorModel, World
+from kbnitp_ros.core import Conduct, Grid, Observation, Report, SensorModel, World
 from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.headers import to_stamp
@@ -13,7 +15,7 @@ from kbnitp_ros.nodes import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 from rclpy.serialization import serialize_message
-from samples import BAD_PATHS, FIELD, GRID, HOME, key, path
+from samples import BAD_PATHS, changed, FIELD, GRID, HOME, key, path
 from visualization_msgs.msg import Marker
 
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
@@ -50,6 +52,32 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
     expected = expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours)
     for number, (report, outcome) in enumerate(zip(reports, expected)):
         assert read_report(report) == (key(number), outcome)
+
+
+def test_robots_make_of_their_orders_what_they_do_in_the_core(field):
+    """Detours, early returns, last contacts and failed cameras, some of each."""
+    conduct = Conduct(detour=0.3, early_return=0.15, last_contact=0.5, camera_failure=0.2)
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    probabilities = {f'{name}_probability': value for name, value in asdict(conduct).items()}
+    field.start('agent', {**PARAMETERS, **probabilities})
+    paths = field.talk(Path, '/scout_1/path')
+    tours = [[0, 4, 8, 9, 6, 1, 0], [0, 1, 2, 3, 2, 1, 0]] * 10
+    for number, cells in enumerate(tours):
+        paths.publish(path(number, cells))
+    field.until(lambda: len(reports) == len(tours), 'last report')
+    rng = np.random.default_rng(PARAMETERS['seed'])
+    world = World.random(GRID, rng, 0.15, 0.8, 0.1)
+    told = set()
+    for number, (cells, report) in enumerate(zip(tours, reports)):
+        made = conduct.traverse(world, GRID, cells, SensorModel(0.5), rng.spawn(1)[0])
+        seen = made.observation
+        assert report == changed(report_message(key(number), seen, 0), header=report.header)
+        told |= {
+            ('contact', seen.steps_survived > 0),
+            ('walk', seen.survived and (len(seen.path) > 7) - (len(seen.path) < 7)),
+            ('unseen', seen.survived and bool((seen.readings == -1).any())),
+        }
+    assert told >= {('contact', True), ('walk', 1), ('walk', -1), ('walk', 0), ('unseen', True)}
 
 
 def test_a_world_from_a_file_is_shown_only_on_request(field):

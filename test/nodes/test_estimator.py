@@ -80,18 +80,63 @@ def test_what_comes_twice_counts_once(estimator):
     )
 
 
+BLIND_TARGETS = [
+    TargetReading(cell=cell, detected=cell == 2, not_looked=True) for cell in HOME[1:]
+]
 BAD_REPORTS = [
     (in_frame(returned(3), ''), "header.frame_id is '': it must be 'map'"),
     (changed(returned(3), agent=''), "agent is ''"),
     (changed(returned(3), agent='scout_2'), "agent is 'scout_2': on this topic it must be"),
     (changed(returned(3), agent='nobody'), "agent is 'nobody': on this topic it must be"),
-    (changed(returned(3), readings=returned(3).readings[:-1]), 'one for each of the 4 steps'),
-    (changed(returned(3), readings=[]), 'one for each of the 4 steps'),
-    (changed(returned(3), readings=[TargetReading(cell=9)] * 4), 'one for each of the 4 steps'),
+    (changed(returned(3), readings=returned(3).readings[:-1]), 'must end at the base 0, not at'),
+    (changed(returned(3), readings=[]), 'one for each step of a walk from the base back to it'),
+    (returned(3, [0, 9, 9, 9, 0]), 'path jumps at step 1, from cell 0 to 9'),
+    (returned(3, [0, 4, 5, 1, 0]), 'path enters a blocked cell: its cell 2 is 5'),
+    (returned(3, [0, 4, 8, 12, 8, 4, 0]), 'path leaves the grid: its cell 3 is 12'),
+    (returned(3, [0] * 62), 'at most 10 * max_steps = 60 may be'),
+    (changed(returned(3), steps_survived=1), 'steps_survived is 1: a robot that returned'),
+    (changed(returned(3), readings=BLIND_TARGETS), 'readings[1] has detected and not_looked'),
     (changed(returned(3), survived=False), 'lost brings none'),
-    (changed(returned(1), readings=returned(1).readings[::-1]), 'one for each of the 4 steps'),
+    (changed(lost(3), steps_survived=4), 'of 4 steps survived at most 3'),
+    (changed(lost(3), steps_survived=2**32 - 1), 'of 4 steps survived at most 3'),
     (report_message(key(1), Observation(HOME, True, [False] * 4), 0), 'is known and differs'),
 ]
+
+
+@pytest.mark.parametrize('reported_first', [False, True])
+def test_the_evidence_is_what_really_happened(estimator, reported_first):
+    """Sent to HOME: a robot that turned back, a detour, a camera that failed, a last contact."""
+    happened = [
+        Observation([0, 1, 0], True, [True, False]),
+        Observation([0, 4, 8, 9, 6, 3, 2, 1, 0], True, [False, True, False, True] * 2),
+        Observation([0, 1, 2, 6, 1, 0], True, [True, False, -1, -1, -1]),
+        Observation(HOME, False, steps_survived=2),
+    ]
+    for number, observation in enumerate(happened, 1):
+        report = report_message(key(number), observation, 0)
+        for publisher, message in sorted(
+            [(estimator.reports, report), (estimator.paths, path(number))],
+            key=lambda each: (each[0] is estimator.paths) == reported_first,
+        ):
+            publisher.publish(message)
+    joint = until_held(estimator, len(happened))
+    expected = PRIOR
+    for observation in happened:
+        expected = update(expected, MODEL, observation)
+    assert joint.tobytes() == expected.joint.tobytes()
+    estimator.until(lambda: estimator.count('/estimator', 'accepted') == 8, 'eight messages')
+    assert estimator.count('/estimator', 'refused') == 0
+
+
+def test_of_two_losses_the_later_contact_counts(estimator):
+    estimator.paths.publish(path(1))
+    for steps in (0, 2, 1):
+        estimator.reports.publish(changed(lost(1), steps_survived=steps))
+    estimator.until(lambda: len(estimator.beliefs) == 3, 'belief with the later contact')
+    estimator.until(lambda: estimator.count('/estimator', 'accepted') == 4, 'the third report')
+    expected = update(PRIOR, MODEL, Observation(HOME, False, steps_survived=2))
+    assert until_held(estimator, 1).tobytes() == expected.joint.tobytes()
+    assert len(estimator.beliefs) == 3
 
 
 def test_a_late_return_replaces_the_loss_and_counts_in_its_place(estimator):

@@ -35,6 +35,7 @@ NODES = (20_000 if FULL else 1_000) // MESSAGES
 SECOND = 10**9
 GRID = Grid(4, 3, blocked=[5], resolution=0.5)
 AGENTS = ('scout_1', 'scout_2')
+MAX_STEPS = 6
 PATHS = ([0, 1, 2, 1, 0], [0, 4, 8, 4, 0], [0, 0], [0, 5, 0], [0, 2, 0], [0, 1, 2, 3, 2, 1, 1, 0])
 
 EDGES = {
@@ -60,9 +61,14 @@ def sound(draw):
     if draw(st.booleans()):
         mission = draw(st.sampled_from([0, 0, 0, 7])) * SECOND
         return agent, path_message(GRID, cells, key.stamp, mission)
-    readings = [draw(st.booleans())] * (len(cells) - 1)
-    survived = draw(st.booleans())
-    observation = Observation(cells, survived, readings if survived else None)
+    steps = len(cells) - 1
+    if draw(st.booleans()):
+        read = st.sampled_from([True, True, True, False, False, False, -1])
+        readings = draw(st.lists(read, min_size=steps, max_size=steps))
+        observation = Observation(cells, True, readings)
+    else:
+        known = draw(st.integers(0, steps - 1))
+        observation = Observation(cells, False, steps_survived=known)
     return agent, report_message(key, observation, draw(st.integers(0, 10**18)))
 
 
@@ -205,22 +211,23 @@ class Evidence:
             if not (0.0 <= x < 2.0 and 0.0 <= y < 1.5):
                 return None
             cells.append(int(2.0 * y) * 4 + int(2.0 * x))
-        if not 2 <= len(cells) <= 7 or cells[0] != 0 or cells[-1] != 0 or 5 in cells:
-            return None
-        steps = pairwise(cells)
-        near = all(abs(a % 4 - b % 4) <= 1 and abs(a // 4 - b // 4) <= 1 for a, b in steps)
-        return cells if near else None
+        return cells if len(cells) <= MAX_STEPS + 1 and is_walk(cells) else None
 
     def observation(self, key):
         """Return what the reports of a deployment say together; None if none of them fits."""
-        path, lost = self.paths[key], None
+        path, contacts = self.paths[key], []
         for report in self.reports[key]:
-            read = [reading.cell for reading in report.readings]
-            if report.survived and read == path[1:]:
-                return Observation(path, True, [reading.detected for reading in report.readings])
-            if not report.survived and not read:
-                lost = Observation(path, False)
-        return lost
+            walk = [0, *(reading.cell for reading in report.readings)]
+            known = report.steps_survived
+            if any(reading.detected and reading.not_looked for reading in report.readings):
+                continue
+            if report.survived:
+                if is_walk(walk) and len(walk) <= 10 * MAX_STEPS + 1 and not known:
+                    read = [-1 if each.not_looked else each.detected for each in report.readings]
+                    return Observation(walk, True, read)
+            elif walk == [0] and known < len(path) - 1:
+                contacts.append(known)
+        return Observation(path, False, steps_survived=max(contacts)) if contacts else None
 
     def joint(self):
         """Return the belief's bits."""
@@ -232,6 +239,14 @@ class Evidence:
                 estimator.assimilate(observation)
                 held += 1
         return held, estimator.belief.joint.tobytes()
+
+
+def is_walk(cells):
+    """Say whether a robot can go that way, from the base back to it."""
+    inside = all(0 <= cell < 12 and cell != 5 for cell in cells)
+    steps = pairwise(cells)
+    near = all(abs(a % 4 - b % 4) <= 1 and abs(a // 4 - b // 4) <= 1 for a, b in steps)
+    return len(cells) >= 2 and cells[0] == cells[-1] == 0 and inside and near
 
 
 def is_time(stamp, hours):
@@ -252,7 +267,7 @@ def context(tmp_path_factory):
         'grid.height': 3,
         'grid.blocked': [5],
         'grid.resolution': 0.5,
-        'max_steps': 6,
+        'max_steps': MAX_STEPS,
         'agents': list(AGENTS),
         'await_nodes': ['estimator'],
     }

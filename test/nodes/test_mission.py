@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
+from kbnitp_ros.core import Report
 from kbnitp_ros.log.bag.reader import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
@@ -47,6 +48,17 @@ LEARNING = {
 }
 
 
+# Robots that depart from their orders in every way there is.
+WILFUL = {
+    **SMALL,
+    'method': 'kappa_bnitp_smoothed',
+    'detour_probability': 0.2,
+    'early_return_probability': 0.1,
+    'last_contact_probability': 0.5,
+    'camera_failure_probability': 0.1,
+}
+
+
 def listen(field, namespace):
     """Return what a mission's paths, reports and beliefs will be."""
     return (
@@ -76,7 +88,11 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         assert cells.tolist() == deployment.plan.path.tolist()
         reported, outcome = read_report(report)
         assert reported == key
-        assert outcome.survived == deployment.observation.survived
+        observation = deployment.observation
+        readings = () if observation.readings is None else observation.readings.tolist()
+        read = tuple(zip(observation.path[1:].tolist(), readings))
+        known = observation.steps_survived
+        assert outcome == Report(observation.survived, read, steps_survived=known)
         assert read_belief_maps(belief).newest == key
         for name in (*MAPS, 'joint'):
             ours, core = getattr(belief, name), getattr(deployment.belief, name)
@@ -89,8 +105,9 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         {'seed': 3, 'robots': 40},
         {**ODD, 'seed': 4, 'robots': 25},
         {**LEARNING, 'seed': 5, 'robots': 25},
+        {**WILFUL, 'seed': 6, 'robots': 25},
     ],
-    ids=['default', 'odd', 'learning'],
+    ids=['default', 'odd', 'learning', 'wilful'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'

@@ -78,8 +78,9 @@ def folded(log):
 
 @pytest.mark.parametrize('refused', [
     changed(lost(2), survived=True),
-    returned(2, [0, 4, 0, 4, 0]),
+    returned(2, [0, 6, 0]),
     changed(lost(2), readings=returned(2).readings),
+    changed(lost(2), steps_survived=4),
 ])  # fmt: skip
 def test_a_refused_report_takes_no_deployment_away(field, refused):
     log = field.folder / 'mission.mcap'

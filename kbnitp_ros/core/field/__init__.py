@@ -4,6 +4,7 @@
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
 from kbnitp_ros.core.field.compiled import compiled
+from kbnitp_ros.core.field.conduct import Conduct, OBEDIENT, Traverse
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
@@ -13,10 +14,13 @@ from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others
 from kbnitp_ros.core.field.world import World
 
 __all__ = [
+    'OBEDIENT',
     'Belief',
+    'Conduct',
     'Grid',
     'Observation',
     'SensorModel',
+    'Traverse',
     'Visits',
     'World',
     'as_path',

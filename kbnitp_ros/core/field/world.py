@@ -134,31 +134,32 @@ class World:
             If the path has no step, is not closed or leaves the world.
 
         """
-        cells, survived, readings = self._steps(path, model, rng)
+        cells = as_path(path)
+        survived, readings = self.steps(cells, model, rng)
         returned = bool(survived.all())
         return Observation(cells, returned, readings if returned else None)
 
-    def steps_made(self, path: ArrayLike, model: SensorModel, rng: np.random.Generator) -> int:
+    def steps(
+        self, path: NDArray[np.intp], model: SensorModel, rng: np.random.Generator
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """
-        Return how many steps the robot survives that `traverse` sends out with the same numbers.
+        Return whether each step of a path is survived, and what is read in it.
 
-        No base ever learns this: it is for those who watch a simulation.
+        Arguments and errors are those of `traverse`.
+
+        Returns
+        -------
+        survived, readings : ndarray of bool, shape (steps,)
+            As if the robot went on after it was lost.
+
         """
-        _, survived, _ = self._steps(path, model, rng)
-        return int(survived.size if survived.all() else np.argmin(survived))
-
-    def _steps(
-        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator
-    ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return the path's cells, and for each step whether it is survived and what is read."""
-        cells = as_path(path)
-        beyond = cells[(cells < 0) | (cells >= self.hazard.size)]
+        beyond = path[(path < 0) | (path >= self.hazard.size)]
         if beyond.size:
             raise ValueError(
                 f'path has the cell {beyond[0]}: the world has the cells 0 to '
                 f'{self.hazard.size - 1}'
             )
-        entered = cells[1:]
+        entered = path[1:]
         drawn = rng.random((2, entered.size))
         survived = drawn[0] < model.survival(self.hazard[entered])
-        return cells, survived, drawn[1] < model.reading(self.target[entered])
+        return survived, drawn[1] < model.reading(self.target[entered])

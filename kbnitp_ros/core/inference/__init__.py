@@ -7,9 +7,12 @@ from kbnitp_ros.core.inference.exact import lost_likelihood
 from kbnitp_ros.core.inference.ledger import Ledger
 from kbnitp_ros.core.inference.methods import versions
 from kbnitp_ros.core.inference.register import (
-    check_report,
     deployment_order,
     DeploymentKey,
+    Ending,
+    LONGEST_WALK,
+    observation_of,
+    Outcome,
     Register,
     Report,
 )
@@ -18,19 +21,22 @@ from kbnitp_ros.core.inference.update import update
 
 __all__ = [
     'ALL_KNOWN',
+    'LONGEST_WALK',
     'METHODS',
     'Beta',
     'DeploymentKey',
+    'Ending',
     'Estimator',
     'Learnt',
     'Ledger',
+    'Outcome',
     'Register',
     'Report',
     'Unknowns',
-    'check_report',
     'condition',
     'deployment_order',
     'lost_likelihood',
+    'observation_of',
     'update',
     'versions',
 ]

@@ -10,6 +10,7 @@ from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.inference.register import (
     deployment_order,
     DeploymentKey,
+    Outcome,
     Register,
     Report,
 )
@@ -75,7 +76,7 @@ class Ledger(Register):
         other.deployments = self.deployments.copy()
         return other
 
-    def _take_in(self, key: DeploymentKey, outcome: bytes | None, report: Report) -> None:
+    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         """Go back to before a deployment, and from there on with this outcome of it."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)

@@ -17,6 +17,9 @@ R = TypeVar('R', bound='Register')
 # How many reports may wait for their paths, which may never come.
 MOST_WAITING = 20_000
 
+# How many times as many steps as its orders may have a robot can have made.
+LONGEST_WALK = 10
+
 
 class DeploymentKey(NamedTuple):
     """
@@ -43,6 +46,23 @@ def deployment_order(key: DeploymentKey) -> tuple[int, str]:
     return key.stamp, key.agent
 
 
+class Ending(NamedTuple):
+    """
+    How a deployment ended; of two endings of one deployment the greater one says more.
+
+    Attributes
+    ----------
+    survived : bool
+        Whether the robot returned: one that was given up may only be late.
+    steps_survived : int
+        Of a lost robot, how many steps of its path it is known to have survived.
+
+    """
+
+    survived: bool
+    steps_survived: int = 0
+
+
 @dataclass(frozen=True)
 class Report:
     """
@@ -52,16 +72,55 @@ class Report:
     ----------
     survived : bool
         Whether the robot returned.
-    readings : tuple of (int, bool)
-        The cell and the target sensor's reading of each step; empty when lost.
+    readings : tuple of (int, int)
+        The cell and the target sensor's reading of each step that the robot made, -1 where it did
+        not look; empty when lost.
     stamp : int
         When the base learnt it, nanoseconds of ROS time. What is learnt again later is the same.
+    steps_survived : int
+        Of a lost robot, how many steps of its path it is known to have survived.
 
     """
 
     survived: bool
-    readings: tuple[tuple[int, bool], ...] = ()
+    readings: tuple[tuple[int, int], ...] = ()
     stamp: int = field(default=0, compare=False)
+    steps_survived: int = 0
+
+    @property
+    def ending(self) -> Ending:
+        """How it says that the deployment ended."""
+        return Ending(self.survived, self.steps_survived)
+
+
+class Outcome(NamedTuple):
+    """
+    What counts of a report, in few bytes.
+
+    Attributes
+    ----------
+    readings : bytes or None
+        Of a robot that returned: one bit a step for what it read, and if it did not look in all
+        of them one more for where it did not.
+    walk : bytes or None
+        The cells of its way, if that was not its path.
+    steps_survived : int
+        Of a robot that was lost.
+
+    """
+
+    readings: bytes | None = None
+    walk: bytes | None = None
+    steps_survived: int = 0
+
+    @property
+    def ending(self) -> Ending:
+        """How the deployment ended."""
+        return Ending(self.readings is not None, self.steps_survived)
+
+
+# Of all robots that nothing more is known of, which are most of the lost ones.
+LOST = Outcome()
 
 
 class Register:
@@ -70,7 +129,8 @@ class Register:
 
     Paths and reports come in any order and may come again. The first path that a robot could take
     holds. So does the first report that fits it, but a return outdoes a loss: the robot was only
-    late. All who judge evidence judge it here: a refused report changes nothing for any of them.
+    late; and of two losses that with the later contact counts. All who judge evidence judge it
+    here: a refused report changes nothing for any of them.
 
     Parameters
     ----------
@@ -90,11 +150,10 @@ class Register:
         self.grid = grid
         self.max_steps = max_steps
         self.duplicates = 0
-        # Thousands of deployments are kept, so each in few bytes: the cells of its path, and its
-        # readings as bits, None when the robot was lost.
+        # Thousands of deployments are kept, so each in few bytes.
         self._cell_type = np.min_scalar_type(grid.cells - 1)
         self._paths: dict[DeploymentKey, bytes] = {}
-        self._outcomes: dict[DeploymentKey, bytes | None] = {}
+        self._outcomes: dict[DeploymentKey, Outcome] = {}
         self._waiting: dict[DeploymentKey, dict[Report, None]] = {}
 
     @property
@@ -112,9 +171,9 @@ class Register:
         """How many paths wait for their report."""
         return len(self._paths) - len(self._outcomes)
 
-    def returned(self, key: DeploymentKey) -> bool:
-        """Return whether the robot of a deployment that was reported came back."""
-        return self._outcomes[key] is not None
+    def ending(self, key: DeploymentKey) -> Ending:
+        """Return how a deployment ended that was reported."""
+        return self._outcomes[key].ending
 
     def path(self, key: DeploymentKey) -> NDArray[np.intp]:
         """Return the cells of a known path, shape (steps + 1,)."""
@@ -207,66 +266,90 @@ class Register:
                 )
             return False
         outcome = self._outcome(key, report)
-        if key in self._outcomes:
-            known = self._outcomes[key]
-            if outcome is None or outcome == known:
-                self.duplicates += 1
-                return False
-            if known is not None:
+        known = self._outcomes.get(key)
+        if known is not None and outcome.ending <= known.ending:
+            if report.survived and outcome != known:
                 raise ValueError(
                     f'report of deployment {key} is known and differs: the first return holds'
                 )
+            self.duplicates += 1
+            return False
         self._take_in(key, outcome, report)
         self._outcomes[key] = outcome
         return True
 
-    def _take_in(self, key: DeploymentKey, outcome: bytes | None, report: Report) -> None:
+    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         """Do what a new outcome entails, before it is known; may raise ValueError."""
 
-    def _outcome(self, key: DeploymentKey, report: Report) -> bytes | None:
-        """Return the readings of a report that fits its path as bits; None if it is of a loss."""
-        check_report(key, np.frombuffer(self._paths[key], self._cell_type), report)
-        if not report.survived:
-            return None
-        return np.packbits([detected for _, detected in report.readings]).tobytes()
+    def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
+        """Return what counts of a report; raises ValueError if no robot can have made it."""
+        seen = observation_of(report, key, self.path(key), self.grid, self.max_steps)
+        if seen.readings is None:
+            return Outcome(steps_survived=seen.steps_survived) if seen.steps_survived else LOST
+        bits = np.packbits(seen.readings == 1).tobytes()
+        unseen = seen.readings == -1
+        if unseen.any():
+            bits += np.packbits(unseen).tobytes()
+        walk = seen.path.astype(self._cell_type).tobytes()
+        return Outcome(bits, None if walk == self._paths[key] else walk)
 
-    def _observation(self, key: DeploymentKey, outcome: bytes | None) -> Observation:
-        path = np.frombuffer(self._paths[key], self._cell_type)
-        if outcome is None:
-            return Observation(path, False)
-        bits = np.frombuffer(outcome, np.uint8)
-        return Observation(path, True, np.unpackbits(bits, count=path.size - 1).astype(bool))
+    def _observation(self, key: DeploymentKey, outcome: Outcome) -> Observation:
+        path = np.frombuffer(outcome.walk or self._paths[key], self._cell_type)
+        if outcome.readings is None:
+            return Observation(path, False, steps_survived=outcome.steps_survived)
+        steps = path.size - 1
+        bits = np.frombuffer(outcome.readings, np.uint8)
+        seen, unseen = np.split(bits, [-(-steps // 8)])
+        readings = np.unpackbits(seen, count=steps).astype(np.int8)
+        if unseen.size:
+            readings[np.unpackbits(unseen, count=steps) == 1] = -1
+        return Observation(path, True, readings)
 
 
-def check_report(key: DeploymentKey, path: ArrayLike, report: Report) -> None:
+def observation_of(
+    report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
+) -> Observation:
     """
-    Check that a report can be of a robot which took this path.
+    Return what a report tells of a deployment.
 
     Parameters
     ----------
+    report : Report
+        The way that a robot really went is that of its readings.
     key : DeploymentKey
         The deployment, to be named in errors.
-    path : array_like of int, shape (steps + 1,)
-        Its cells.
-    report : Report
-        How it is said to have ended.
+    path : ndarray of int, shape (steps + 1,)
+        Its orders.
+    grid : Grid
+        Where it went.
+    max_steps : int
+        The most steps of a path.
 
     Raises
     ------
     ValueError
-        If a robot that came back has not one reading for each step, of the cell of that step, or
-        one that was lost has any.
+        If a robot that returned has not one reading for each step of a walk from the base back to
+        it, or if one that was lost brings any; if the walk is longer than `LONGEST_WALK` times
+        `max_steps`, or if more steps are said to be survived than a lost robot can have.
 
     """
-    steps = np.asarray(path)[1:].tolist()
-    read = [cell for cell, _ in report.readings]
-    if report.survived and read != steps:
-        raise ValueError(
-            f'readings of deployment {key} are of the {len(read)} cells {read}: there must be '
-            f'one for each of the {len(steps)} steps of its path, to {steps}'
-        )
-    if read and not report.survived:
-        raise ValueError(
-            f'readings of deployment {key} has {len(read)} values: '
-            'a robot that was lost brings none'
-        )
+    read = [reading for _, reading in report.readings]
+    walk = path
+    if report.survived:
+        if len(read) > LONGEST_WALK * max_steps:
+            raise ValueError(
+                f'readings of deployment {key} has {len(read)} values: at most '
+                f'{LONGEST_WALK} * max_steps = {LONGEST_WALK * max_steps} may be'
+            )
+        try:
+            walk = grid.check_path([grid.base, *(cell for cell, _ in report.readings)])
+        except ValueError as error:
+            raise ValueError(
+                f'readings of deployment {key} has {len(read)} values: there must be one for each '
+                f'step of a walk from the base back to it, of the cell it led to; {error}'
+            ) from error
+    try:
+        readings = np.array(read) if read else None
+        return Observation(walk, report.survived, readings, report.steps_survived)
+    except ValueError as error:
+        raise ValueError(f'report of deployment {key}: {error}') from error

@@ -170,12 +170,13 @@ def test_another_return_of_a_known_deployment_is_refused(ledger):
 
 
 UNFIT = [
-    (Report(True), 'readings.*scout_1.*3 steps'),
-    (Report(True, ((0, True), (1, False))), 'readings.*scout_1.*3 steps'),
-    (Report(True, ((0, True), (1, False), (4, False), (4, False))), 'readings.*scout_1.*3 steps'),
-    (Report(True, ((1, True), (0, False), (4, False))), r'readings.*scout_1.*\[1, 0, 4\]'),
+    (Report(True), 'readings.*scout_1.*one for each step'),
+    (Report(True, ((0, True), (1, False))), 'readings.*scout_1.*end at the base 4'),
+    (Report(True, ((0, True), (2, False), (4, False))), 'readings.*scout_1.*jumps.*0 to 2'),
+    (Report(True, RETURNED.readings, steps_survived=1), 'scout_1.*steps_survived is 1.*returned'),
+    (Report(False, steps_survived=3), 'scout_1.*steps_survived is 3.*at most 2'),
     (Report(True, ((0, True), (99, False), (4, False))), 'readings.*scout_1.*99'),
-    (Report(False, ((0, True), (1, False), (4, False))), 'readings.*scout_1.*lost.*none'),
+    (Report(False, ((0, True), (1, False), (4, False))), 'scout_1.*readings has 3.*lost.*none'),
 ]
 
 
@@ -196,6 +197,40 @@ def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(ledger, report, 
     with pytest.raises(ValueError, match=message):
         ledger.record_path(A, PATH)
     assert state(ledger) == (folded(), [], (None, 0), 0, 0, 1)
+    assert ledger.record_report(A, RETURNED)
+    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
+
+
+@pytest.mark.parametrize(
+    'readings',
+    [
+        ((1, True), (0, False), (4, False)),
+        ((0, True), (4, True)),
+        ((0, True), (1, False), (2, True), (1, False), (4, False)),
+        ((0, -1), (1, 0), (4, -1)),
+        ((4, -1),),
+    ],
+)
+def test_the_walk_that_was_made_is_the_evidence(ledger, readings):
+    ledger.record_path(A, PATH)
+    assert ledger.record_report(A, Report(True, readings))
+    assert not ledger.record_report(A, Report(True, readings, stamp=9))
+    walk = [PATH[0], *(cell for cell, _ in readings)]
+    made = Observation(walk, True, np.array([reading for _, reading in readings]))
+    assert ledger.belief.joint.tobytes() == folded(made)
+    kept = ledger.observation(A)
+    assert kept.path.tolist() == walk
+    assert kept.readings.tolist() == made.readings.tolist()
+
+
+def test_of_two_losses_the_later_contact_counts(ledger):
+    ledger.record_path(A, PATH)
+    assert ledger.record_report(A, Report(False, steps_survived=1))
+    assert not ledger.record_report(A, Report(False))
+    assert ledger.record_report(A, Report(False, steps_survived=2))
+    assert not ledger.record_report(A, Report(False, steps_survived=1))
+    seen = Observation(PATH, False, steps_survived=2)
+    assert ledger.belief.joint.tobytes() == folded(seen)
     assert ledger.record_report(A, RETURNED)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
