@@ -77,7 +77,8 @@ class EstimatorNode(Shell):
         self._mission = read_mission(log)
         agents = agents_of(self.values)
         with same_types(log):
-            for logged in read_log(log, (PATH, REPORT)):
+            evidence = read_log(log, (PATH, REPORT))
+            for logged in self.tell_progress(evidence, f'taking in {log}'):
                 if agent_of(logged.topic) in agents:
                     # What was refused when it came is refused again.
                     with suppress(ValueError):

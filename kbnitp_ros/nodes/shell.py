@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 import signal
 import sys
 import time
 import traceback
-from typing import Any
+from typing import Any, TypeVar
 
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.headers import LATEST
@@ -45,10 +45,12 @@ TEARDOWN = 3.0
 # How long a node waits for the readers of its last messages, in seconds: they may have died.
 FAREWELL = 0.3
 
-# In seconds: how long a node waits before it says so, since all wait for a moment when a mission
-# begins, and how often it says so again.
+# In seconds: how long a node waits, or reads, before it says so, since all do for a moment when a
+# mission begins, and how often it says so again.
 SAY_FIRST = 3.0
 SAY_AGAIN = 10.0
+
+T = TypeVar('T')
 
 PACKAGE = __name__.partition('.')[0]
 
@@ -161,6 +163,30 @@ class Shell(Node):
         elif awaited and now > self._say_at:
             self._say_at = now + SAY_AGAIN
             self.get_logger().info(awaited)
+
+    def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
+        """
+        Pass items on, and say on the console how many, as long as it takes.
+
+        Parameters
+        ----------
+        items : iterable
+            Such as the messages of a log.
+        doing : str
+            What is done with them: 'taking in FILE'.
+
+        Yields
+        ------
+        object
+            Each of the items.
+
+        """
+        say_at = time.monotonic() + SAY_FIRST
+        for number, item in enumerate(items):
+            if time.monotonic() > say_at:
+                say_at = time.monotonic() + SAY_AGAIN
+                self.get_logger().info(f'{doing}: {number} messages so far')
+            yield item
 
     def create_poll(self, callback: Callable[[], None]) -> Timer:
         """Call back every `POLL` seconds, also when simulated time stands still."""

@@ -65,7 +65,7 @@ def start(field, name, log, robots, *, resumed=True):
 def until_done(field, robots):
     """Wait until the planner knows that all robots are deployed."""
     done = f'done: {robots} of {robots} robots deployed'
-    field.until(lambda: field.state('/m/planner') == done, done, patience=120)
+    field.until(lambda: field.state('/m/planner') == done, done, patience=300)
 
 
 def folded(log):
@@ -121,9 +121,13 @@ def test_more_deployments_than_are_kept_survive_every_restart(field):
         beliefs.clear()
         start(field, name, log, robots)
         if name == 'estimator':
-            field.until(lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all')
+            field.until(
+                lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all', 300
+            )
+            if before > 10_000:
+                assert f'taking in {log}: ' in field.said('/m/estimator')
             assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == last
-        field.until(lambda name=name: field.state(f'/m/{name}'), f'word of {name}')
+        field.until(lambda name=name: field.state(f'/m/{name}'), f'word of {name}', 300)
     until_done(field, robots)
     assert replay(log).reproduced
 
@@ -144,5 +148,5 @@ def test_more_deployments_than_are_kept_survive_every_restart(field):
             in field.state('/m/planner')
         ),
         'planner that says what it waits for',
-        patience=120,
+        patience=300,
     )
