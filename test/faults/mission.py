@@ -200,7 +200,7 @@ class Mission:
             # Who was given up may be on its way, and an agent that has just come back knows.
             self.wait(1.0)
         # A recorder that has just come back catches up with what was said while it was away.
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline and missing(self.onlooker.evidence, self.logged()):
             self.wait(0.2)
 
