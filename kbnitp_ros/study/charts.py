@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kbnitp_ros.core import METHODS
 from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import COMPARED, in_percent
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of
 from matplotlib import colormaps
 from matplotlib.figure import Figure
@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
 from numpy.typing import NDArray
 
-COLOURS = {method: f'C{place}' for place, method in enumerate(METHODS)}
+COLOURS = {method: f'C{place}' for place, method in enumerate(COMPARED)}
 
 # Predictions are compared with what is there in this many classes of equally many cells.
 CLASSES = 10
@@ -52,7 +52,7 @@ def _chart(
             mean, low, high = mean_of(results.series(lethality, method, *measures, team=team))
             axes.plot(mean, color=colour, label=str(contender))
             axes.fill_between(range(len(mean)), low, high, color=colour, alpha=0.2, lw=0)
-        axes.set_title(f'lethality {100 * lethality:.4g} %')
+        axes.set_title(f'lethality {in_percent(lethality)}')
         axes.set_xlim(0, scenario.robots)
         axes.set_yscale(scale)
         if scale == 'log':
@@ -90,7 +90,7 @@ def reliability_chart(path: Path, results: Results) -> None:
                     color=colour,
                     marker='.',
                     linewidth=1,
-                    label=f'{100 * lethality:.4g} %',
+                    label=in_percent(lethality),
                 )
     for axes, name in zip(grid[:, 0], ('hazards', 'targets')):
         axes.set_ylabel(f'{name} there')

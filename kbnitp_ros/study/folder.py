@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from kbnitp_ros.files import open_file
-from kbnitp_ros.study.scenario import read_scenario, Scenario
-from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
+from kbnitp_ros.study.scenario import NUMBERS, read_scenario, Scenario
+from kbnitp_ros.study.trial import LEARNT, MEASURES, Outcome, Trial, trials_of
 import numpy as np
 import yaml
 
@@ -90,9 +90,11 @@ class Folder:
             outcome = Outcome(**arrays)
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
-        shapes = (self._scenario.robots + 1, len(MEASURES)), maps, maps
+        rows, numbers = self._scenario.robots + 1, len(NUMBERS)
+        shapes = (rows, len(MEASURES)), maps, maps, (rows, numbers, len(LEARNT)), (numbers,)
         kinds = [array.dtype.str for array in outcome]
-        if tuple(array.shape for array in outcome) != shapes or kinds != ['<f8', '<f8', '|b1']:
+        wanted = ['<f8', '<f8', '|b1', '<f8', '<f8']
+        if tuple(array.shape for array in outcome) != shapes or kinds != wanted:
             raise ValueError('its arrays are of another shape')
         return outcome
 

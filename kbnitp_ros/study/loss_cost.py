@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Scenario, Team
+from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
 from kbnitp_ros.study.summary import (
     as_json,
     interval,
@@ -35,7 +35,9 @@ def differ_in_loss_cost(scenario: Scenario) -> bool:
     return len(teams) > 1 and len({(team.agents, team.allocation) for team in teams}) == 1
 
 
-def trade(results: Results, lethality: float, method: str, team: Team) -> NDArray[np.float64]:
+def trade(
+    results: Results, lethality: float | None, method: str, team: Team
+) -> NDArray[np.float64]:
     """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
     lost = results.series(lethality, method, 'robots_lost', team=team)
     return np.stack([lost, results.series(lethality, method, *LOG_LOSS, team=team)], axis=1)
@@ -134,7 +136,7 @@ def loss_cost_markdown(summary: dict[str, Any]) -> str:
     )
     rows = []
     for row in summary['rows']:
-        cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', f'{row["loss_cost"]:.4g}']
+        cells = [in_short(row['lethality']), f'`{row["method"]}`', f'{row["loss_cost"]:.4g}']
         cells += [shown(row[name]) for name in columns]
         rows.append(cells)
     return table(caption, ['lethality', 'method', 'loss cost', *columns.values()], rows)
@@ -158,7 +160,7 @@ def loss_cost_chart(path: Path, results: Results) -> None:
         axes.set_visible(False)
     colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(teams)))
     for (lethality, method), axes in zip(groups, panels):
-        name = f'lethality {100 * lethality:.4g} %, {method}'
+        name = f'lethality {in_percent(lethality)}, {method}'
         trades = [trade(results, lethality, method, team) for team in teams]
         last = [mean_of(missions[:, :, -1]) for missions in trades]
         _draw_ends(ends, last, [f'{team.loss_cost:.4g}' for team in teams], name)

@@ -7,6 +7,13 @@ import json
 from pathlib import Path
 
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
+from kbnitp_ros.study.learning import (
+    numbers_chart,
+    numbers_markdown,
+    summarise_numbers,
+    summarise_worth,
+    worth_markdown,
+)
 from kbnitp_ros.study.loss_cost import (
     differ_in_loss_cost,
     loss_cost_chart,
@@ -14,6 +21,7 @@ from kbnitp_ros.study.loss_cost import (
     summarise_loss_cost,
 )
 from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
 from kbnitp_ros.study.teams import differ_in_size, summarise_teams, teams_chart, teams_markdown
 from pyarrow import parquet
@@ -23,7 +31,8 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     """
     Write the table, the figures and the summary of a study; the same results, the same table.
 
-    Teams of several sizes, or loss costs, are compared in a figure and a section of their own.
+    Teams of several sizes, or loss costs, are compared in a figure and a section of their own, and
+    so is what was learnt of numbers.
 
     Returns
     -------
@@ -43,6 +52,11 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         charts['robots_lost'] = loss_cost_chart
         summary['loss_cost'] = summarise_loss_cost(results)
         tables.append(loss_cost_markdown(summary['loss_cost']))
+    if LEARNING in results.scenario.methods:
+        charts['numbers'] = numbers_chart
+        summary['numbers'] = summarise_numbers(results)
+        summary['worth'] = summarise_worth(results)
+        tables += [numbers_markdown(summary['numbers']), worth_markdown(summary['worth'])]
     files = {name: folder / f'{name}.png' for name in charts}
     for name, draw in charts.items():
         draw(files[name], results)

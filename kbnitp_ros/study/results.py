@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.study.scenario import ALONE, Scenario, Team
+from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Team
 from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
@@ -87,11 +87,12 @@ class Results:
             'loss_cost': np.repeat([trial.team.loss_cost for trial in trials], rows),
             **dict(zip(MEASURES, measures.T)),
         }
+        columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
         columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
         return pa.table(columns)
 
     def series(
-        self, lethality: float, method: str, *measures: str, team: Team = ALONE
+        self, lethality: float | None, method: str, *measures: str, team: Team = ALONE
     ) -> NDArray[np.float64]:
         """Return the sum of some measures, shape (trials, robots + 1)."""
         places = [MEASURES.index(measure) for measure in measures]
@@ -99,13 +100,30 @@ class Results:
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
 
     def final_maps(
-        self, lethality: float, method: str, team: Team = ALONE
+        self, lethality: float | None, method: str, team: Team = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
         outcomes = self._of(lethality, method, team)
         believed = np.stack([outcome.believed for outcome in outcomes])
         return believed, np.stack([outcome.truth for outcome in outcomes])
 
-    def _of(self, lethality: float, method: str, team: Team) -> list[Outcome]:
+    def learnt(
+        self, lethality: float | None, team: Team = ALONE
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """
+        Return what the method that learns knew of the numbers, and what they are.
+
+        Returns
+        -------
+        ndarray, shape (trials, robots + 1, numbers, learnt)
+            Of `NUMBERS`, as `LEARNT` says; NaN for those that were told.
+        ndarray, shape (trials, numbers)
+
+        """
+        outcomes = self._of(lethality, LEARNING, team)
+        known = np.stack([outcome.learnt for outcome in outcomes])
+        return known, np.stack([outcome.numbers for outcome in outcomes])
+
+    def _of(self, lethality: float | None, method: str, team: Team) -> list[Outcome]:
         numbers = range(self.scenario.trials)
         return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]

@@ -3,21 +3,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, MISSING
 from pathlib import Path
+from types import UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
+    Beta,
     Grid,
     METHODS,
     PathFinder,
     PLANNERS,
     SensorModel,
     team_size,
+    Unknowns,
 )
 from kbnitp_ros.files import read_yaml
+import numpy as np
+
+# What is compared: the methods, which are told all numbers, and the sampled one when it learns
+# those of the section learn instead.
+SAMPLED = 'kappa_bnitp_sampled'
+LEARNING = f'{SAMPLED}_learning'
+COMPARED = (*METHODS, LEARNING)
+
+# The numbers that can be learnt.
+NUMBERS = tuple(field.name for field in fields(Unknowns))
+
+# Keys of the generators of numbers that are drawn, which no world has.
+DRAWN = 0x4452574E
 
 # A value's type, and what is allowed: the lowest and the highest number, or the names known.
 Count = Annotated[int, (1, 1_000_000)]
@@ -97,22 +114,70 @@ class Contender(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Densities:
-    """How worlds are drawn, as for `World.random`."""
+class Distribution:
+    """The prior of a number that is learnt, as for `Beta`."""
 
-    hazard_density: Probability
-    kappa: Probability
-    target_background: Probability
+    low: Probability = 0.0
+    high: Probability = 1.0
+    a: Annotated[float, (0.01, 1000.0)] = 1.0
+    b: Annotated[float, (0.01, 1000.0)] = 1.0
+
+    def beta(self) -> Beta:
+        """Return it in the terms of the core."""
+        return Beta(self.a, self.b, self.low, self.high)
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw a number: where its uniform quantile lies among the bins of the prior."""
+        bins = self.beta().bins()
+        below = np.append(0.0, np.cumsum(np.exp(bins.log_prior)))
+        return float(np.interp(rng.random() * below[-1], below, bins.edges))
+
+
+@dataclass(frozen=True)
+class Learning:
+    """What is not told to the method that learns; without a prior it is told."""
+
+    lethality: Distribution | None = None
+    malfunction: Distribution | None = None
+    hazard_density: Distribution | None = None
+    kappa: Distribution | None = None
+    target_background: Distribution | None = None
+    true_positive: Distribution | None = None
+    false_positive: Distribution | None = None
+
+    def priors(self) -> dict[str, Distribution]:
+        """Return the priors of what is learnt, by name."""
+        return {name: prior for name, prior in vars(self).items() if prior is not None}
+
+    def unknowns(self) -> Unknowns:
+        """Return it in the terms of the core."""
+        return Unknowns(**{name: prior.beta() for name, prior in self.priors().items()})
+
+
+TELL_ALL = Learning()
+
+
+@dataclass(frozen=True)
+class Densities:
+    """How worlds are drawn, as for `World.random`; None is drawn anew for each world."""
+
+    hazard_density: Probability | None
+    kappa: Probability | None
+    target_background: Probability | None
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The robots and their sensors but for the lethality, as for `SensorModel`."""
+    """
+    The robots and their sensors but for the lethality, as for `SensorModel`.
 
-    malfunction: Probability
+    None is drawn anew for each world.
+    """
+
+    malfunction: Probability | None
     false_negative: Probability
-    true_positive: Probability
-    false_positive: Probability
+    true_positive: Probability | None
+    false_positive: Probability | None
 
 
 @dataclass(frozen=True)
@@ -139,30 +204,33 @@ class Scenario:
     robots : int
         Deployments of a mission, at least 1.
     methods : tuple of str
-        Of `METHODS`.
-    lethalities : tuple of float
-        Of the worlds, in [0, 1].
+        Of `COMPARED`.
+    lethalities : tuple of float or None
+        Of the worlds, in [0, 1]; None is drawn anew for each world.
     grid, planning, world, sensor, prior
-        Sections of their own.
+        Sections of their own. Without a prior it is that of the world's densities.
     believed_lethality : float, optional
         What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
     teams : tuple of Team
         Without them robots go one by one.
+    learn : Learning
+        What the method that learns is not told, and what numbers that are None are drawn from.
 
     """
 
     seed: Annotated[int, (0, 2**63 - 1)]
     trials: Count
     robots: Count
-    methods: tuple[Annotated[str, METHODS], ...]
-    lethalities: tuple[Probability, ...]
+    methods: tuple[Annotated[str, COMPARED], ...]
+    lethalities: tuple[Probability | None, ...]
     grid: Extent
     planning: Planning
     world: Densities
     sensor: Sensor
-    prior: Prior
+    prior: Prior | None
     believed_lethality: Probability | None = None
     teams: tuple[Team, ...] = (ALONE,)
+    learn: Learning = TELL_ALL
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
@@ -183,13 +251,63 @@ class Scenario:
         """Return the grid, with cells of 1 m."""
         return Grid(self.grid.width, self.grid.height, self.grid.base)
 
-    def belief(self) -> Belief:
-        """Return what is believed before the first robot."""
-        return Belief.prior(self.field(), self.prior.hazard, self.prior.target, self.prior.kappa)
+    def check_learning(self) -> None:
+        """Refuse numbers to be drawn or learnt that have no prior."""
+        priors = self.learn.priors()
+        self.learn.unknowns()
+        if LEARNING in self.methods and not priors:
+            raise ValueError(f'{LEARNING} has nothing to learn: name numbers with their priors')
+        drawn = [name for name, value in self._given(self.lethalities[0]).items() if value is None]
+        if None in self.lethalities:
+            drawn.append('lethality')
+        for name in drawn:
+            if name not in priors:
+                raise ValueError(
+                    f'{name} has no prior here: without a value it is drawn from that'
+                )
 
-    def model(self, lethality: float) -> SensorModel:
-        """Return the sensor model with this lethality."""
-        return SensorModel(lethality, **vars(self.sensor))
+    def check_belief(self) -> None:
+        """Refuse a prior that is none."""
+        self.belief(self.truth(self.lethalities[0], 0))
+
+    def _given(self, lethality: float | None) -> dict[str, float | None]:
+        return {'lethality': lethality, **vars(self.world), **vars(self.sensor)}
+
+    def truth(self, lethality: float | None, trial: int) -> dict[str, float]:
+        """
+        Return the numbers of a world and of the robots in it, by name.
+
+        Those that are not given are drawn for each trial, the same at every lethality.
+        """
+        rng = np.random.default_rng([DRAWN, self.seed, trial])
+        drawn = {name: prior.draw(rng) for name, prior in self.learn.priors().items()}
+        given = self._given(lethality)
+        return {name: drawn[name] if value is None else value for name, value in given.items()}
+
+    def belief(self, truth: Mapping[str, float]) -> Belief:
+        """Return what is believed before the first robot where these numbers hold."""
+        if self.prior is not None:
+            given = self.prior.hazard, self.prior.target, self.prior.kappa
+        else:
+            hazard, kappa = truth['hazard_density'], truth['kappa']
+            target = hazard * kappa + (1.0 - hazard) * truth['target_background']
+            given = hazard, target, kappa
+        return Belief.prior(self.field(), *given)
+
+    @staticmethod
+    def model(truth: Mapping[str, float]) -> SensorModel:
+        """Return the sensor model with these numbers."""
+        return SensorModel(**{field.name: truth[field.name] for field in fields(SensorModel)})
+
+
+def in_percent(lethality: float | None) -> str:
+    """Return the lethality of worlds for people."""
+    return 'drawn' if lethality is None else f'{100 * lethality:.4g} %'
+
+
+def in_short(lethality: float | None) -> str:
+    """Return the lethality of worlds for a table."""
+    return 'drawn' if lethality is None else f'{lethality:.4g}'
 
 
 def read_scenario(path: Path) -> Scenario:
@@ -209,7 +327,8 @@ def read_scenario(path: Path) -> Scenario:
         scenario: Scenario = _read(Scenario, read_yaml(path), '')
         for key, check in (
             ('grid', scenario.field),
-            ('prior', scenario.belief),
+            ('learn', scenario.check_learning),
+            ('prior', scenario.check_belief),
             ('teams', scenario.check_teams),
             ('planning', scenario.check_search),
         ):
@@ -226,7 +345,7 @@ def _read(kind: Any, value: Any, key: str) -> Any:
     """Return what YAML loaded for `key` as a `kind`: a section, a list or a value allowed."""
     if is_dataclass(kind):
         return _read_section(kind, value, key)
-    if get_origin(kind) is Union:
+    if get_origin(kind) in (Union, UnionType):
         return None if value is None else _read(get_args(kind)[0], value, key)
     if get_origin(kind) is tuple:
         if not isinstance(value, list) or not value:

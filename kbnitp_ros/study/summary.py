@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import ALONE, Team
+from kbnitp_ros.study.scenario import ALONE, in_short, Team
 import numpy as np
 from numpy.typing import NDArray
 
@@ -159,7 +159,7 @@ def markdown(summary: dict[str, Any]) -> str:
         team = Team(row['agents'], row['allocation'], row['loss_cost'])
         method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
         cells = [shown(row[name]) if name in row else '' for name in columns]
-        rows.append([f'{row["lethality"]:.4g}', method, *cells])
+        rows.append([in_short(row['lethality']), method, *cells])
     heads = ['lethality', 'method', *(name.replace('_', ' ') for name in columns)]
     return table(caption, heads, rows)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from kbnitp_ros.core import ALLOCATIONS
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Scenario, Team
+from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
 from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
 from matplotlib.figure import Figure
 import numpy as np
@@ -25,7 +25,7 @@ def differ_in_size(scenario: Scenario) -> bool:
 
 
 def information_gained(
-    results: Results, lethality: float, method: str, team: Team
+    results: Results, lethality: float | None, method: str, team: Team
 ) -> NDArray[np.float64]:
     """Return the joint entropy of the prior less that of the belief, (trials, robots + 1)."""
     entropy = results.series(lethality, method, 'joint_entropy', team=team)
@@ -111,7 +111,7 @@ def teams_markdown(summary: dict[str, Any]) -> str:
     rows = []
     for row in summary['rows']:
         team = Team(row['agents'], row['allocation'], row['loss_cost'])
-        cells = [f'{row["lethality"]:.4g}', f'`{row["method"]}`', str(team), str(row['rounds'])]
+        cells = [in_short(row['lethality']), f'`{row["method"]}`', str(team), str(row['rounds'])]
         cells += [shown(row[name], decimals) for name, (_, decimals) in columns.items()]
         rows.append(cells)
     heads = ['lethality', 'method', 'team', 'rounds', *(head for head, _ in columns.values())]
@@ -143,7 +143,7 @@ def teams_chart(path: Path, results: Results) -> None:
                         range(len(mean)), low, high, color=look['color'], alpha=0.08, lw=0
                     )
                     axes.grid(alpha=0.3)
-        rows[0, 0].set_title(f'lethality {100 * lethality:.4g} %, {method}', loc='left')
+        rows[0, 0].set_title(f'lethality {in_percent(lethality)}, {method}', loc='left')
         rows[0, 0].set_ylabel('information gained (nats)')
         rows[1, 0].set_ylabel('log loss (nats)')
     for axes, label in zip(grid[-1], ('robots sent', 'rounds')):

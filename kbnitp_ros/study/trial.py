@@ -5,8 +5,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kbnitp_ros.core import binary_entropy, brier_score, Estimator, log_loss, run_mission, World
-from kbnitp_ros.study.scenario import ALONE, Scenario, Team
+from kbnitp_ros.core import (
+    binary_entropy,
+    brier_score,
+    Estimator,
+    Learnt,
+    log_loss,
+    run_mission,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenario, Team
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
@@ -26,6 +35,10 @@ MEASURES = (
     'realised_information',
 )
 
+# What is kept of what is known of a number.
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+LEARNT = ('mean', 'sd', *QUANTILES)
+
 
 class Trial(NamedTuple):
     """
@@ -33,10 +46,10 @@ class Trial(NamedTuple):
 
     Attributes
     ----------
-    lethality : float
-        Of the world.
+    lethality : float or None
+        Of the world; None if it is drawn.
     method : str
-        Of the estimator.
+        Of the estimator: of `COMPARED`.
     number : int
         Of the world, from 0.
     team : Team
@@ -44,7 +57,7 @@ class Trial(NamedTuple):
 
     """
 
-    lethality: float
+    lethality: float | None
     method: str
     number: int
     team: Team = ALONE
@@ -63,12 +76,18 @@ class Outcome(NamedTuple):
         The hazard and the target map after the last robot.
     truth : ndarray of bool, shape (2, cells)
         The hazards and the targets.
+    learnt : ndarray, shape (robots + 1, numbers, learnt)
+        Of each of `NUMBERS` what was known, as `LEARNT` says; NaN if it was told.
+    numbers : ndarray, shape (numbers,)
+        The world's `NUMBERS`.
 
     """
 
     measures: NDArray[np.float64]
     believed: NDArray[np.float64]
     truth: NDArray[np.bool_]
+    learnt: NDArray[np.float64]
+    numbers: NDArray[np.float64]
 
 
 def trials_of(scenario: Scenario) -> list[Trial]:
@@ -98,26 +117,32 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     threadpool_limits(1, 'blas')
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
-    world = World.random(grid, rng, **vars(scenario.world))
-    true_model = scenario.model(trial.lethality)
-    if scenario.believed_lethality is None:
-        model = true_model
-    else:
-        model = scenario.model(scenario.believed_lethality)
+    truth = scenario.truth(trial.lethality, trial.number)
+    world = World.random(grid, rng, **{name: truth[name] for name in vars(scenario.world)})
+    told = dict(truth)
+    if scenario.believed_lethality is not None:
+        told['lethality'] = scenario.believed_lethality
+    learns = trial.method == LEARNING
+    method = SAMPLED if learns else trial.method
+    unknowns = scenario.learn.unknowns() if learns else Unknowns()
+    prior, model = scenario.belief(truth), scenario.model(told)
     mission = run_mission(
         grid,
-        scenario.belief(),
+        prior,
         model,
         world,
         scenario.robots,
         rng,
-        trial.method,
+        method,
         **vars(scenario.planning),
         **vars(trial.team),
-        world_model=true_model,
+        world_model=scenario.model(truth),
+        unknowns=unknowns,
+        seed=trial.number,
     )
-    start = Estimator(scenario.belief(), model, trial.method).belief
-    beliefs = [start, *(deployment.belief for deployment in mission)]
+    start = Estimator(prior, model, method, unknowns, trial.number)
+    beliefs = [start.belief, *(deployment.belief for deployment in mission)]
+    known = [start.parameters, *(deployment.parameters for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
     joint_entropy = [belief.joint_entropy() for belief in beliefs]
     measured = {
@@ -137,4 +162,13 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         np.array([measured[name] for name in MEASURES], dtype=np.float64).T,
         np.stack([beliefs[-1].hazard, beliefs[-1].target]),
         np.stack([world.hazard, world.target]),
+        np.array([[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known]),
+        np.array([truth[name] for name in NUMBERS]),
     )
+
+
+def as_learnt(number: Learnt | None) -> tuple[float, ...]:
+    """Return what is known of a number, as `LEARNT` says; NaN if it was told."""
+    if number is None:
+        return (np.nan,) * len(LEARNT)
+    return number.mean, number.sd, *map(number.quantile, QUANTILES)

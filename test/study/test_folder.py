@@ -73,6 +73,8 @@ def test_a_trial_of_another_shape_does_not_count(folder, results):
         outcome._replace(measures=outcome.measures[:-1]),
         outcome._replace(believed=outcome.believed.ravel()),
         outcome._replace(truth=outcome.believed),
+        outcome._replace(learnt=outcome.learnt[:, 1:]),
+        outcome._replace(numbers=outcome.numbers[1:]),
     ):
         folder.save(TRIAL, other)
         assert folder.outcomes() == {}

@@ -109,7 +109,7 @@ def test_where_the_printed_update_knows_less_than_nothing(scenario, before, wors
 @pytest.mark.parametrize('name, nats', [('paper', 107), ('calibrated', 74)])
 def test_what_is_known_before_the_first_robot(name, nats):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
-    prior = scenario.belief()
+    prior = scenario.belief(scenario.truth(0.5, 0))
     losses = []
     for number in range(scenario.trials):
         rng = np.random.default_rng([scenario.seed, number])

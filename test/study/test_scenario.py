@@ -20,8 +20,9 @@ def test_a_scenario_is_what_its_file_says(tmp_path):
     assert scenario.planning.planner == 'relaxed'
     assert scenario.world.kappa == 0.8
     assert scenario.believed_lethality == 1.0
-    assert scenario.model(0.2).malfunction == 0.05
-    assert scenario.belief().hazard.tolist() == pytest.approx([0.3] * 5 + [0.0] + [0.3] * 6)
+    assert scenario.model(scenario.truth(0.2, 0)).malfunction == 0.05
+    belief = scenario.belief(scenario.truth(0.2, 0))
+    assert belief.hazard.tolist() == pytest.approx([0.3] * 5 + [0.0] + [0.3] * 6)
 
 
 @pytest.mark.parametrize(

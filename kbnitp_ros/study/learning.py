@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the method that learns came to know of numbers, and what not knowing them costs."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import in_percent, in_short, LEARNING, NUMBERS
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.trial import LEARNT
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
+
+# After how many robots missions are compared, and after the last one.
+ROBOTS = (10, 25, 50, 100, 200)
+
+
+def learnt_numbers(results: Results) -> list[str]:
+    """Return the names of the numbers that were learnt."""
+    return list(results.scenario.learn.priors())
+
+
+def of_number(
+    results: Results, lethality: float | None, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what was known of a number, (trials, robots + 1, learnt), and it, (trials, 1)."""
+    known, truth = results.learnt(lethality, results.scenario.teams[0])
+    place = NUMBERS.index(name)
+    return known[:, :, place], truth[:, place, None]
+
+
+def summarise_numbers(results: Results) -> dict[str, Any]:
+    """
+    Return how well numbers are known at the end, as JSON can hold it.
+
+    Returns
+    -------
+    dict
+        ``robots`` and ``rows``: one for each lethality and number, with the mean and interval
+        of its standard deviation before the first robot (``sd_before``) and at the end (``sd``),
+        of the distance of its mean from the truth (``error``), and the share of the trials whose
+        truth is within its 5 and 95 % quantiles (``within``).
+
+    """
+    rows = []
+    for lethality, name in product(results.scenario.lethalities, learnt_numbers(results)):
+        known, truth = of_number(results, lethality, name)
+        first, last = known[:, 0], known[:, -1]
+        is_within = (last[:, LOW] <= truth[:, 0]) & (truth[:, 0] <= last[:, HIGH])
+        measured = {
+            'sd_before': first[:, SD],
+            'sd': last[:, SD],
+            'error': np.abs(last[:, MEAN] - truth[:, 0]),
+            'within': is_within.astype(np.float64),
+        }
+        row: dict[str, Any] = {'lethality': lethality, 'number': name}
+        rows.append(row | {each: as_json(mean_of(values)) for each, values in measured.items()})
+    return {'robots': results.scenario.robots, 'rows': rows}
+
+
+def numbers_markdown(summary: dict[str, Any]) -> str:
+    """Return a summary of the numbers as a table for people."""
+    caption = (
+        f'What {summary["robots"]} robots tell of numbers that nobody knows: standard deviation '
+        'before the first and after the last, the distance of the mean from the truth, and how '
+        'often the truth is within the 5 and 95 % quantiles.'
+    )
+    columns = ('sd_before', 'sd', 'error', 'within')
+    rows = [
+        [in_short(row['lethality']), row['number'], *(shown(row[name], 2) for name in columns)]
+        for row in summary['rows']
+    ]
+    return table(caption, ['lethality', 'number', 'sd before', 'sd', 'error', 'within'], rows)
+
+
+def summarise_worth(results: Results) -> dict[str, Any]:
+    """
+    Return what not being told costs after some of the robots, as JSON can hold it.
+
+    Returns
+    -------
+    dict
+        ``robots``, after how many, and ``rows``: one for each lethality and other method, with as
+        many means and intervals of the total log loss of the method that learns less that
+        of the other in the same trial (``costs``).
+
+    """
+    scenario = results.scenario
+    team = scenario.teams[0]
+    robots = sorted({*(each for each in ROBOTS if each < scenario.robots), scenario.robots})
+    rows = []
+    for lethality in scenario.lethalities:
+        learner = results.series(lethality, LEARNING, *LOG_LOSS, team=team)
+        for method in scenario.methods:
+            if method != LEARNING:
+                told = results.series(lethality, method, *LOG_LOSS, team=team)
+                costs = [as_json(mean_of((learner - told)[:, after])) for after in robots]
+                rows.append({'lethality': lethality, 'method': method, 'costs': costs})
+    return {'robots': robots, 'rows': rows}
+
+
+def worth_markdown(summary: dict[str, Any]) -> str:
+    """Return a summary of what not being told costs as a table for people."""
+    caption = (
+        f'The log loss of `{LEARNING}` less that of the methods that are told, trial by trial, '
+        'after so many robots.'
+    )
+    rows = [
+        [in_short(row['lethality']), f'`{row["method"]}`', *map(shown, row['costs'])]
+        for row in summary['rows']
+    ]
+    return table(caption, ['lethality', 'method', *map(str, summary['robots'])], rows)
+
+
+def numbers_chart(path: Path, results: Results) -> None:
+    """
+    Draw how well each number is known after each deployment, a panel a number.
+
+    Lines are the root mean square of the mean's distance from the truth, dashes that of
+    the standard deviation, which is as large where beliefs mean what they say.
+    """
+    names = learnt_numbers(results)
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(3.5 * columns + 0.5, 3 * rows + 0.6), layout='constrained')
+    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for axes in grid.flat[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(grid.flat, names):
+        for place, lethality in enumerate(results.scenario.lethalities):
+            known, truth = of_number(results, lethality, name)
+            error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
+            spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
+            axes.plot(error, color=f'C{place}', label=f'lethality {in_percent(lethality)}')
+            axes.plot(spread, color=f'C{place}', linestyle='--')
+        axes.set_title(name.replace('_', ' '))
+        axes.set_xlim(0, results.scenario.robots)
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+    figure.supxlabel(f'deployment ({results.scenario.trials} trials)')
+    figure.supylabel('error (lines) and standard deviation (dashes)')
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
+    figure.savefig(path, dpi=80)
