@@ -17,6 +17,7 @@ from kbnitp_ros.messages.sizes import check_size
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.diagnostics import Diagnostics
+from kbnitp_ros.nodes.executor import frames_of_callback, OneByOne
 from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
 from kbnitp_ros.nodes.given import check_given, names_given
 from kbnitp_ros.nodes.parameters import declare
@@ -25,7 +26,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import await_or_execute, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -243,7 +244,7 @@ def run(
         _say_why_not_started(name, arguments, error)
         _leave(2)
         return 2
-    executor = SingleThreadedExecutor()
+    executor = OneByOne()
     executor.add_node(node)
     code = 1
     try:
@@ -265,7 +266,7 @@ def run(
 
 
 def _live(
-    node: Shell, executor: SingleThreadedExecutor, signals: Sequence[int], linger: float
+    node: Shell, executor: Executor, signals: Sequence[int], linger: float
 ) -> Exception | None:
     """Run a node until a signal comes, and close it; return what broke, if anything did."""
     broken: Exception | None = None
@@ -286,7 +287,7 @@ def _live(
     return broken
 
 
-def _spin(node: Shell, executor: SingleThreadedExecutor, seconds: float) -> None:
+def _spin(node: Shell, executor: Executor, seconds: float) -> None:
     """Wait for a callback and make it; what rclpy cannot handle of others is refused."""
     try:
         executor.spin_once(timeout_sec=seconds)
@@ -303,9 +304,9 @@ def _is_of_rclpy_alone(error: Exception) -> bool:
     rclpy reads the clock and what is asked of parameters, and raises what comes of values that it
     does not know: then a callback was made, and none of this package is on the way to the error.
     """
-    _, *called = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return any(frame.f_code is await_or_execute.__code__ for frame in called) and not any(
-        frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in called
+    frames = frames_of_callback(error)
+    return bool(frames) and not any(
+        frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in frames
     )
 
 
@@ -325,9 +326,7 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
         Diagnostics(node).fail(error)
 
 
-def _leave(
-    code: int, executor: SingleThreadedExecutor | None = None, node: Shell | None = None
-) -> None:
+def _leave(code: int, executor: Executor | None = None, node: Shell | None = None) -> None:
     """
     Leave the graph; should that not end, the process does, with its exit code.
 

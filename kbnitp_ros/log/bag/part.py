@@ -156,7 +156,8 @@ class PartWriter:
 
         """
         self.flush()
-        os.fsync(self._file.fileno())
+        # It leaves out the times of the file, and not how long it is.
+        os.fdatasync(self._file.fileno())
         self.check_in_place()
 
     def check_in_place(self) -> None:

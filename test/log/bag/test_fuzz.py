@@ -126,7 +126,8 @@ def logs(tmp_path_factory):
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_damaged_log_has_no_message_that_was_not_written(logs, kind, tmp_path, monkeypatch):
     # Nothing here is to survive a power cut, and waiting for the disk takes the most time.
-    monkeypatch.setattr(os, 'fsync', lambda _: None)
+    for name in ('fsync', 'fdatasync'):
+        monkeypatch.setattr(os, name, lambda _: None)
     path, content, places, written = logs[kind]
     log = path.parent if kind == 'metadata.yaml' else path
     seen = {'cases': 0, 'refused': 0, 'read': 0}

@@ -71,11 +71,12 @@ def test_a_sync_reaches_the_disk(tmp_path, whole_mission, monkeypatch):
     """Everything is in the file when the system is asked to put it onto the disk."""
     synced = []
 
-    def fsync(descriptor):
+    def keep(descriptor):
         target = Path(f'/proc/self/fd/{descriptor}').readlink()
         synced.append((target, target.stat().st_size))
 
-    monkeypatch.setattr(os, 'fsync', fsync)
+    for name in ('fsync', 'fdatasync'):
+        monkeypatch.setattr(os, name, keep)
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:
         assert [target for target, _ in synced] == [path, tmp_path]
