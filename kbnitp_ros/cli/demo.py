@@ -311,12 +311,14 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
                     f'{other}: nodes of one mission must agree'
                 )
     team, estimator = parameters['team'], parameters['estimator']
+    if team['map_topic']:
+        raise ValueError(f'map_topic is {team["map_topic"]}: no map reaches the demo, use map')
     grid = grid_of(team)
-    agents_of(team)
-    check_search(parameters['planner'])
+    agents_of(team, grid)
+    check_search(parameters['planner'], grid)
     if team['world.file']:
         read_world(team['world.file'], grid)
-    estimator_of(estimator)
+    estimator_of(estimator, grid)
 
 
 def how_to_go_on(log: Path) -> str:
@@ -372,8 +374,10 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
                 'resume its mission with the launch file, which takes them from params_file'
             )
         known = parameters_of(node)
+        # What the version that recorded it had not yet is as it was then.
         parameters[node] = {
-            name: value for name, value in recorded[f'/{node}'].items() if name in known
+            name: recorded[f'/{node}'].get(name, parameter.default)
+            for name, parameter in known.items()
         }
         if 'resume' in known:
             parameters[node]['resume'] = str(log)

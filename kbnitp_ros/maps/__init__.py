@@ -2,8 +2,8 @@
 """Maps as map_server reads them, and the grids and prior beliefs made of them."""
 
 from kbnitp_ros.maps.errors import MapError
-from kbnitp_ros.maps.files import read_map
+from kbnitp_ros.maps.files import MOST_PIXELS, read_map
 from kbnitp_ros.maps.occupancy import Map
 from kbnitp_ros.maps.prior import read_probabilities
 
-__all__ = ['Map', 'MapError', 'read_map', 'read_probabilities']
+__all__ = ['MOST_PIXELS', 'Map', 'MapError', 'read_map', 'read_probabilities']

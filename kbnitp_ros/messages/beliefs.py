@@ -121,6 +121,8 @@ def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> Belief
         info=info,
         base=grid.base,
         blocked=sorted(grid.blocked),
+        connectivity=grid.connectivity,
+        through_corners=grid.through_corners,
         max_steps=ledger.max_steps,
         method=estimator.method,
         **asdict(estimator.model),
@@ -153,7 +155,14 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"
         )
-    grid = read_map_metadata(message.info, message.base, message.blocked)
+    grid = read_map_metadata(
+        message.info,
+        base=message.base,
+        blocked=message.blocked,
+        # Beliefs of earlier versions are of fields where robots may step past corners.
+        connectivity=getattr(message, 'connectivity', 8),
+        through_corners=getattr(message, 'through_corners', True),
+    )
     belief = read_joint('joint', message.joint, grid)
     # Those of earlier versions had no numbers to learn.
     given = getattr(message, 'prior', ())

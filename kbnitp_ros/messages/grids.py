@@ -10,13 +10,12 @@ cell 0 and is never rotated.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from math import isfinite
 from typing import Any
 
 from geometry_msgs.msg import Point, Pose
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.headers import header
+from kbnitp_ros.messages.headers import check_frame, header
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,7 +39,7 @@ def map_metadata(grid: Grid) -> MapMetaData:
     )
 
 
-def read_map_metadata(info: Any, base: int = 0, blocked: Iterable[int] = ()) -> Grid:
+def read_map_metadata(info: Any, **rest: Any) -> Grid:
     """
     Return the grid with the geometry of a nav_msgs/MapMetaData.
 
@@ -48,10 +47,8 @@ def read_map_metadata(info: Any, base: int = 0, blocked: Iterable[int] = ()) -> 
     ----------
     info : nav_msgs/MapMetaData
         Sizes in cells, resolution and origin in metres.
-    base : int
-        The base's cell, which this message does not name.
-    blocked : iterable of int
-        The blocked cells, likewise.
+    **rest
+        Of the grid, what this message does not name, such as its base.
 
     Raises
     ------
@@ -74,10 +71,9 @@ def read_map_metadata(info: Any, base: int = 0, blocked: Iterable[int] = ()) -> 
     return Grid(
         width=info.width,
         height=info.height,
-        base=base,
         resolution=told_resolution(info.resolution),
         origin=(origin.position.x, origin.position.y),
-        blocked=blocked,
+        **rest,
     )
 
 
@@ -123,15 +119,46 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
     """
     if not message.header.frame_id:
         raise ValueError("header.frame_id is '': it must name the frame of the map")
-    cells = read_map_metadata(message.info).cells
-    percent = np.asarray(message.data, dtype=np.int16)
-    if percent.size != cells:
+    percent = _data(message, read_map_metadata(message.info))
+    return np.where(percent == UNKNOWN, np.nan, percent / 100.0)
+
+
+def read_map_message(message: Any) -> tuple[NDArray[np.int8], float, tuple[float, float]]:
+    """
+    Return the map of the field that a nav_msgs/OccupancyGrid shows, such as map_server's.
+
+    Returns
+    -------
+    data : ndarray of int8, shape (rows, columns)
+        Row 0 at the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
+    resolution : float
+        Side of a pixel in metres.
+    origin : tuple of float
+        Lower-left corner of the map in metres.
+
+    Raises
+    ------
+    ValueError
+        If it is in another frame, its geometry is not finite, its data is not of its size or
+        holds a value that is neither -1 nor 0 to 100.
+
+    """
+    check_frame('header.frame_id', message.header.frame_id)
+    pixels = read_map_metadata(message.info)
+    data = _data(message, pixels).reshape(pixels.height, pixels.width)
+    return data, pixels.resolution, pixels.origin
+
+
+def _data(message: Any, grid: Grid) -> NDArray[np.int8]:
+    """Return the values of a nav_msgs/OccupancyGrid on this grid, shape (cells,)."""
+    data = np.asarray(message.data, dtype=np.int16)
+    if data.size != grid.cells:
         raise ValueError(
-            f'data has {percent.size} values: it must have width * height = '
-            f'{message.info.width} * {message.info.height} = {cells}'
+            f'data has {data.size} values: it must have width * height = '
+            f'{grid.width} * {grid.height} = {grid.cells}'
         )
-    illegal = np.flatnonzero((percent < UNKNOWN) | (percent > 100))
+    illegal = np.flatnonzero((data < UNKNOWN) | (data > 100))
     if illegal.size:
         cell = illegal[0]
-        raise ValueError(f'data of cell {cell} is {percent[cell]}: it must be -1 or 0 to 100')
-    return np.where(percent == UNKNOWN, np.nan, percent / 100.0)
+        raise ValueError(f'data of cell {cell} is {data[cell]}: it must be -1 or 0 to 100')
+    return data.astype(np.int8)

@@ -35,6 +35,11 @@ def largest_model() -> int:
     return REST
 
 
+def largest_map(pixels: int) -> int:
+    """Return the most bytes of a nav_msgs/OccupancyGrid of so many pixels."""
+    return REST + pixels
+
+
 def check_size(data: bytes, largest: int) -> None:
     """
     Check that a message is not too large to be what it says.

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_ros.log.deployments import read_deployments, read_mission
-from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.simulation import SimulatedAgent, Simulation
 
 
-class AgentNode(Shell):
+class AgentNode(FieldNode):
     """Send a simulated robot along each path of one agent, and report how that ended."""
 
     node_name = 'agent'

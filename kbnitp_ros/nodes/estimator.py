@@ -21,18 +21,19 @@ from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.models import model_belief
 from kbnitp_ros.messages.sizes import largest_path, largest_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, estimator_of, grid_of
-from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.parameters import agents_of, estimator_of
+from kbnitp_ros.nodes.shell import run
 from nav_msgs.msg import OccupancyGrid, Path
 
 
-class EstimatorNode(Shell):
+class EstimatorNode(FieldNode):
     """Turn what is known of all deployments into a belief, published after each of them."""
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        estimator = estimator_of(self.values)
-        self._ledger = Ledger(grid_of(self.values), self.values['max_steps'], estimator)
+        estimator = estimator_of(self.values, self.grid)
+        self._ledger = Ledger(self.grid, self.values['max_steps'], estimator)
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
         self._mission: int | None = None
@@ -49,7 +50,7 @@ class EstimatorNode(Shell):
             else None
         )
         self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
-        for agent in agents_of(self.values):
+        for agent in agents_of(self.values, self.grid):
             self.hear(
                 Path,
                 f'{agent}/path',
@@ -75,7 +76,7 @@ class EstimatorNode(Shell):
         """
         check_same_field(log, self._ledger.grid)
         self._mission = read_mission(log)
-        agents = agents_of(self.values)
+        agents = agents_of(self.values, self.grid)
         with same_types(log):
             evidence = read_log(log, (PATH, REPORT))
             for logged in self.tell_progress(evidence, f'taking in {log}'):

@@ -9,7 +9,7 @@ printed by ``python3 -m kbnitp_ros.nodes.parameters``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 import json
 import re
@@ -29,6 +29,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.files import parse_yaml
+from kbnitp_ros.maps import Map, read_map
 from kbnitp_ros.messages.grids import told_resolution
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -215,6 +216,25 @@ LEARN = {
 }
 
 TABLE = (
+    Parameter(
+        'map',
+        '',
+        'YAML file of a map, as map_server reads it, that gives the field in place of grid.width, '
+        'grid.height, grid.origin and grid.blocked; empty for none.',
+        FIELD,
+    ),
+    Parameter(
+        'map_topic',
+        '',
+        'Topic that such a map is published on, such as /map, to be waited for; empty for none.',
+        FIELD,
+    ),
+    Parameter(
+        'unknown_blocks',
+        True,
+        'Whether robots keep off cells of which the map does not know a part.',
+        FIELD,
+    ),
     Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, LONGEST_SIDE)),
     Parameter('grid.height', 9, 'Cells along y.', FIELD, limits=(1, LONGEST_SIDE)),
     Parameter(
@@ -224,7 +244,21 @@ TABLE = (
         FIELD,
         limits=(0, MOST_CELLS - 1),
     ),
-    Parameter('grid.resolution', 1.0, 'Side of a cell in metres.', FIELD, limits=(0.001, 1000.0)),
+    Parameter(
+        'grid.base_position',
+        (),
+        'A point in the cell that every path starts and ends in, x and y in metres in the frame '
+        'map, in place of grid.base; empty for none.',
+        FIELD,
+        element=float,
+    ),
+    Parameter(
+        'grid.resolution',
+        0.0,
+        "Side of a cell in metres, at least the map's; 0 for the map's, without a map 1.",
+        FIELD,
+        limits=(0.0, 1000.0),
+    ),
     Parameter(
         'grid.origin',
         (0.0, 0.0),
@@ -233,6 +267,21 @@ TABLE = (
         element=float,
     ),
     Parameter('grid.blocked', (), 'Cells that no robot can enter.', FIELD, element=int),
+    Parameter(
+        'grid.connectivity',
+        8,
+        'To how many of the cells around one a step may lead: 8, or the 4 that share a side.',
+        FIELD,
+        limits=(4, 8),
+    ),
+    Parameter(
+        'grid.corners',
+        'auto',
+        'Whether a diagonal step may touch a blocked cell: cut, as in the paper, or avoid; auto '
+        'for avoid on a map and cut without one.',
+        FIELD,
+        choices=('auto', 'avoid', 'cut'),
+    ),
     Parameter('max_steps', 18, 'Most steps of a path.', FIELD, limits=(1, MOST_STEPS)),
     Parameter(
         'sensor.lethality',
@@ -643,16 +692,64 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     return values
 
 
-def grid_of(values: Mapping[str, Any]) -> Grid:
-    """Return the grid that these parameters describe, as beliefs tell it."""
-    return Grid(
+def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
+    """
+    Return the grid that these parameters describe, as beliefs tell it.
+
+    Parameters
+    ----------
+    values : mapping
+        Of all parameters of the field, by name.
+    heard : Map, optional
+        The one on the parameter `map_topic`.
+
+    Raises
+    ------
+    ValueError
+        If the map cannot be read, the grid is none or larger than `LONGEST_SIDE`, or two
+        parameters do not go together.
+
+    """
+    position = values['grid.base_position']
+    if position and len(position) != 2:
+        raise ValueError(
+            f'parameter grid.base_position is {list(position)}: it must be x and y, or empty'
+        )
+    if values['map'] and values['map_topic']:
+        raise ValueError('parameters map and map_topic are both given: the field has one map')
+    if heard is None and values['map_topic']:
+        raise ValueError('parameter map_topic is given, and no map has come on it')
+    field = read_map(values['map']) if values['map'] else heard
+    side = told_resolution(values['grid.resolution'])
+    corners = values['grid.corners']
+    steps = {
+        'connectivity': values['grid.connectivity'],
+        'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
+    }
+    if field is not None:
+        # As wide as it is told, so that all nodes have one grid.
+        field = replace(field, resolution=told_resolution(field.resolution))
+        grid = field.grid(
+            side or None,
+            position or None,
+            unknown_blocks=values['unknown_blocks'],
+            base=values['grid.base'],
+            **steps,
+        )
+        if max(grid.width, grid.height) > LONGEST_SIDE:
+            raise ValueError(
+                f'the map makes a grid of {grid.width} x {grid.height} cells: at most '
+                f'{LONGEST_SIDE} a side may be; set a coarser grid.resolution'
+            )
+        return grid
+    grid = Grid(
         width=values['grid.width'],
         height=values['grid.height'],
-        base=values['grid.base'],
-        resolution=told_resolution(values['grid.resolution']),
+        resolution=side or 1.0,
         origin=values['grid.origin'],
-        blocked=values['grid.blocked'],
     )
+    base = int(grid.cells_at([position])[0]) if position else values['grid.base']
+    return replace(grid, base=base, blocked=values['grid.blocked'], **steps)
 
 
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
@@ -691,9 +788,9 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
     return Unknowns(**priors)
 
 
-def estimator_of(values: Mapping[str, Any]) -> Estimator:
+def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
     """
-    Return the estimator of these parameters, before the first deployment.
+    Return the estimator of these parameters on this grid, before the first deployment.
 
     Raises
     ------
@@ -702,7 +799,7 @@ def estimator_of(values: Mapping[str, Any]) -> Estimator:
 
     """
     prior = Belief.prior(
-        grid_of(values), values['prior.hazard'], values['prior.target'], values['prior.kappa']
+        grid, values['prior.hazard'], values['prior.target'], values['prior.kappa']
     )
     return Estimator(
         prior, sensor_model_of(values), values['method'], unknowns_of(values), values['seed']
@@ -719,9 +816,9 @@ def conduct_of(values: Mapping[str, Any]) -> Conduct:
     )
 
 
-def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
+def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     """
-    Return the names of the agents.
+    Return the names of the agents, of which robots leave on this grid.
 
     Raises
     ------
@@ -739,7 +836,7 @@ def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
         raise ValueError(
             f'parameter agents has {len(agents)} names: there can be at most {MOST_AGENTS}'
         )
-    free = int(grid_of(values).free.sum())
+    free = int(grid.free.sum())
     if len(agents) > free:
         raise ValueError(
             f'parameter agents has {len(agents)} names: there can be at most one for each of the '
@@ -748,9 +845,9 @@ def agents_of(values: Mapping[str, Any]) -> tuple[str, ...]:
     return agents
 
 
-def check_search(values: Mapping[str, Any]) -> None:
+def check_search(values: Mapping[str, Any], grid: Grid) -> None:
     """
-    Check that the planner can have the memory that it takes with these parameters.
+    Check that the planner can have the memory that it takes with these parameters on this grid.
 
     Raises
     ------
@@ -759,7 +856,7 @@ def check_search(values: Mapping[str, Any]) -> None:
 
     """
     limits = (values[name] for name in ('planner', 'max_steps', 'beam_width', 'max_visits'))
-    PathFinder(grid_of(values), *limits).check_memory(len(agents_of(values)))
+    PathFinder(grid, *limits).check_memory(len(agents_of(values, grid)))
 
 
 def reference_page() -> str:

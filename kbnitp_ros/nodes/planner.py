@@ -32,17 +32,17 @@ from kbnitp_ros.messages.deployments import (
 from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name, SECOND
 from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     check_search,
-    grid_of,
     parameters_of,
     sensor_model_of,
 )
 from kbnitp_ros.nodes.recent import Recent
-from kbnitp_ros.nodes.shell import run, Shell
+from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.succession import Succession
-from kbnitp_ros.study.reach import reach_note
+from kbnitp_ros.study.reach import cut_off_note, reach_note
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
@@ -75,17 +75,15 @@ class Flight:
     is_overdue: bool = False
 
 
-class PlannerNode(Shell):
+class PlannerNode(FieldNode):
     """Publish paths, planned on the belief given all reports, for agents whose robots are home."""
 
     def __init__(self) -> None:
         super().__init__('planner')
-        self._grid = grid_of(self.values)
         self._model = sensor_model_of(self.values)
-        self._agents = agents_of(self.values)
-        check_search(self.values)
-        if note := reach_note(self._grid, self.values['max_steps'], MOST):
-            self.get_logger().warning(note)
+        self._agents = agents_of(self.values, self.grid)
+        check_search(self.values, self.grid)
+        self._say_what_is_out_of_reach()
         self._paths = {
             agent: self.create_publisher(Path, f'{agent}/path', qos.EVIDENCE)
             for agent in self._agents
@@ -142,7 +140,7 @@ class PlannerNode(Shell):
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        deployments = read_deployments(log, self._grid, self.values['max_steps'])
+        deployments = read_deployments(log, self.grid, self.values['max_steps'])
         for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
@@ -169,6 +167,14 @@ class PlannerNode(Shell):
             planned_on, keys = newest_round
             self._complete_round(planned_on, {key: deployments[key].path for key in keys})
 
+    def _say_what_is_out_of_reach(self) -> None:
+        """Say what no path comes to; a warning if that is most of the field."""
+        log, max_steps = self.get_logger(), self.values['max_steps']
+        if note := reach_note(self.grid, max_steps):
+            (log.warning if reach_note(self.grid, max_steps, MOST) else log.info)(note)
+        if note := cut_off_note(self.grid):
+            log.info(note)
+
     def _too_few(self, robots: int) -> str:
         """Return why there must be more robots than these; empty when enough."""
         left = self._left + self._unknown
@@ -188,7 +194,7 @@ class PlannerNode(Shell):
                 for each in changes
                 if each.name in known
             }
-            check_search(self.values | given)
+            check_search(self.values | given, self.grid)
             refusal = self._too_few(given['robots']) if 'robots' in given else ''
         except ValueError as error:
             refusal = str(error)
@@ -213,7 +219,7 @@ class PlannerNode(Shell):
             self._send(missing, planned_on.mission)
 
     def _hear_beliefs(self) -> Subscription:
-        largest = largest_belief(self._grid.cells)
+        largest = largest_belief(self.grid.cells)
         return self.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
 
     def _look(self) -> None:
@@ -266,8 +272,8 @@ class PlannerNode(Shell):
         )
 
     def _check_rules(self, snapshot: Snapshot) -> None:
-        if snapshot.grid != self._grid:
-            raise ValueError(f'it is on {snapshot.grid}: the parameters say {self._grid}')
+        if snapshot.grid != self.grid:
+            raise ValueError(f'it is on {snapshot.grid}: the parameters say {self.grid}')
         if snapshot.max_steps < self.values['max_steps']:
             raise ValueError(
                 f'max_steps is {snapshot.max_steps}: the parameter max_steps is '
@@ -280,7 +286,7 @@ class PlannerNode(Shell):
             if key in self._out:
                 # The estimator would refuse it too, and the robot is still out.
                 path, max_steps = self._out[key].path, self.values['max_steps']
-                observation_of(report, key, path, self._grid, max_steps)
+                observation_of(report, key, path, self.grid, max_steps)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
@@ -397,7 +403,7 @@ class PlannerNode(Shell):
         """Return the paths of robots that leave together, the first of them named by `stamp`."""
         start = time.monotonic()
         team = plan_team(
-            self._grid,
+            self.grid,
             known.belief,
             self._model_of(known),
             self.values['max_steps'],
@@ -436,7 +442,7 @@ class PlannerNode(Shell):
         for key, path in paths.items():
             self._out[key] = Flight(path)
             self._sent[key.agent] += 1
-            message = path_message(self._grid, path, key.stamp, mission)
+            message = path_message(self.grid, path, key.stamp, mission)
             self._paths[key.agent].publish(message)
             self._last_stamp = max(self._last_stamp, key.stamp)
         self._left += len(paths)

@@ -65,6 +65,14 @@ START_ERRORS = (
 )
 
 
+# What this process was sent, one after another.
+SIGNALS: list[int] = []
+
+
+class StoppedError(Exception):
+    """A signal came before the node was made."""
+
+
 class Shell(Node):
     """
     A node of the mission: its parameters and its diagnostics.
@@ -193,6 +201,27 @@ class Shell(Node):
         """Call back every `POLL` seconds, also when simulated time stands still."""
         return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def spin_until(self, condition: Callable[[], bool]) -> None:
+        """
+        Take messages until something holds that the node cannot be made without.
+
+        Raises
+        ------
+        StoppedError
+            If a signal comes before.
+
+        """
+        executor = OneByOne()
+        executor.add_node(self)
+        try:
+            while not condition():
+                if SIGNALS:
+                    raise StoppedError
+                _spin(self, executor, SPIN)
+        finally:
+            executor.remove_node(self)
+            executor.shutdown()
+
     def finish(self) -> None:
         """Do what is left to do after a signal, before the node is closed."""
 
@@ -230,15 +259,18 @@ def run(
     """
     arguments = list(sys.argv[1:] if args is None else args)
     parser = node_parser(name, str(make.__doc__))
-    signals: list[int] = []
+    SIGNALS.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _: signals.append(received))
+        signal.signal(number, lambda received, _: SIGNALS.append(received))
     try:
         # ROS has worse words for a file that is not there.
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
+    except StoppedError:
+        _leave(0)
+        return 0
     except START_ERRORS as error:
         _complain(name, error)
         _say_why_not_started(name, arguments, error)
@@ -248,7 +280,7 @@ def run(
     executor.add_node(node)
     code = 1
     try:
-        broken = _live(node, executor, signals, linger)
+        broken = _live(node, executor, linger)
         if broken:
             if not isinstance(broken, OSError):
                 # No message and no user may cause it: a fault of this package.
@@ -265,13 +297,11 @@ def run(
     return code
 
 
-def _live(
-    node: Shell, executor: Executor, signals: Sequence[int], linger: float
-) -> Exception | None:
+def _live(node: Shell, executor: Executor, linger: float) -> Exception | None:
     """Run a node until a signal comes, and close it; return what broke, if anything did."""
     broken: Exception | None = None
     try:
-        while not signals:
+        while not SIGNALS:
             _spin(node, executor, SPIN)
         end = time.monotonic() + linger
         while time.monotonic() < end:

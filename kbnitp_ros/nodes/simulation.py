@@ -18,9 +18,9 @@ from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
 from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import agents_of, conduct_of, grid_of, sensor_model_of
+from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.parameters import agents_of, conduct_of, sensor_model_of
 from kbnitp_ros.nodes.recent import Recent
-from kbnitp_ros.nodes.shell import Shell
 from kbnitp_ros.nodes.world_file import read_world
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
@@ -37,17 +37,17 @@ class Simulation:
 
     Parameters
     ----------
-    node : Shell
+    node : FieldNode
         An agent node: its parameters, its clock and its topics.
 
     """
 
-    def __init__(self, node: Shell) -> None:
+    def __init__(self, node: FieldNode) -> None:
         self.node = node
-        self.grid = grid_of(node.values)
+        self.grid = node.grid
         self.model = sensor_model_of(node.values)
         self.conduct = conduct_of(node.values)
-        self.agents = agents_of(node.values)
+        self.agents = agents_of(node.values, self.grid)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.world = self._hidden_world()
         if node.values['publish_truth']:

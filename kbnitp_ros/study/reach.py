@@ -11,7 +11,7 @@ def reach_note(grid: Grid, max_steps: int, enough: float = 1.0) -> str:
     """
     Return how much of a field paths of at most `max_steps` reach; empty if it is enough.
 
-    Cells that are cut off are left out: no path reaches them, however long.
+    Cells that are cut off are left out: no path reaches them, however long (see `cut_off_note`).
 
     Parameters
     ----------
@@ -33,3 +33,10 @@ def reach_note(grid: Grid, max_steps: int, enough: float = 1.0) -> str:
         f'{max_steps} steps reach {extent}, {reached.sum()} of {joined.sum()}: '
         f'max_steps {needed} reaches them all'
     )
+
+
+def cut_off_note(grid: Grid) -> str:
+    """Return how many free cells no path reaches, however long; empty if there is none."""
+    free = int(grid.free.sum())
+    cut_off = free - int((grid.steps_to_base < grid.cells).sum())
+    return f'{cut_off} of {free} free cells are cut off from the base' if cut_off else ''

@@ -2,6 +2,7 @@
 """The demo: a whole mission in four processes, and what it leaves behind."""
 
 from contextlib import suppress
+import gzip
 import os
 from pathlib import Path
 import re
@@ -26,6 +27,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
 PATIENCE = 180.0
+
+# A demo of 8 robots by the version 2fccc0f.
+RECORDED = ROOT / 'test/log/recorded/kappa_bnitp.mcap.gz'
 
 
 def run_demo(*options):
@@ -330,6 +334,35 @@ def test_a_field_larger_than_its_paths_is_said_to_be(tmp_path):
     done = run_demo('--size', '12x8', '--max-steps', 4, '--robots', 1, '--out', tmp_path / 'out')
     told = '4 steps reach 3x3 of 12x8 cells, 9 of 96: max_steps 22 reaches them all.'
     assert done.stdout.splitlines()[0] == told
+
+
+def test_a_mission_on_a_map(tmp_path):
+    (tmp_path / 'field.pgm').write_text('P2 4 3 255 254 254 254 254 254 0 0 254 254 254 254 254')
+    (tmp_path / 'field.yaml').write_text(
+        'image: field.pgm\nresolution: 0.2\norigin: [3.0, -1.0, 0.0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.25\n'
+    )
+    options = ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'max_steps=8', '--robots', 3]
+    done = run_demo(*options, '--set', 'grid.base_position=[3.7, -0.9]', '--out', tmp_path / 'out')
+    assert done.returncode == 0, done.stdout + done.stderr
+    history = read_history(tmp_path / 'out' / 'mission.mcap')
+    assert history.grid == Grid(4, 3, 3, 0.2, (3.0, -1.0), (5, 6), through_corners=False)
+    assert len(history.observations) == 3
+
+    off = run_demo(*options, '--set', 'grid.base_position=[3.3, -0.7]', '--out', tmp_path / 'off')
+    assert off.returncode == 2
+    assert 'the base, cell 5 around (3.3, -0.7), is blocked' in off.stderr
+    heard = run_demo('--set', 'map_topic=/map', '--out', tmp_path / 'heard')
+    assert heard.returncode == 2
+    assert 'no map reaches the demo' in heard.stderr
+
+
+def test_a_demo_that_an_earlier_version_recorded_is_resumed(tmp_path):
+    log = tmp_path / 'mission.mcap'
+    log.write_bytes(gzip.decompress(RECORDED.read_bytes()))
+    resumed = run_demo('--resume', log)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert '8 deployments' in resumed.stdout
 
 
 def reports_in(log):

@@ -69,7 +69,7 @@ def core_mission(parameters):
     )
     return run_mission(
         grid,
-        estimator_of(values).prior,
+        estimator_of(values, grid_of(values)).prior,
         sensor_model_of(values),
         world,
         values['robots'],
@@ -92,7 +92,7 @@ def folded(parameters, evidence):
     """Return the belief that all deployments give, in their order; a return beats a loss."""
     values = with_defaults(parameters)
     grid = grid_of(values)
-    estimator = estimator_of(values)
+    estimator = estimator_of(values, grid_of(values))
     for key in sorted(evidence.reports, key=lambda key: key.stamp):
         (path, *_) = evidence.paths[key]
         report = max(evidence.reports[key], key=lambda report: report.ending)

@@ -288,9 +288,15 @@ def test_a_log_of_before_numbers_were_learnt_is_reproduced(tmp_path, method):
     )
 
 
-def test_another_grid_is_reproduced(replayed):
-    whole = mission(5, grid=Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3)))
-    assert replayed(whole.sent).reproduced
+@pytest.mark.parametrize('grid', [
+    Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3)),
+    Grid(5, 4, base=2, blocked=(8, 11), through_corners=False),
+    Grid(5, 4, base=2, blocked=(8, 11), connectivity=4),
+])  # fmt: skip
+def test_another_grid_is_reproduced(replayed, grid):
+    report = replayed(mission(5, grid=grid).sent)
+    assert report.reproduced
+    assert (report.evidence.grid.neighbor_table == grid.neighbor_table).all()
 
 
 def test_a_mission_in_a_namespace_is_reproduced(replayed):

@@ -112,6 +112,18 @@ def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
     assert snapshot.model == SensorModel(*probabilities)
 
 
+@pytest.mark.parametrize('connectivity', [4, 8])
+@pytest.mark.parametrize('through_corners', [False, True])
+def test_the_steps_that_robots_can_take_come_back(connectivity, through_corners):
+    grid = Grid(4, 3, blocked=(5,), connectivity=connectivity, through_corners=through_corners)
+    message = over_the_wire(belief_maps(ledger_of(grid=grid), started=0))
+    assert read_belief_maps(message).grid == grid
+
+
+def test_beliefs_tell_by_default_what_they_meant_before_they_told_it():
+    assert (BeliefMaps().connectivity, BeliefMaps().through_corners) == (8, True)
+
+
 def test_what_is_learnt_comes_back_bit_for_bit():
     ledger = ledger_of(seed=4, method='kappa_bnitp_sampled', unknowns=LEARNT)
     first = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
@@ -218,6 +230,7 @@ def test_only_the_joint_counts():
         ('base', 12, 'base is 12'),
         ('base', 5, 'base is 5: it must be a free cell'),
         ('blocked', [12], 'blocked cell is 12'),
+        ('connectivity', 5, 'connectivity is 5'),
         ('deployments', 3, "agent is '' with 3 deployments"),
     ],
 )

@@ -102,7 +102,8 @@ def test_probabilities_come_back_to_half_a_percent(grid, seed):
 
 @given(grids())
 def test_a_grid_comes_back(grid):
-    same = read_map_metadata(over_the_wire(map_metadata(grid)), grid.base, grid.blocked)
+    told = over_the_wire(map_metadata(grid))
+    same = read_map_metadata(told, base=grid.base, blocked=grid.blocked)
     assert (same.width, same.height, same.base, same.blocked, same.origin) == (
         grid.width,
         grid.height,

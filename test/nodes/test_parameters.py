@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
-from kbnitp_ros.core import Beta, METHODS, PLANNERS, Unknowns
+from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, Unknowns
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     declare,
@@ -128,15 +128,15 @@ def test_what_is_no_distribution_is_refused(learn, given, told):
 @pytest.mark.parametrize('agents', [(), ('a', 'b', 'a')])
 def test_agents_have_names_of_their_own(agents):
     with pytest.raises(ValueError, match='no two alike'):
-        agents_of(DEFAULTS | {'agents': agents})
+        agents_of(DEFAULTS | {'agents': agents}, Grid(9, 9))
 
 
 def test_a_team_has_a_free_cell_for_each():
-    small = {'grid.width': 3, 'grid.height': 2, 'grid.blocked': [4]}
+    small = Grid(3, 2, blocked=[4])
     five = tuple('abcde')
-    assert agents_of(DEFAULTS | small | {'agents': five}) == five
+    assert agents_of(DEFAULTS | {'agents': five}, small) == five
     with pytest.raises(ValueError, match='has 6 names.*5 free cells'):
-        agents_of(DEFAULTS | small | {'agents': (*five, 'f')})
+        agents_of(DEFAULTS | {'agents': (*five, 'f')}, small)
 
 
 def test_whole_numbers_are_numbers(make_node):
@@ -220,3 +220,76 @@ def test_what_stands_for_no_value_is_named(name, text):
     row = next(parameter for parameter in TABLE if parameter.name == name)
     with pytest.raises(ValueError, match=f'parameter {name} is '):
         row.read(text)
+
+
+def write_map(folder, picture, resolution=0.5):
+    """Write a map of map_server, seen from above: # is occupied, ? unknown."""
+    rows = '\n'.join(
+        ' '.join(str({'#': 0, '?': 205}.get(each, 254)) for each in row) for row in picture
+    )
+    (folder / 'map.pgm').write_text(f'P2 {len(picture[0])} {len(picture)} 255\n{rows}\n')
+    (folder / 'map.yaml').write_text(
+        f'image: map.pgm\nresolution: {resolution}\norigin: [1.0, 2.0, 0.0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.196\n'
+    )
+    return DEFAULTS | {'map': str(folder / 'map.yaml')}
+
+
+def test_a_map_gives_the_field(tmp_path):
+    values = write_map(tmp_path, ['?.##', '....'])
+    field = {'resolution': 0.5, 'origin': (1.0, 2.0)}
+    clear = Grid(4, 2, blocked=(4, 6, 7), through_corners=False, **field)
+    assert grid_of(values) == clear
+    others = {'grid.width': 30, 'grid.height': 30, 'grid.blocked': (1,), 'grid.origin': (7.0, 7.0)}
+    assert grid_of(values | others) == clear
+    assert grid_of(values | {'grid.corners': 'cut'}) == replace(clear, through_corners=True)
+    assert grid_of(values | {'grid.connectivity': 4}) == replace(clear, connectivity=4)
+    assert grid_of(values | {'unknown_blocks': False}) == replace(clear, blocked=(6, 7))
+    assert grid_of(values | {'grid.base': 3}).base == 3
+    assert grid_of(values | {'grid.base': 6, 'grid.base_position': (2.2, 2.1)}).base == 2
+    coarse = grid_of(values | {'grid.resolution': 1.0, 'unknown_blocks': False})
+    assert (coarse.width, coarse.height, coarse.resolution) == (2, 1, 1.0)
+    assert coarse.blocked == {1}
+
+
+def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
+    grid = grid_of(DEFAULTS | {'grid.resolution': 0.5, 'grid.base_position': (4.4, 0.6)})
+    assert grid == Grid(9, 9, base=17, resolution=0.5)
+    assert grid_of(DEFAULTS) == Grid(9, 9)
+    assert grid_of(DEFAULTS | {'grid.corners': 'avoid'}) == Grid(9, 9, through_corners=False)
+
+
+@pytest.mark.parametrize(
+    'given, told',
+    [
+        ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
+        ({'grid.base': 5}, 'the base, cell 5 around .* is blocked'),
+        ({'grid.base_position': (0.9, 2.1)}, 'outside the grid'),
+        ({'grid.base_position': (float('nan'), 2.1)}, 'outside the grid'),
+        ({'grid.base_position': (1.0,)}, r'grid.base_position is \[1.0\]: it must be x and y'),
+        ({'grid.base': 8}, 'base is 8'),
+        (
+            {'grid.resolution': 0.25},
+            'grid resolution is 0.25: it must be at least that of the map',
+        ),
+        ({'grid.connectivity': 6}, 'connectivity is 6'),
+        ({'map_topic': '/map'}, 'map and map_topic are both given'),
+        ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
+    ],
+    ids=str,
+)
+def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
+    with pytest.raises(ValueError, match=told):
+        grid_of(write_map(tmp_path, ['.#..', '....']) | given)
+
+
+def test_a_map_of_too_many_cells_is_refused(tmp_path):
+    values = write_map(tmp_path, ['.' * 1001], resolution=0.05)
+    with pytest.raises(ValueError, match='grid of 1001 x 1 cells: at most 1000 a side'):
+        grid_of(values)
+    assert grid_of(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501
+
+
+def test_a_map_that_has_not_come_is_no_field():
+    with pytest.raises(ValueError, match='no map has come'):
+        grid_of(DEFAULTS | {'map_topic': '/map'})

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from kbnitp_ros.core import Belief, Grid, Observation, World
 from kbnitp_ros.study.figures import draw_number, mission_maps, Number, steps_into
-from kbnitp_ros.study.reach import reach_note
+from kbnitp_ros.study.reach import cut_off_note, reach_note
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
@@ -70,3 +70,10 @@ def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
 )
 def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
     assert reach_note(grid, max_steps) == told
+
+
+def test_it_is_told_what_is_cut_off():
+    assert (
+        cut_off_note(Grid(3, 2, blocked=(1, 4))) == '2 of 4 free cells are cut off from the base'
+    )
+    assert cut_off_note(Grid(3, 2, blocked=(1,))) == ''

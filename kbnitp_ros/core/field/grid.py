@@ -18,6 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 APART = 1000
 EPSILON = float(np.finfo(np.float64).eps)
 
+# What a text shows of a grid, and how many of its blocked cells.
+TOLD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
+SHOWN = 8
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -91,6 +95,14 @@ class Grid:
             ('blocked', blocked),
         ):
             object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        """Return it as it is made, of many blocked cells the first."""
+        blocked = sorted(self.blocked)
+        first = ', '.join(map(str, blocked[:SHOWN]))
+        more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''
+        rest = ', '.join(f'{name}={getattr(self, name)}' for name in TOLD)
+        return f'Grid({rest}, blocked=[{first}{more}])'
 
     @property
     def cells(self) -> int:

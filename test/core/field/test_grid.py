@@ -255,3 +255,13 @@ def test_the_longest_path_has_max_steps_moves():
     grid.check_path([0, 1, 2, 0], max_steps=3)
     with pytest.raises(ValueError, match='path has 3 steps.*2'):
         grid.check_path([0, 1, 2, 0], max_steps=2)
+
+
+def test_a_grid_is_told_in_a_line_however_much_of_it_is_blocked():
+    few, many = Grid(3, 2, base=4, blocked=(2, 0)), Grid(90, 90, blocked=range(1, 6000, 2))
+    assert str(few) == (
+        'Grid(width=3, height=2, base=4, resolution=1.0, origin=(0.0, 0.0), connectivity=8, '
+        'through_corners=True, blocked=[0, 2])'
+    )
+    assert str(many).endswith('blocked=[1, 3, 5, 7, 9, 11, 13, 15, ... 3000 in all])')
+    assert str(Grid(4, 4)).endswith('blocked=[])')
