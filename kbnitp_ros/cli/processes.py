@@ -25,8 +25,8 @@ DOMAINS = range(1, 102)
 # Has the system end a node as Ctrl-C does when the process that started it is killed.
 END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
 
-# How long nodes may take to end after a signal, in seconds. A planner first completes its plan, and
-# on a busy machine everything takes ten times as long.
+# How long nodes may take to end after a signal, in seconds. A planner first completes its plan,
+# and on a busy machine everything takes ten times as long.
 PATIENCE = 30.0
 
 
