@@ -166,7 +166,7 @@ def frames_of_callback(error: BaseException) -> list[FrameType]:
     """Return where an error was raised, from the callback on; nothing if it was in none."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     of_call = [place for place, frame in enumerate(frames) if frame.f_code is call.__code__]
-    return frames[of_call[0] + 1 :] if of_call else []
+    return frames[slice(of_call[0] + 1, None)] if of_call else []
 
 
 def take(handle: Any, taken: Callable[[Any], Any]) -> Any:

@@ -31,7 +31,7 @@ class FieldNode(Shell):
 
     @property
     def grid(self) -> Grid:
-        """The field, the same for all nodes of a mission."""
+        """Return the field, the same for all nodes of a mission."""
         assert self._grid is not None
         return self._grid
 

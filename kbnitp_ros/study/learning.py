@@ -130,7 +130,7 @@ def numbers_chart(path: Path, results: Results) -> None:
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(3.5 * columns + 0.5, 3 * rows + 0.6), layout='constrained')
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for axes in grid.flat[len(names) :]:
+    for axes in grid.flat[slice(len(names), None)]:
         axes.set_visible(False)
     for axes, name in zip(grid.flat, names):
         for place, lethality in enumerate(results.scenario.lethalities):

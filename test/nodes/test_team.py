@@ -145,8 +145,13 @@ def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field)
     given_up = {key for key, report in team.told if not report.survived}
     assert returned() <= given_up
     # Others come back meanwhile.
-    counted = lambda: [(key, r) for key, r in team.told if r.survived or key not in returned()]  # noqa: E731
-    field.until(lambda: team.believed == team.folded(counted()), 'belief in who is back')
+    field.until(
+        lambda: (
+            team.believed
+            == team.folded((key, r) for key, r in team.told if r.survived or key not in returned())
+        ),
+        'belief in who is back',
+    )
 
 
 def test_a_team_carries_on_when_an_agent_leaves(field):
