@@ -19,6 +19,7 @@ import numba
 import numpy as np
 import peers
 import planning
+import sampling
 import study
 from tqdm import tqdm
 import updates
@@ -28,6 +29,7 @@ PAGE = Path(__file__).parents[1] / 'docs' / 'performance.md'
 BENCHMARKS = (
     *planning.BENCHMARKS,
     *updates.BENCHMARKS,
+    *sampling.BENCHMARKS,
     *nodes.BENCHMARKS,
     *study.BENCHMARKS,
     *peers.BENCHMARKS,
