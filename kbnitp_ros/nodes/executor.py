@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from functools import partial
+from itertools import dropwhile
 import traceback
 from types import FrameType
 from typing import Any
@@ -164,9 +165,9 @@ def call(callback: Callable[..., Any], *arguments: Any) -> Any:
 
 def frames_of_callback(error: BaseException) -> list[FrameType]:
     """Return where an error was raised, from the callback on; nothing if it was in none."""
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    of_call = [place for place, frame in enumerate(frames) if frame.f_code is call.__code__]
-    return frames[slice(of_call[0] + 1, None)] if of_call else []
+    frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    # Those up to the first call are of this module and of who spins.
+    return list(dropwhile(lambda frame: frame.f_code is not call.__code__, frames))[1:]
 
 
 def take(handle: Any, taken: Callable[[Any], Any]) -> Any:

@@ -385,6 +385,7 @@ def reports_in(log):
     (['--agents', '0'], 'agents is 0.*at least 1'),
     (['--agents', '17', '--size', '4'], 'agents has 17 names.*16 free cells'),
     (['--agents', '101', '--size', '20'], 'agents has 101 names: there can be at most 100'),
+    (['--size', '600'], 'sampling 360000 cells takes about .* GB.*: take a smaller field, or'),
     (['--size', '600', '--max-steps', '1200'], 'max_steps = 1200.*takes about .* GB.*: lower one'),
     (['--max-steps', '10000', '--set', 'max_visits=10000'], 'max_visits = 10000 takes about .*GB'),
     (['--params', 'nothere.yaml'], 'parameter file nothere.yaml: No such file or directory'),

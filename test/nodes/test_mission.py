@@ -38,6 +38,21 @@ ODD = {
     'beam_width': 4,
     'max_visits': 2,
 }
+LARGE = {
+    'grid.width': 100,
+    'grid.height': 100,
+    'max_steps': 200,
+    'sensor.malfunction': 0.001,
+    'planner': 'relaxed',
+}
+HUGE = {
+    'grid.width': 300,
+    'grid.height': 300,
+    'grid.base': 150 * 300 + 150,
+    'max_steps': 60,
+    'sensor.malfunction': 0.001,
+    'planner': 'relaxed',
+}
 
 LEARNING = {
     **SMALL,
@@ -106,8 +121,10 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         {**ODD, 'seed': 4, 'robots': 25},
         {**LEARNING, 'seed': 5, 'robots': 25},
         {**WILFUL, 'seed': 6, 'robots': 25},
+        pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
+        {**HUGE, 'seed': 8, 'robots': 3},
     ],
-    ids=['default', 'odd', 'learning', 'wilful'],
+    ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'

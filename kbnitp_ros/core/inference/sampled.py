@@ -31,6 +31,11 @@ SWEEPS = 4
 SETTLED = 5e-4
 SETTLED_LEARNING = 5e-3
 MOST_SWEEPS = 32
+
+# The most bytes that the chains may take, and how many they take for each of their cells.
+MOST_MEMORY = 1 << 31
+BYTES = 48
+
 # Seeds are shared with the worlds of simulations, whose generators are keyed by seed and number.
 OWN_KEY = 0x53414D50
 
@@ -76,13 +81,15 @@ class Sampler:
     Raises
     ------
     ValueError
-        If a number that is said to be unknown makes no difference.
+        If a number that is said to be unknown makes no difference, or the field is too large for
+        the memory that chains may take.
 
     """
 
     learns: ClassVar[bool] = True
 
     def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
+        check_memory(belief.cells)
         self._hypotheses = Hypotheses(belief, model, unknowns)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
@@ -133,3 +140,21 @@ class Sampler:
     def copy(self) -> Sampler:
         """Return a sampler that goes on by itself from here."""
         return copy(self)
+
+
+def check_memory(cells: int) -> None:
+    """
+    Check that the chains of a field can have the memory that they take.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if not.
+
+    """
+    estimate = BYTES * chains.CHAINS * cells
+    if estimate > MOST_MEMORY:
+        raise ValueError(
+            f'sampling {cells} cells takes about {estimate / 1e9:.1f} GB, and '
+            f'{MOST_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
+        )

@@ -511,3 +511,9 @@ def test_only_what_no_value_explains_is_refused():
     learner = Estimator(safe, told, METHOD, Unknowns(malfunction=(0.0, 0.5)))
     learner.assimilate(lost)
     assert learner.parameters['malfunction'].mean > 0.25
+
+
+def test_a_field_beyond_memory_is_refused_with_an_estimate():
+    prior = Belief.prior(Grid(600, 600), 0.5, 0.45, 0.8)
+    with pytest.raises(ValueError, match='sampling 360000 cells takes about 4.4 GB'):
+        Estimator(prior, SensorModel(0.5), 'kappa_bnitp_sampled')
