@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from functools import cache
 import re
+import struct
 from typing import Any
 
 from kbnitp_ros.log.bag.schema import describe, ENCODING, SEPARATOR
@@ -32,13 +33,16 @@ def check_texts(type_name: str, data: bytes) -> None:
     Raises
     ------
     ValueError
-        If one is not.
+        If one is not, or the message ends before its last field, such as one of an earlier
+        version of its type.
 
     """
     try:
         decoder(type_name)(data)
     except UnicodeDecodeError as error:
         raise ValueError(f'it has a text that is not UTF-8: {error.reason}') from error
+    except struct.error as error:
+        raise ValueError(f'it is not of the type {type_name}: {error}') from error
 
 
 @cache
