@@ -11,11 +11,11 @@ from kbnitp_ros.core import Ledger
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import grid_of
+from kbnitp_ros.nodes.parameters import estimator_of, grid_of
 from nav_msgs.msg import Path
 import pytest
 from tf2_msgs.msg import TFMessage
-from unbroken import core_mission, prior, with_defaults
+from unbroken import core_mission, with_defaults
 
 FIELD = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed', 'seed': 2}
 
@@ -68,7 +68,7 @@ class Team:
         """Return the bits of the belief that core has after the paths and these reports."""
         values = with_defaults(self.parameters)
         grid = grid_of(values)
-        ledger = Ledger(grid, values['max_steps'], prior(self.parameters))
+        ledger = Ledger(grid, values['max_steps'], estimator_of(values))
         for agent, paths in self.paths.items():
             for path in paths:
                 ledger.record_path(*read_path(grid, agent, path))

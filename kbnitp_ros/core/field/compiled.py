@@ -13,9 +13,9 @@ takes its logarithm.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, update_wrapper
 import logging
-from typing import Any, TypeVar
+from typing import Any, cast, TypeVar
 from warnings import warn
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
@@ -26,10 +26,12 @@ TRIED = ('0.61', '0.62', '0.68')
 
 def compiled(kernel: Kernel) -> Kernel:
     """
-    Return the kernel compiled by numba, or itself where that cannot be.
+    Return the kernel compiled by numba, or interpreted where that cannot be.
 
-    The machine code is kept beside the source or in the home's cache, so that it is made once,
-    which is said in the log. A RuntimeWarning tells once why kernels are not compiled.
+    It is compiled when a kernel of its file is first called: many processes call none, and numba
+    takes as long to import as all else together. The machine code is kept beside the source or in
+    the home's cache, so that it is made once, which is said in the log. A RuntimeWarning tells
+    once why kernels are not compiled.
 
     Parameters
     ----------
@@ -42,18 +44,42 @@ def compiled(kernel: Kernel) -> Kernel:
         With the same arguments and results.
 
     """
+    return cast(Kernel, Compiled(kernel))
+
+
+class Compiled:
+    """A kernel that is compiled, with the others of its file, when one of them is called."""
+
+    def __init__(self, kernel: Callable[..., Any]) -> None:
+        update_wrapper(self, kernel)
+        self._kernel = kernel
+        self._code: Callable[..., Any] | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._code is None:
+            # numba follows a call to another kernel only if the name stands for compiled code.
+            names = self._kernel.__globals__
+            for name, each in list(names.items()):
+                if isinstance(each, Compiled):
+                    names[name] = each._code = _code_of(each._kernel)
+            assert self._code is not None
+        return self._code(*arguments)
+
+
+def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the kernel compiled, or itself where that cannot be."""
     numba = _numba()
     if numba is None:
         return kernel
     try:
-        result: Kernel = numba.njit(cache=True)(kernel)
+        code: Callable[..., Any] = numba.njit(cache=True)(kernel)
     except RuntimeError:
         # The documented exception where no folder can be written.
         _warn_once(
             'numba can keep compiled code nowhere: set NUMBA_CACHE_DIR to a folder to write in'
         )
         return kernel
-    return result
+    return code
 
 
 @cache
