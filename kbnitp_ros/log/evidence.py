@@ -65,6 +65,26 @@ def first_belief(log: str | Path) -> Snapshot | None:
     return None
 
 
+def last_belief(log: str | Path) -> Snapshot | None:
+    """
+    Return the last of the beliefs on record that hold the most deployments; None if there is none.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read.
+
+    """
+    last, most = None, -1
+    with same_types(log):
+        for logged in read_log(log, (BELIEF,)):
+            with suppress(ValueError):
+                if logged.message.deployments >= most:
+                    last = read_belief_maps(logged.message)
+                    most = last.deployments
+    return last
+
+
 def check_same_field(log: str | Path, grid: Grid) -> Snapshot | None:
     """
     Return the first belief on record, after a check that it is on this grid.

@@ -17,7 +17,6 @@ from typing import Any
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
-    Belief,
     Beta,
     Conduct,
     Estimator,
@@ -31,6 +30,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.maps import Map, read_map
 from kbnitp_ros.messages.grids import told_resolution
+from kbnitp_ros.nodes.prior import prior_of
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -339,6 +339,23 @@ TABLE = (
         'Probability of a target where there is a hazard, before the first deployment.',
         ('estimator',),
         limits=PROBABILITY,
+    ),
+    *(
+        Parameter(
+            f'prior.{name}_map',
+            '',
+            f'File with prior.{name} of each cell: a map_server map of mode scale, or rows and '
+            'columns in .npy; empty for the number, which also holds where the map has nothing.',
+            ('estimator',),
+        )
+        for name in ('hazard', 'target', 'kappa')
+    ),
+    Parameter(
+        'prior.log',
+        '',
+        'Log of an earlier mission in the same field, whose last belief is the prior; empty for '
+        'none.',
+        ('estimator',),
     ),
     Parameter(
         'method',
@@ -798,11 +815,12 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
         If there is no such prior, or what is to be learnt cannot be.
 
     """
-    prior = Belief.prior(
-        grid, values['prior.hazard'], values['prior.target'], values['prior.kappa']
-    )
     return Estimator(
-        prior, sensor_model_of(values), values['method'], unknowns_of(values), values['seed']
+        prior_of(values, grid),
+        sensor_model_of(values),
+        values['method'],
+        unknowns_of(values),
+        values['seed'],
     )
 
 

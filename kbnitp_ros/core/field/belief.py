@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 # How far a joint given from outside may be off by rounding.
 TOLERANCE = 1e-12
 
+# How many cells are named at once.
+SHOWN = 8
+
 
 @dataclass(frozen=True, eq=False)
 class Belief:
@@ -71,7 +74,7 @@ class Belief:
         ValueError
             If a map has another length, a value is no probability, or a cell's three values have
             no joint distribution: kappa * hazard <= target <= kappa * hazard + 1 - hazard (names
-            the first such cell).
+            such cells).
 
         """
         z = probability_map('hazard', hazard)
@@ -82,11 +85,13 @@ class Belief:
         neither = (1.0 - z) - target_only
         bad = np.flatnonzero((target_only < -TOLERANCE) | (neither < -TOLERANCE))
         if bad.size:
-            i = bad[0]
+            i, *others = bad[:SHOWN].tolist()
+            likewise = f'; likewise at cells {", ".join(map(str, others))}' if others else ''
+            more = f' and {bad.size - SHOWN} more' if bad.size > SHOWN else ''
             raise ValueError(
                 f'maps have no joint distribution at cell {i}: with hazard {z[i]} and kappa '
                 f'{k[i]} its target must lie in [{both[i]:.6g}, {both[i] + 1.0 - z[i]:.6g}], '
-                f'and is {x[i]}'
+                f'and is {x[i]}{likewise}{more}'
             )
         joint = np.stack([neither, target_only, (1.0 - k) * z, both], axis=-1).clip(min=0.0)
         return cls(joint.reshape(-1, 2, 2))
@@ -111,7 +116,19 @@ class Belief:
             for values in (hazard, target, kappa)
         ]
         probability_map('hazard', maps[0], grid.cells)
-        joint = cls.from_maps(*maps).joint.copy()
+        return cls.from_maps(*maps).on(grid)
+
+    def on(self, grid: Grid) -> Belief:
+        """
+        Return the belief with what is known of a grid, as of `prior`.
+
+        Raises
+        ------
+        ValueError
+            If the base is believed to be certainly hazardous.
+
+        """
+        joint = self.joint.copy()
         joint[grid.base, 1] = 0.0
         safe = joint[grid.base].sum()
         if safe == 0.0:
@@ -120,7 +137,7 @@ class Belief:
             )
         joint[grid.base] /= safe
         joint[~grid.free] = [[1.0, 0.0], [0.0, 0.0]]
-        return cls(joint)
+        return Belief(joint)
 
     @property
     def cells(self) -> int:

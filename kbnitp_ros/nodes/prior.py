@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is believed before the first deployment: numbers, maps, or an earlier mission's belief."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kbnitp_ros.core import Belief, Grid
+from kbnitp_ros.log.evidence import last_belief
+from kbnitp_ros.maps import read_probabilities
+
+MAPS = ('hazard', 'target', 'kappa')
+
+# In what fields must be the same for what is believed of one to be believed of the other.
+SAME = ('width', 'height', 'resolution', 'origin', 'blocked')
+
+
+def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
+    """
+    Return the prior that the parameters of an estimator describe.
+
+    Parameters
+    ----------
+    values : mapping
+        Of all its parameters, by name.
+    grid : Grid
+        Its field.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or holds no probabilities, they have no joint distribution, or
+        the log is of another field.
+
+    """
+    files = {name: values[f'prior.{name}_map'] for name in MAPS}
+    log = values['prior.log']
+    if log:
+        if any(files.values()):
+            raise ValueError(
+                'parameter prior.log is given with a map of the prior: it says all of it'
+            )
+        return earlier_belief(log, grid)
+    numbers = {name: values[f'prior.{name}'] for name in MAPS}
+    maps = {
+        name: read_probabilities(file, grid, numbers[name]) for name, file in files.items() if file
+    }
+    return Belief.prior(grid, **(numbers | maps))
+
+
+def earlier_belief(log: str, grid: Grid) -> Belief:
+    """
+    Return what a mission came to believe, of the same field.
+
+    Its base may have been elsewhere.
+
+    Raises
+    ------
+    ValueError
+        If the log cannot be read, has no belief on record, or is of another field.
+
+    """
+    known = last_belief(log)
+    if known is None:
+        raise ValueError(f'{log} has no belief on record')
+    for name in SAME:
+        if getattr(known.grid, name) != getattr(grid, name):
+            raise ValueError(f'{log} is of a mission on {known.grid}: the parameters say {grid}')
+    return known.belief.on(grid)
