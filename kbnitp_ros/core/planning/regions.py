@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The field divided into regions of about equal entropy."""
+"""The field within reach divided into regions of about equal entropy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ TURN = 0.05
 @dataclass(frozen=True, eq=False)
 class Regions:
     """
-    A partition of the free cells.
+    A partition of the cells that robots can visit and come back from.
 
     Attributes
     ----------
     owner : ndarray of int, shape (cells,)
-        The region of each free cell, from 0; -1 where blocked.
+        The region of each of these cells, from 0; -1 elsewhere.
     entropy : ndarray, shape (regions,)
         What each region holds of what was shared out, nats.
 
@@ -45,9 +45,11 @@ class Regions:
         return float(self.entropy.max() / mean - 1.0) if mean > 0.0 else 0.0
 
 
-def divide(grid: Grid, entropy: NDArray[np.float64], parts: int) -> Regions:
+def divide(
+    grid: Grid, cells: NDArray[np.intp], entropy: NDArray[np.float64], parts: int
+) -> Regions:
     """
-    Divide the free cells into the regions of a power diagram that hold about the same entropy.
+    Divide cells into the regions of a power diagram that hold about the same entropy.
 
     A cell belongs to the site r of least |cell - site r|^2 - weight r. All robots come from the
     base, so the sites are the centres of sectors around it; one after the other gets the weight
@@ -58,8 +60,10 @@ def divide(grid: Grid, entropy: NDArray[np.float64], parts: int) -> Regions:
     ----------
     grid : Grid
         The field.
-    entropy : ndarray, shape (cells,)
-        What to share out, at least 0.
+    cells : ndarray of int, shape (n,)
+        What to divide, ascending.
+    entropy : ndarray, shape (n,)
+        What each of them has to share out, at least 0.
     parts : int
         How many regions, at least 1; there may be empty ones.
 
@@ -69,22 +73,20 @@ def divide(grid: Grid, entropy: NDArray[np.float64], parts: int) -> Regions:
         The same arguments give the same regions.
 
     """
-    cells = np.flatnonzero(grid.free)
-    mass = entropy[cells]
     row, col = np.divmod(cells, grid.width)
     base_row, base_col = divmod(grid.base, grid.width)
     place = (col - base_col) + 1j * (row - base_row)
-    sites = _sector_centres(place, mass, parts) * np.exp(1j * TURN)
+    sites = _sector_centres(place, entropy, parts) * np.exp(1j * TURN)
     distance = np.abs(place[:, None] - sites) ** 2
     weight = np.zeros(parts)
-    share = mass.sum() / parts
-    best = _regions(distance, mass)
+    share = entropy.sum() / parts
+    best = _regions(distance, entropy)
     for _ in range(SWEEPS if parts > 1 else 0):
         before = weight.copy()
         for site in range(parts):
             others = np.delete(distance - weight, site, axis=1).min(axis=1)
-            weight[site] = _weight_for(share, distance[:, site] - others, mass)
-        found = _regions(distance - weight, mass)
+            weight[site] = _weight_for(share, distance[:, site] - others, entropy)
+        found = _regions(distance - weight, entropy)
         if found.imbalance < best.imbalance:
             best = found
         if np.array_equal(weight, before):

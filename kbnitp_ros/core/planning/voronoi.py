@@ -26,9 +26,9 @@ def allocate(
     from. Readings elsewhere count little; where its path leads a robot is free, and so is its
     fate to tell of all hazards on the way.
     """
-    entropy = surprisal(objective.belief.joint).sum(axis=(1, 2))
-    in_reach = 2 * finder.grid.steps_to_base <= finder.max_steps
-    regions = divide(finder.grid, np.where(in_reach, entropy, 0.0), agents)
+    cells = np.flatnonzero(finder.grid.in_reach(finder.max_steps))
+    entropy = surprisal(objective.belief.joint[cells]).sum(axis=(1, 2))
+    regions = divide(finder.grid, cells, entropy, agents)
     paths = []
     for robot in range(agents):
         interest = np.where(regions.owner == robot, 1.0, ELSEWHERE)

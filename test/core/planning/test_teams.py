@@ -252,9 +252,25 @@ def test_regions_share_out_only_what_is_in_reach():
     regions = plan_team(grid, Belief.prior(grid, 0.5, 0.45, 0.8), MODEL, 8, 2, 'voronoi').regions
     reached = regions.owner[:5]
     assert set(reached.tolist()) == {0, 1}
+    assert (regions.owner[5:] == -1).all()
     assert regions.entropy.sum() == pytest.approx(
         Belief(Belief.prior(grid, 0.5, 0.45, 0.8).joint[:5]).joint_entropy()
     )
+
+
+def test_regions_are_the_same_in_a_larger_field():
+    """What is out of reach is not looked at: division costs what the cells within reach cost."""
+    small, large = Grid(9, 9, base=40), Grid(60, 50, base=24 * 60 + 34)
+    inside = (np.arange(20, 29)[:, None] * 60 + np.arange(30, 39)).ravel()
+    near = random_belief(5, small)
+    joint = Belief.prior(large, 0.5, 0.45, 0.8).joint.copy()
+    joint[inside] = near.joint
+    found, wide = (
+        plan_team(grid, belief, MODEL, 8, 4, 'voronoi', 'relaxed').regions
+        for grid, belief in ((small, near), (large, Belief(joint)))
+    )
+    assert found.owner.tolist() == wide.owner[inside].tolist()
+    assert (np.delete(wide.owner, inside) == -1).all()
 
 
 def test_robots_prefer_their_regions():
