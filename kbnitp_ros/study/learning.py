@@ -128,7 +128,7 @@ def numbers_chart(path: Path, results: Results) -> None:
     names = learnt_numbers(results)
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
-    figure = Figure(figsize=(3.5 * columns + 0.5, 3 * rows + 0.6), layout='constrained')
+    figure = Figure(figsize=(max(7.0, 3.5 * columns), 3 * rows + 0.6), layout='constrained')
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     for axes in grid.flat[slice(len(names), None)]:
         axes.set_visible(False)
@@ -143,8 +143,9 @@ def numbers_chart(path: Path, results: Results) -> None:
         axes.set_xlim(0, results.scenario.robots)
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
-    figure.supxlabel(f'deployment ({results.scenario.trials} trials)')
-    figure.supylabel('error (lines) and standard deviation (dashes)')
+    figure.supxlabel(
+        f'deployment ({results.scenario.trials} trials); lines: error, dashes: standard deviation'
+    )
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
     figure.savefig(path, dpi=80)

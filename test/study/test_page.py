@@ -8,7 +8,7 @@ import re
 
 from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
-from kbnitp_ros.study.scenario import read_scenario
+from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED
 import numpy as np
 import pytest
 
@@ -72,7 +72,12 @@ def test_every_figure_is_shown():
     shown = re.findall(r'\]\(images/(\w+\.png)\)', text)
     assert len(shown) == len(set(shown))
     assert all((DOCS / 'images' / name).exists() for name in shown)
-    assert set(shown) == {'teams_by_round.png', 'loss_cost_robots_lost.png'} | {
+    learnt = {
+        'unknown_lethality_numbers.png',
+        'unknown_lethality_log_loss.png',
+        'paper_learning_log_loss.png',
+    }
+    assert set(shown) == learnt | {'teams_by_round.png', 'loss_cost_robots_lost.png'} | {
         f'{scenario}_{figure}.png'
         for scenario in ('paper', 'calibrated', 'mismatched')
         for figure in ('entropy', 'log_loss', 'reliability')
@@ -169,6 +174,68 @@ def test_what_a_wrong_lethality_costs():
         assert entropy[:3] == sorted(entropy[:3])
         cost = wrong[0.9, method]['log loss'][0] - right[0.9, method]['log loss'][0]
         assert 1.5 < cost < 8.5
+
+
+LEARNT = ('unknown_lethality', 'paper_learning')
+
+
+def learnt(name):
+    """Return three tables of a study that learns: at the end, of numbers, of costs, by keys."""
+    tables = []
+    for place, key in enumerate(('method', 'number', 'method')):
+        tables.append(
+            {
+                (row['lethality'], row[key].strip('`')): {
+                    column: numbers(cell) for column, cell in row.items()
+                }
+                for row in rows_of(name, place)
+            }
+        )
+    return tables
+
+
+@pytest.mark.parametrize('name', LEARNT)
+def test_the_page_shows_full_studies_of_what_is_learnt(name):
+    scenario = read_scenario(SCENARIOS / f'{name}.yaml')
+    final, known, costs = learnt(name)
+    lethalities = [in_short(lethality) for lethality in scenario.lethalities]
+    assert set(final) == set(product(lethalities, scenario.methods))
+    assert set(known) == set(product(lethalities, scenario.learn.priors()))
+    assert set(costs) == set(product(lethalities, (SAMPLED,)))
+    text = (DOCS / 'results.md').read_text()
+    (said,) = re.findall(
+        rf'<!-- table {name} -->\nAfter (\d+) robots: means of (\d+) trials', text
+    )
+    assert said == ('100', '25') == (str(scenario.robots), str(scenario.trials))
+
+
+def test_what_not_knowing_the_lethality_costs():
+    _, known, costs = learnt('unknown_lethality')
+    at_end = [costs[key]['100'] for key in costs]
+    assert min(cost[0] for cost in at_end) == -3.3
+    assert max(cost[0] for cost in at_end) == 1.6
+    assert all(low < 0 < high for _, low, high in at_end)
+    assert max(row[robots][0] for row in costs.values() for robots in ('10', '25', '50')) == 3.6
+    told = [float(p) for (p, _), row in costs.items() if row['25'][1] > 0]
+    assert told == [0.1, 0.9]
+    assert {row['sd before'][0] for row in known.values()} == {0.29}
+    spread = [row['sd'][0] for row in known.values()]
+    within = [row['within'][0] for row in known.values()]
+    assert (min(spread), max(spread), min(within), max(within)) == (0.07, 0.12, 0.88, 0.96)
+
+
+def test_what_learning_the_density_mends():
+    final, known, costs = learnt('paper_learning')
+    gains = [-row['100'][0] for row in costs.values()]
+    assert [int(gain) for gain in gains] == [8, 9, 14, 23]
+    assert [round(gain) for gain in gains[:3]] == [9, 9, 14]
+    assert all(-row['10'][0] > gain / 2 for row, gain in zip(costs.values(), gains))
+    right = table('calibrated')
+    for lethality in (0.1, 0.3, 0.5, 0.9):
+        ended = final[str(lethality), LEARNING]['log loss'][0]
+        assert ended - right[lethality, 'kappa_bnitp_smoothed']['log loss'][0] < 5
+    assert {row['sd'][0] for key, row in known.items() if key[1] == 'hazard_density'} == {0.06}
+    assert max(row['sd'][0] for key, row in known.items() if key[1] == 'malfunction') == 0.02
 
 
 def teams(place):
