@@ -68,7 +68,7 @@ class Team:
         """Return the bits of the belief that core has after the paths and these reports."""
         values = with_defaults(self.parameters)
         grid = grid_of(values)
-        ledger = Ledger(grid, values['max_steps'], estimator_of(values))
+        ledger = Ledger(grid, values['max_steps'], estimator_of(values, grid))
         for agent, paths in self.paths.items():
             for path in paths:
                 ledger.record_path(*read_path(grid, agent, path))
