@@ -12,7 +12,6 @@ from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns
 import numpy as np
 from updates import STEPS, walk
 
-DEPLOYMENTS = (100, 1000)
 WINDOW = 50
 
 LETHALITY = Unknowns(lethality=(0.0, 1.0))
@@ -25,26 +24,20 @@ ALL = Unknowns(
     true_positive=Beta(9, 1),
     false_positive=Beta(1, 9),
 )
-CASES = {
-    'all told, 9x9 cells': (9, Unknowns()),
-    'lethality learnt, 9x9 cells': (9, LETHALITY),
-    'all seven learnt, 9x9 cells': (9, ALL),
-    'all told, 50x50 cells': (50, Unknowns()),
-    'lethality learnt, 50x50 cells': (50, LETHALITY),
-    'all seven learnt, 50x50 cells': (50, ALL),
-}
+UNKNOWNS = {'all told': Unknowns(), 'lethality learnt': LETHALITY, 'all seven learnt': ALL}
+# Cells a side, and after how many deployments updates are timed.
+LENGTHS = {9: (100, 1000), 50: (100,)}
 
 
 @cache
-def times(case: str) -> list[float]:
+def times(side: int, told: str) -> list[float]:
     """Return the seconds of each update of a mission of random walks."""
-    side, unknowns = CASES[case]
     grid, rng, model = Grid(side, side), np.random.default_rng(1), SensorModel(0.5)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    estimator = Estimator(prior, model, 'kappa_bnitp_sampled', unknowns)
+    estimator = Estimator(prior, model, 'kappa_bnitp_sampled', UNKNOWNS[told])
     taken = []
-    for _ in range(DEPLOYMENTS[-1]):
+    for _ in range(LENGTHS[side][-1]):
         observation = world.traverse(walk(grid, rng), model, rng)
         start = time.perf_counter()
         estimator.assimilate(observation)
@@ -52,17 +45,18 @@ def times(case: str) -> list[float]:
     return taken
 
 
-def mean_up_to(case: str, deployments: int) -> Callable[[], float]:
+def mean_up_to(side: int, told: str, deployments: int) -> Callable[[], float]:
     """Return what gives the mean over the window that ends with a deployment."""
-    return lambda: float(np.mean(times(case)[deployments - WINDOW : deployments]))
+    return lambda: float(np.mean(times(side, told)[deployments - WINDOW : deployments]))
 
 
 BENCHMARKS = tuple(
     Benchmark(
-        f'An update of `kappa_bnitp_sampled` at deployment {number:,}',
+        f'An update of `kappa_bnitp_sampled` on {side}x{side} cells, at deployment {number:,}',
         f'A mission of random walks of at most {STEPS} steps; means over the {WINDOW} deployments '
         'up to it. Sweeps\nare made until the belief is settled.',
-        {case: mean_up_to(case, number) for case in CASES},
+        {told: mean_up_to(side, told, number) for told in UNKNOWNS},
     )
-    for number in DEPLOYMENTS
+    for side, lengths in LENGTHS.items()
+    for number in lengths
 )
