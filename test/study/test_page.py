@@ -75,6 +75,7 @@ def test_every_figure_is_shown():
     learnt = {
         'unknown_lethality_numbers.png',
         'unknown_lethality_log_loss.png',
+        'mismatched_learning_log_loss.png',
         'paper_learning_log_loss.png',
     }
     assert set(shown) == learnt | {'teams_by_round.png', 'loss_cost_robots_lost.png'} | {
@@ -176,7 +177,7 @@ def test_what_a_wrong_lethality_costs():
         assert 1.5 < cost < 8.5
 
 
-LEARNT = ('unknown_lethality', 'paper_learning')
+LEARNT = ('unknown_lethality', 'mismatched_learning', 'paper_learning')
 
 
 def learnt(name):
@@ -222,6 +223,18 @@ def test_what_not_knowing_the_lethality_costs():
     spread = [row['sd'][0] for row in known.values()]
     within = [row['within'][0] for row in known.values()]
     assert (min(spread), max(spread), min(within), max(within)) == (0.07, 0.12, 0.88, 0.96)
+
+
+def test_what_learning_mends_of_a_wrong_lethality():
+    final, _, costs = learnt('mismatched_learning')
+    gains = {float(lethality): -row['100'][0] for (lethality, _), row in costs.items()}
+    assert [round(gains[lethality]) for lethality in (0.1, 0.3, 0.5)] == [147, 81, 44]
+    _, low, high = costs['0.9', SAMPLED]['100']
+    assert low < 0 < high
+    worse = {key[0] for key, row in final.items() if row['log loss'][1] > 74}
+    assert worse == {'0.1', '0.3'}
+    low, high = final['0.5', SAMPLED]['log loss'][1:]
+    assert low < 74 < high
 
 
 def test_what_learning_the_density_mends():
