@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, astuple
+from dataclasses import asdict
 import fcntl
 import os
 from pathlib import Path
@@ -99,7 +99,9 @@ class Folder:
         return outcome
 
     def _file(self, trial: Trial) -> Path:
-        team = '-'.join(map(str, astuple(trial.team)))
+        told = vars(trial.team).items()
+        # Without last contacts the names are those of studies that had none.
+        team = '-'.join(str(value) for name, value in told if value or name != 'last_contact')
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
+from kbnitp_ros.study.scenario import in_percent, in_short, Team
 from kbnitp_ros.study.summary import (
     as_json,
     interval,
@@ -27,12 +27,6 @@ from numpy.typing import NDArray
 
 # What is compared where two missions know as much.
 EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference')
-
-
-def differ_in_loss_cost(scenario: Scenario) -> bool:
-    """Return whether its teams differ in what a robot is worth, and in nothing else."""
-    teams = scenario.teams
-    return len(teams) > 1 and len({(team.agents, team.allocation) for team in teams}) == 1
 
 
 def trade(

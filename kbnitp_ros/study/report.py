@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
+from kbnitp_ros.study.last_contact import contact_markdown, summarise_contact
 from kbnitp_ros.study.learning import (
     numbers_chart,
     numbers_markdown,
@@ -15,13 +16,12 @@ from kbnitp_ros.study.learning import (
     worth_markdown,
 )
 from kbnitp_ros.study.loss_cost import (
-    differ_in_loss_cost,
     loss_cost_chart,
     loss_cost_markdown,
     summarise_loss_cost,
 )
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import LEARNING
+from kbnitp_ros.study.scenario import differ_only_in, LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
 from kbnitp_ros.study.teams import differ_in_size, summarise_teams, teams_chart, teams_markdown
 from pyarrow import parquet
@@ -32,7 +32,7 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     Write the table, the figures and the summary of a study; the same results, the same table.
 
     Teams of several sizes, or loss costs, are compared in a figure and a section of their own, and
-    so is what was learnt of numbers.
+    so is what was learnt of numbers; last contacts in a section.
 
     Returns
     -------
@@ -48,10 +48,13 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         charts['by_round'] = teams_chart
         summary['teams'] = summarise_teams(results)
         tables.append(teams_markdown(summary['teams']))
-    if differ_in_loss_cost(results.scenario):
+    if differ_only_in(results.scenario, 'loss_cost'):
         charts['robots_lost'] = loss_cost_chart
         summary['loss_cost'] = summarise_loss_cost(results)
         tables.append(loss_cost_markdown(summary['loss_cost']))
+    if differ_only_in(results.scenario, 'last_contact'):
+        summary['last_contact'] = summarise_contact(results)
+        tables.append(contact_markdown(summary['last_contact']))
     if LEARNING in results.scenario.methods:
         charts['numbers'] = numbers_chart
         summary['numbers'] = summarise_numbers(results)

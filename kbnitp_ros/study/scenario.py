@@ -13,6 +13,7 @@ from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
     Beta,
+    Conduct,
     Grid,
     METHODS,
     PathFinder,
@@ -85,17 +86,31 @@ class Team:
         Of `ALLOCATIONS`.
     loss_cost : float
         What a lost robot is worth, nats, 0 to 1000.
+    last_contact : float
+        The probability that the base hears, after each step, how far a robot is, 0 to 1.
 
     """
 
     agents: Count = 1
     allocation: Annotated[str, tuple(ALLOCATIONS)] = 'greedy'
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
+    last_contact: Probability = 0.0
 
     def __str__(self) -> str:
         """Return what tells it from other teams; robots one by one share nothing out."""
         name = 'one by one' if self.agents == 1 else f'{self.agents} {self.allocation}'
-        return f'{name}, loss cost {self.loss_cost:.4g}' if self.loss_cost else name
+        cost = f', loss cost {self.loss_cost:.4g}' if self.loss_cost else ''
+        contact = f', last contact {self.last_contact:.4g}' if self.last_contact else ''
+        return name + cost + contact
+
+    def options(self) -> dict[str, Any]:
+        """Return what `run_mission` is told of it, by name."""
+        return {
+            'agents': self.agents,
+            'allocation': self.allocation,
+            'loss_cost': self.loss_cost,
+            'conduct': Conduct(last_contact=self.last_contact),
+        }
 
 
 # Robots one by one, whatever they cost.
@@ -298,6 +313,12 @@ class Scenario:
     def model(truth: Mapping[str, float]) -> SensorModel:
         """Return the sensor model with these numbers."""
         return SensorModel(**{field.name: truth[field.name] for field in fields(SensorModel)})
+
+
+def differ_only_in(scenario: Scenario, name: str) -> bool:
+    """Return whether the teams of a scenario differ, and in this alone."""
+    others = {tuple(v for k, v in vars(team).items() if k != name) for team in scenario.teams}
+    return len(scenario.teams) > 1 and len(others) == 1
 
 
 def in_percent(lethality: float | None) -> str:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
@@ -132,6 +133,11 @@ def summarise(results: Results) -> dict[str, Any]:
     }
 
 
+def team_of(row: Mapping[str, Any]) -> Team:
+    """Return the team that a row of a summary is of."""
+    return Team(**{field.name: row[field.name] for field in fields(Team)})
+
+
 def as_json(mean: Mean) -> dict[str, float | None]:
     """Return the mean of one value and its interval, if it has one, as JSON can hold them."""
     return {
@@ -156,7 +162,7 @@ def markdown(summary: dict[str, Any]) -> str:
         )
     rows = []
     for row in summary['rows']:
-        team = Team(row['agents'], row['allocation'], row['loss_cost'])
+        team = team_of(row)
         method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
         cells = [shown(row[name]) if name in row else '' for name in columns]
         rows.append([in_short(row['lethality']), method, *cells])

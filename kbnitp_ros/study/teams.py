@@ -10,7 +10,7 @@ from typing import Any
 from kbnitp_ros.core import ALLOCATIONS
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table, team_of
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ LINES = dict(zip(ALLOCATIONS, cycle(('dotted', 'dashed', 'solid', 'dashdot'))))
 
 
 def differ_in_size(scenario: Scenario) -> bool:
-    """Return whether its teams are of several sizes, and alike in what a robot is worth."""
-    sizes, costs = ({getattr(t, n) for t in scenario.teams} for n in ('agents', 'loss_cost'))
-    return len(sizes) > 1 and len(costs) == 1
+    """Return whether its teams are of several sizes, and else alike but for their allocations."""
+    sizes = {team.agents for team in scenario.teams}
+    others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
+    return len(sizes) > 1 and len(others) == 1
 
 
 def information_gained(
@@ -110,7 +111,7 @@ def teams_markdown(summary: dict[str, Any]) -> str:
     )
     rows = []
     for row in summary['rows']:
-        team = Team(row['agents'], row['allocation'], row['loss_cost'])
+        team = team_of(row)
         cells = [in_short(row['lethality']), f'`{row["method"]}`', str(team), str(row['rounds'])]
         cells += [shown(row[name], decimals) for name, (_, decimals) in columns.items()]
         rows.append(cells)

@@ -135,7 +135,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         rng,
         method,
         **vars(scenario.planning),
-        **vars(trial.team),
+        **trial.team.options(),
         world_model=scenario.model(truth),
         unknowns=unknowns,
         seed=trial.number,

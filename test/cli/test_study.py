@@ -17,6 +17,7 @@ import sys
 import termios
 import time
 
+from kbnitp_ros.study.scenario import NUMBERS
 from pyarrow import parquet
 import pytest
 import yaml
@@ -215,8 +216,9 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     assert process.returncode == 130
     kept = yaml.safe_load((tmp_path / 'out' / 'scenario.yaml').read_text())
     shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
-    one_by_one = {'agents': 1, 'allocation': 'greedy', 'loss_cost': 0.0}
-    defaults = {'believed_lethality': None, 'teams': [one_by_one]}
+    one_by_one = {'agents': 1, 'allocation': 'greedy', 'loss_cost': 0.0, 'last_contact': 0.0}
+    told = dict.fromkeys(NUMBERS)
+    defaults = {'believed_lethality': None, 'teams': [one_by_one], 'learn': told}
     assert kept == {**yaml.safe_load(shipped.read_text()), **defaults}
 
 
@@ -265,7 +267,7 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2
     assert re.fullmatch(
-        'study: scenario magic is no file.*calibrated, loss_cost, mismatched, paper, teams\n',
+        'study: scenario magic is no file.*calibrated, last_contact, loss_cost, .*teams.*\n',
         done.stderr,
     )
 

@@ -7,14 +7,13 @@ import json
 from kbnitp_ros.study.loss_cost import (
     at_equal_log_loss,
     compare,
-    differ_in_loss_cost,
     EQUAL,
     loss_cost_markdown,
     summarise_loss_cost,
 )
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import differ_only_in, Team
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
@@ -86,8 +85,9 @@ def test_loss_costs_differ(scenario):
         (True, TEAMS),
         (False, TEAMS[:1]),
         (False, (Team(), Team(2, loss_cost=0.1))),
+        (False, (Team(), Team(last_contact=0.1))),
     ):
-        assert differ_in_loss_cost(replace(scenario, teams=teams)) is differ
+        assert differ_only_in(replace(scenario, teams=teams), 'loss_cost') is differ
 
 
 def test_each_is_compared_with_the_least(costs):

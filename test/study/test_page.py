@@ -53,12 +53,12 @@ def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@pytest.mark.parametrize('name', ['teams', 'loss_cost'])
+@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact'])
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
     assert len(rows) == len(scenario.lethalities) * len(scenario.contenders)
-    least = name == 'loss_cost'  # has no row: the others are compared with it
+    least = name != 'teams'  # has no row: the others are compared with it
     assert len(compared) == len(rows) - least * len(scenario.lethalities)
     text = (DOCS / 'results.md').read_text()
     (said,) = re.findall(
@@ -78,7 +78,8 @@ def test_every_figure_is_shown():
         'mismatched_learning_log_loss.png',
         'paper_learning_log_loss.png',
     }
-    assert set(shown) == learnt | {'teams_by_round.png', 'loss_cost_robots_lost.png'} | {
+    others = {'teams_by_round.png', 'loss_cost_robots_lost.png', 'last_contact_log_loss.png'}
+    assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
         for scenario in ('paper', 'calibrated', 'mismatched')
         for figure in ('entropy', 'log_loss', 'reliability')
@@ -435,3 +436,23 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
     assert (docs / 'results.md').read_text() == before.replace('old\nold\n', 'new\n')
     brought = {path.name: path.read_text() for path in (docs / 'images').iterdir()}
     assert brought == {'paper_entropy.png': 'entropy', 'paper_log_loss.png': 'log_loss'}
+
+
+def test_what_last_contacts_are_worth():
+    worth = {}
+    for row in rows_of('last_contact', 1):
+        for robots in ('10', '25', '50'):
+            _, low, high = numbers(row[robots])
+            assert low <= 0 <= high
+        worth[row['lethality'], row['contact']] = numbers(row['100'])
+    for contact, nats in (('0.2', -3.9), ('1', -5.9)):
+        mean, _, high = worth['0.5', contact]
+        assert mean == nats
+        assert high < 0
+
+
+def test_how_sure_last_contacts_make():
+    none, _, each = (row for row in rows_of('last_contact') if row['lethality'] == '0.5')
+    for row, entropy, loss in ((none, 29.9, 31.2), (each, 29.4, 37.1)):
+        assert numbers(row['entropy'])[0] == entropy
+        assert numbers(row['log loss'])[0] == loss

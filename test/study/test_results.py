@@ -15,6 +15,7 @@ def test_the_table_is_tidy(results):
         'agents': 'int64',
         'allocation': 'string',
         'loss_cost': 'double',
+        'last_contact': 'double',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),

@@ -113,7 +113,7 @@ def test_the_loss_costs_shipped_begin_with_none():
     assert costs == sorted(costs)
 
 
-@pytest.mark.parametrize('name', ['teams', 'loss_cost'])
+@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact'])
 def test_studies_of_teams_are_of_the_calibrated_robots(name):
     scenario, calibrated = (read_scenario(SHIPPED / f'{n}.yaml') for n in (name, 'calibrated'))
     for same in ('robots', 'seed', 'grid', 'planning', 'world', 'sensor', 'prior'):

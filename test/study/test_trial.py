@@ -28,7 +28,7 @@ def fly(scenario, trial, believed=None):
         max_steps=6,
         planner='relaxed',
         max_visits=2,
-        **vars(trial.team),
+        **trial.team.options(),
         world_model=model,
     )
     return world, prior, mission

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Last contacts are compared with none, in the same worlds."""
+
+from dataclasses import replace
+import json
+
+from kbnitp_ros.core import run_mission
+from kbnitp_ros.study import trial as running
+from kbnitp_ros.study.last_contact import contact_markdown, summarise_contact
+from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.trial import run_trial, trials_of
+import pytest
+
+TEAMS = (Team(last_contact=1.0), Team(), Team(last_contact=0.3))
+
+
+@pytest.fixture(scope='module')
+def contacts(scenario):
+    """Return the results of missions with three probabilities of contact, not in their order."""
+    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
+    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+
+
+def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
+    heard = []
+
+    def noting(*arguments, conduct, **options):
+        heard.append(conduct.last_contact)
+        mission = run_mission(*arguments, conduct=conduct, **options)
+        known = [d.observation.steps_survived for d in mission if not d.observation.survived]
+        assert any(known) == (conduct.last_contact > 0.0)
+        return mission
+
+    monkeypatch.setattr(running, 'run_mission', noting)
+    # Robots whose first step is their last have nothing to be heard of.
+    scenario = replace(scenario, teams=TEAMS[:2], robots=30, trials=1, lethalities=(0.5,))
+    for trial in trials_of(replace(scenario, methods=('kappa_bnitp',))):
+        run_trial(scenario, trial)
+    assert heard == [1.0, 0.0]
+
+
+def test_each_is_compared_with_none(contacts):
+    summary = summarise_contact(contacts)
+    assert (summary['least'], summary['robots']) == (0, [4])
+    assert [row['last_contact'] for row in summary['rows']] == [0.3, 1.0]
+
+    def log_loss(team):
+        measures = ('hazard_log_loss', 'target_log_loss')
+        return contacts.series(0.9, 'kappa_bnitp', *measures, team=team)[:, -1]
+
+    for row, team in zip(summary['rows'], (TEAMS[2], TEAMS[0])):
+        worth = (log_loss(Team()) - log_loss(team)).mean()
+        assert row['worth'][0]['mean'] == pytest.approx(worth, abs=1e-6)
+
+
+def test_the_report_has_a_table_of_it(contacts, tmp_path):
+    write_report(contacts, tmp_path)
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    told = contact_markdown(summary['last_contact'])
+    assert (tmp_path / 'summary.md').read_text().endswith(told)
+    for row, line in zip(summary['last_contact']['rows'], told.splitlines()[4:], strict=True):
+        cells = line.strip('| ').split(' | ')
+        assert cells[:3] == ['0.9', '`kappa_bnitp`', f'{row["last_contact"]:g}']
+        assert cells[3].startswith(f'{row["worth"][0]["mean"]:.1f} [')
+    assert not {'loss_cost', 'teams'} & summary.keys()
