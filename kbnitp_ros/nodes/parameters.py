@@ -787,14 +787,14 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
     Raises
     ------
     ValueError
-        If one is named twice, or what is believed of it at first is no distribution.
+        If one is named twice, or what is believed of any at first is no distribution.
 
     """
     learn = values['learn']
     if len(set(learn)) < len(learn):
         raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
     priors = {}
-    for name in learn:
+    for name in LEARN:
         believed = values[f'learn.{name}']
         try:
             if len(believed) not in (2, 4):
@@ -802,7 +802,7 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
             priors[name] = Beta(*believed[2:], low=believed[0], high=believed[1])
         except ValueError as error:
             raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
-    return Unknowns(**priors)
+    return Unknowns(**{name: priors[name] for name in learn})
 
 
 def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:

@@ -111,6 +111,7 @@ def test_numbers_to_learn_have_intervals_or_distributions():
     'learn, given, told',
     [
         (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
+        ((), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
         (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
         (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
         (('lethality',), (-0.1, 0.5), r'learn.lethality is \[-0.1, 0.5\]: low is -0.1'),
