@@ -30,6 +30,7 @@ class OneByOne(Executor):
     rclpy's own executors collect all that they wait for anew, several times for each callback, and
     make a task of it, which takes longer than most callbacks of this package. This one collects it
     when something has been created or destroyed. Callbacks are functions and no coroutines.
+    The experimental `EventsExecutor` of rclpy 7.1.5 ends with a SystemError in the recorder.
     """
 
     def __init__(self) -> None:
