@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,6 +24,21 @@ def probability(name: str, value: float) -> float:
     if not 0.0 <= number <= 1.0:
         raise ValueError(f'{name} is {value}: it must be a probability in [0, 1]')
     return number
+
+
+def probabilities(instance: Any) -> None:
+    """
+    Have a frozen dataclass hold its fields as floats, all of which must be probabilities.
+
+    Raises
+    ------
+    ValueError
+        If one is NaN or outside [0, 1]; it is named.
+
+    """
+    for field in fields(instance):
+        value = probability(field.name, getattr(instance, field.name))
+        object.__setattr__(instance, field.name, value)
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:

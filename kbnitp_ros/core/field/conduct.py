@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import probability
+from kbnitp_ros.core.field.check import probabilities
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -65,8 +65,7 @@ class Conduct:
     camera_failure: float = 0.0
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            object.__setattr__(self, each.name, probability(each.name, getattr(self, each.name)))
+        probabilities(self)
 
     def traverse(
         self,

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import probability
+from kbnitp_ros.core.field.check import probabilities
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -43,10 +43,7 @@ class SensorModel:
     false_positive: float = 0.05
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(
-                self, field.name, probability(field.name, getattr(self, field.name))
-            )
+        probabilities(self)
 
     def survival(self, hazard: ArrayLike) -> NDArray[np.float64]:
         """
