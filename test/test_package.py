@@ -3,6 +3,7 @@
 
 import ast
 from importlib import import_module, metadata
+import json
 import os
 from pathlib import Path
 import re
@@ -34,6 +35,13 @@ PYTHON_PACKAGES = {
     'tqdm': ('python3-tqdm', 'tqdm'),
     'yaml': ('python3-yaml', 'PyYAML'),
     'zstandard': ('mcap-ros2-support', 'zstandard'),
+}
+
+# Hashes of the actions as nav2_msgs 1.3.13 of ROS 2 Jazzy defines them, with all that they hold.
+ACTIONS = {
+    'FollowPath': '9d95513552fb578cfb933d7e0160273911269cbdf4b348f1acb87d8a903b13cf',
+    'FollowWaypoints': '09e36a19e0374ab692e78b877e3345daa223ca4186b8af90f77939b78c6e6d7b',
+    'NavigateThroughPoses': '4e680a34fd27772095da6ffdb32ae348adbc3d948248d38cf8d5ca3fc7a3a6c4',
 }
 
 # Imported only by those who ask for them.
@@ -129,3 +137,11 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
 def test_every_field_of_a_message_is_explained(message):
     fields = [line for line in message.read_text().splitlines() if line and line[0] != '#']
     assert [line for line in fields if '#' not in line] == []
+
+
+@pytest.mark.parametrize('action', ACTIONS)
+def test_robots_are_driven_by_the_actions_of_nav2(action):
+    share = Path(get_package_share_directory('nav2_msgs'))
+    hashes = json.loads(share.joinpath(f'action/{action}.json').read_text())['type_hashes']
+    (own,) = (each['hash_string'] for each in hashes if each['type_name'].endswith(f'/{action}'))
+    assert own == f'RIHS01_{ACTIONS[action]}'
