@@ -42,9 +42,9 @@ from kbnitp_ros.nodes.parameters import (
     nearest,
     parameters_of,
 )
+from kbnitp_ros.nodes.reach import reach_note
 from kbnitp_ros.nodes.world_file import read_world
 from kbnitp_ros.study.figures import mission_maps, mission_progress, Number
-from kbnitp_ros.study.reach import reach_note
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor

@@ -3,49 +3,28 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 import sys
-import time
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import (
-    deployment_order,
-    DeploymentKey,
-    Observation,
-    observation_of,
-    plan_team,
-    SensorModel,
-)
+from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, observation_of
 from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
-from kbnitp_ros.log.evidence import BELIEF, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import (
-    agent_of,
-    path_message,
-    read_report,
-    report_message,
-)
-from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name, SECOND
+from kbnitp_ros.messages.deployments import path_message, read_report, report_message
+from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
 from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import (
-    agents_of,
-    check_search,
-    parameters_of,
-    sensor_model_of,
-)
-from kbnitp_ros.nodes.recent import Recent
+from kbnitp_ros.nodes.parameters import agents_of, check_search, parameters_of
+from kbnitp_ros.nodes.peers import Peers
+from kbnitp_ros.nodes.reach import cut_off_note, reach_note
+from kbnitp_ros.nodes.robots_out import RobotsOut
+from kbnitp_ros.nodes.rounds import Paths, Rounds
 from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.succession import Succession
-from kbnitp_ros.study.reach import cut_off_note, reach_note
 from nav_msgs.msg import Path
-import numpy as np
-from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
@@ -53,26 +32,11 @@ from rclpy.subscription import Subscription
 # A field of which paths reach less than this part is worth a warning.
 MOST = 0.5
 
-
-@dataclass
-class Flight:
-    """
-    A robot that is out.
-
-    Attributes
-    ----------
-    path : ndarray of int, shape (steps + 1,)
-        Its cells.
-    due : int or None
-        When it is given up, nanoseconds of ROS time; None until it has left and the clock runs.
-    is_overdue : bool
-        Whether it should have been given up at the last look.
-
-    """
-
-    path: NDArray[np.intp]
-    due: int | None = None
-    is_overdue: bool = False
+# Why an estimator may never hold all deployments.
+NOT_HEARD_AGAIN = (
+    f', and only the last {qos.DEPTH} of each agent are heard again: restart the '
+    'estimator with the parameter resume, which names the log'
+)
 
 
 class PlannerNode(FieldNode):
@@ -80,7 +44,6 @@ class PlannerNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('planner')
-        self._model = sensor_model_of(self.values)
         self._agents = agents_of(self.values, self.grid)
         check_search(self.values, self.grid)
         self._say_what_is_out_of_reach()
@@ -94,25 +57,17 @@ class PlannerNode(FieldNode):
             if self.values['silent_loss']
         }
         self._succession = Succession()
-        self._out: dict[DeploymentKey, Flight] = {}
-        # Whose paths are on disk, as long as they are not reported.
-        self._recorded = Recent(qos.DEPTH)
-        # How many robots of each agent have left, as far as known.
-        self._sent: Counter[str] = Counter()
+        self._rounds = Rounds(self.grid, self.values, self.get_logger())
+        self._peers = Peers(self, self._agents, own_reports=self.values['silent_loss'])
+        self._out = RobotsOut(self.values)
+        # How many robots that have left only the belief knows of.
+        self._left_unknown = 0
         # How many deployments the belief heard last holds, and whether it was told that an
         # estimator will never hold them all.
-        self._heard = 0
-        self._is_told = False
-        # How many robots have left, and how many more only the belief knows of.
-        self._left = 0
-        self._unknown = 0
+        self._held = 0
+        self._is_incomplete_told = False
         self._last_stamp = 0
-        self._time = 0
         self._is_heard = False
-        self._is_slow = False
-        self._answering: dict[str, int] = {}
-        self._strangers: set[str] = set()
-        self._estimators = 0
         if self.values['resume']:
             self._restore(self.values['resume'])
             if refusal := self._too_few(self.values['robots']):
@@ -148,15 +103,14 @@ class PlannerNode(FieldNode):
                     f'{", ".join(self._agents)}'
                 )
             self._paths[key.agent].publish(recorded.message)
-            if recorded.observation is None:
-                self._out[key] = Flight(recorded.path)
-                self._recorded.add(key)
-            elif key.agent in self._losses and not recorded.observation.survived:
-                # Said by the planner before this one.
-                again = report_message(key, recorded.observation, recorded.reported)
-                self._losses[key.agent].publish(again)
-            self._left += 1
-            self._sent[key.agent] += 1
+            self._out.leave(key, recorded.path)
+            self._out.record(key)
+            if recorded.observation is not None:
+                self._out.end(key)
+                if key.agent in self._losses and not recorded.observation.survived:
+                    # Said by the planner before this one.
+                    again = report_message(key, recorded.observation, recorded.reported)
+                    self._losses[key.agent].publish(again)
             if key.stamp <= LAST_COUNTED_ON:
                 self._last_stamp = key.stamp
         self._succession.mission = read_mission(log)
@@ -165,7 +119,9 @@ class PlannerNode(FieldNode):
             return
         if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
-            self._complete_round(planned_on, {key: deployments[key].path for key in keys})
+            recorded_paths = {key: deployments[key].path for key in keys}
+            missing = self._rounds.missing(planned_on, self._agents, recorded_paths)
+            self._send(missing, planned_on.mission)
 
     def _say_what_is_out_of_reach(self) -> None:
         """Say what no path comes to; a warning if that is most of the field."""
@@ -177,12 +133,11 @@ class PlannerNode(FieldNode):
 
     def _too_few(self, robots: int) -> str:
         """Return why there must be more robots than these; empty when enough."""
-        left = self._left + self._unknown
-        if robots >= left:
+        if robots >= self._left:
             return ''
         return (
-            f'parameter robots is {robots}: {left} robots have left, and it must be at '
-            f'least that; {left} ends the mission'
+            f'parameter robots is {robots}: {self._left} robots have left, and it must be at '
+            f'least that; {self._left} ends the mission'
         )
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
@@ -200,76 +155,51 @@ class PlannerNode(FieldNode):
             refusal = str(error)
         return SetParametersResult(successful=not refusal, reason=refusal)
 
-    def _complete_round(
-        self, planned_on: Snapshot, recorded: dict[DeploymentKey, NDArray[np.intp]]
-    ) -> None:
-        """
-        Send the robots of a round that died with the mission before all its paths were on record.
-
-        Some of the others may have reported, so nobody could plan these paths later.
-        """
-        agents = self._agents[: max(0, self.values['robots'] - planned_on.deployments)]
-        if len(recorded) >= len(agents):
-            return
-        first = next_name(planned_on.stamp, planned_on.mission)
-        planned = self._plan_round(planned_on, agents, [], first)
-        # Otherwise it was a round of other agents, or the parameters are others now.
-        if all(np.array_equal(path, planned.get(key, ())) for key, path in recorded.items()):
-            missing = {key: path for key, path in planned.items() if key not in recorded}
-            self._send(missing, planned_on.mission)
-
     def _hear_beliefs(self) -> Subscription:
         largest = largest_belief(self.grid.cells)
         return self.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
 
     def _look(self) -> None:
-        self._look_for_agents()
-        self._look_for_estimators()
-        self._look_for_strangers()
-        self._give_up()
+        self._peers.look_for_agents()
+        if self._peers.look_for_estimators():
+            self._hear_beliefs_anew()
+        self._peers.look_for_unknown_agents()
+        self._give_up_overdue()
         self._deploy()
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
             snapshot = read_belief_maps(message)
             self._check_rules(snapshot)
-            self._succession.check(snapshot, self._estimators, self._left + self._unknown)
+            self._succession.check(snapshot, self._peers.estimators, self._left)
         except ValueError as error:
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        unknown = snapshot.deployments - self._left
-        if unknown > self._unknown:
+        unknown = snapshot.deployments - self._out.left
+        if unknown > self._left_unknown:
             self.get_logger().warning(
                 f'the belief holds {unknown} deployments more than are '
                 'known here: their paths died with the planner before this one, and a restarted '
                 'estimator will lack them, unless the parameter resume names the log'
             )
-            self._unknown = unknown
-        self._notice_loss(snapshot.deployments)
+            self._left_unknown = unknown
+        self._notice_incomplete(snapshot.deployments)
         if self._succession.take(snapshot):
             self._deploy()
 
-    def _notice_loss(self, held: int) -> None:
+    @property
+    def _left(self) -> int:
+        """How many robots have left, those that only the belief knows of included."""
+        return self._out.left + self._left_unknown
+
+    def _notice_incomplete(self, held: int) -> None:
         """Say if an estimator was restarted that will never hear of all deployments."""
-        self._heard = held
+        self._held = held
         # One that has the log publishes its prior, and then a belief in all that is on record.
-        if 0 < held < self._forgotten and not self._is_told:
-            self._is_told = True
-            self.diagnostics.refuse('belief', f'it holds {held} deployments{self._in_vain}')
-
-    @property
-    def _forgotten(self) -> int:
-        """How many deployments their publishers keep no longer."""
-        return sum(max(0, sent - qos.DEPTH) for sent in self._sent.values())
-
-    @property
-    def _in_vain(self) -> str:
-        """Return why an estimator may never hold all deployments."""
-        return (
-            f', and only the last {qos.DEPTH} of each agent are heard again: restart the '
-            'estimator with the parameter resume, which names the log'
-        )
+        if 0 < held < self._out.forgotten and not self._is_incomplete_told:
+            self._is_incomplete_told = True
+            self.diagnostics.refuse('belief', f'it holds {held} deployments{NOT_HEARD_AGAIN}')
 
     def _check_rules(self, snapshot: Snapshot) -> None:
         if snapshot.grid != self.grid:
@@ -290,99 +220,34 @@ class PlannerNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
-        self._out.pop(key, None)
-        self._recorded.discard(key)
+        self._out.end(key)
         self._deploy()
 
     def _on_recorded(self, agent: str, message: Time) -> None:
         try:
-            self._recorded.add(DeploymentKey(agent, read_name('stamp', message)))
+            self._out.record(DeploymentKey(agent, read_name('stamp', message)))
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/recorded', error)
 
-    def _look_for_agents(self) -> None:
-        """Notice which agents somebody answers for, and who answers for one that is taken."""
-        own = int(self.values['silent_loss'])
-        for agent in self._agents:
-            answering = self.count_authors(f'{agent}/report', REPORT) - own
-            before = self._answering.get(agent, 0)
-            self._answering[agent] = answering
-            if answering > max(before, 1):
-                self.diagnostics.refuse(
-                    f'{agent}/report',
-                    f'{answering} nodes answer for agent {agent}: unless one has just died, '
-                    'each needs a name of its own',
-                )
-            elif before and not answering:
-                self.diagnostics.refuse(
-                    f'{agent}/path',
-                    f'agent {agent} has left the graph: the others carry on, and so does '
-                    f'{agent} when it is back',
-                )
-
-    def _look_for_estimators(self) -> None:
+    def _hear_beliefs_anew(self) -> None:
         """
-        Notice when more than one node publishes beliefs.
+        Ask for the belief of the estimators that stay when one of several has left.
 
-        When one of them leaves, the belief of those that stay is asked for again: it may have been
-        refused for that of the other, or held to be older.
+        It may have been refused for that of the other, or held to be older.
         """
-        before, self._estimators = (
-            self._estimators,
-            self.count_authors('belief', BELIEF),
-        )
-        if self._estimators > max(before, 1):
-            self.diagnostics.refuse(
-                'belief',
-                f'{self._estimators} nodes publish beliefs: unless one has just died, '
-                'end all but one',
-            )
-        elif 0 < self._estimators < before:
-            self._succession.newest = None
-            self._unknown = 0
-            self.destroy_subscription(self._beliefs)
-            self._beliefs = self._hear_beliefs()
+        self._succession.newest = None
+        self._left_unknown = 0
+        self.destroy_subscription(self._beliefs)
+        self._beliefs = self._hear_beliefs()
 
-    def _look_for_strangers(self) -> None:
-        """Notice who reports for an agent that is none of the team."""
-        for topic, types in self.get_topic_names_and_types():
-            agent = agent_of(topic)
-            is_known = not agent or agent in self._agents or agent in self._strangers
-            if REPORT not in types or is_known:
-                continue
-            if topic == self.resolve_topic_name(f'{agent}/report') and self.count_publishers(
-                topic
-            ):
-                self._strangers.add(agent)
-                self.diagnostics.refuse(
-                    f'{agent}/report',
-                    f'agent {agent} is unknown, and nobody hears it: the parameter agents names '
-                    f'{", ".join(self._agents)}',
-                )
-
-    def _give_up(self) -> None:
+    def _give_up_overdue(self) -> None:
         """Report robots lost that should have been back for long."""
-        now = self.now()
-        jump, self._time = min(0, now - self._time), now
-        if not self.values['silent_loss'] or now <= 0:
+        if not self.values['silent_loss']:
             return
-        for key, flight in list(self._out.items()):
-            if self.values['recorded'] and key not in self._recorded:
-                continue
-            # Robots do not come home sooner because the clock was set back.
-            flight.due = self._due(now, flight) if flight.due is None else flight.due + jump
-            was_overdue, flight.is_overdue = flight.is_overdue, now > flight.due
-            # What came while a plan was made is heard between two looks.
-            if was_overdue and flight.is_overdue:
-                del self._out[key]
-                lost = Observation(flight.path, False)
-                self._losses[key.agent].publish(report_message(key, lost, now))
-
-    def _due(self, now: int, flight: Flight) -> int:
-        """Return when a robot that leaves now is given up, in nanoseconds."""
-        steps = flight.path.size - 1
-        wait = steps * self.values['step_period'] + self.values['return_deadline']
-        return now + round(wait * SECOND)
+        now = self.now()
+        for key, path in self._out.take_overdue(now).items():
+            lost = Observation(path, False)
+            self._losses[key.agent].publish(report_message(key, lost, now))
 
     def _deploy(self) -> None:
         """Send the next robots, unless something must come first."""
@@ -393,65 +258,24 @@ class PlannerNode(FieldNode):
         if reason_to_wait:
             self.diagnostics.state = reason_to_wait
             return
-        agents = self._free_agents()[: self.values['robots'] - self._left - self._unknown]
-        out = [flight.path for flight in self._out.values()]
-        self._send(self._plan_round(newest, agents, out, self._next_stamp(newest)), newest.mission)
+        agents = self._free_agents()[: self.values['robots'] - self._left]
+        stamp = self._next_stamp(newest)
+        self._send(self._rounds.plan(newest, agents, self._out.paths, stamp), newest.mission)
 
-    def _plan_round(
-        self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
-    ) -> dict[DeploymentKey, NDArray[np.intp]]:
-        """Return the paths of robots that leave together, the first of them named by `stamp`."""
-        start = time.monotonic()
-        team = plan_team(
-            self.grid,
-            known.belief,
-            self._model_of(known),
-            self.values['max_steps'],
-            len(agents),
-            self.values['allocation'],
-            self.values['planner'],
-            width=self.values['beam_width'],
-            max_visits=self.values['max_visits'],
-            loss_cost=self.values['loss_cost'],
-            out=out,
-        )
-        longest = max((len(each.path) - 1 for each in team.plans), default=0)
-        self._say_if_slow(time.monotonic() - start, self.values['step_period'] * longest)
-        return {
-            DeploymentKey(agent, stamp + number): planned.path
-            for number, (agent, planned) in enumerate(zip(agents, team.plans))
-        }
-
-    def _model_of(self, known: Snapshot) -> SensorModel:
-        """Return the sensor model to plan with: its numbers that are learnt are the belief's."""
-        learnt = known.unknowns.priors.keys() & vars(self._model).keys()
-        return replace(self._model, **{name: getattr(known.model, name) for name in learnt})
-
-    def _say_if_slow(self, planning: float, away: float) -> None:
-        """Say once that robots wait longer for their paths than they are away, in seconds."""
-        if 0.0 < away < planning and not self._is_slow:
-            self._is_slow = True
-            self.get_logger().warning(
-                f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
-                'a lower beam_width, or the planner relaxed, takes less'
-            )
-
-    def _send(self, paths: dict[DeploymentKey, NDArray[np.intp]], mission: int) -> None:
+    def _send(self, paths: Paths, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
         mission = self._succession.begin(mission)
         for key, path in paths.items():
-            self._out[key] = Flight(path)
-            self._sent[key.agent] += 1
+            self._out.leave(key, path)
             message = path_message(self.grid, path, key.stamp, mission)
             self._paths[key.agent].publish(message)
             self._last_stamp = max(self._last_stamp, key.stamp)
-        self._left += len(paths)
 
     def _free_agents(self) -> list[str]:
         """Return the agents that somebody answers for and whose robots are home."""
-        busy = {key.agent for key in self._out}
+        busy = self._out.agents
         return [
-            agent for agent in self._agents if self._answering.get(agent) and agent not in busy
+            agent for agent in self._agents if self._peers.is_present(agent) and agent not in busy
         ]
 
     def _next_stamp(self, newest: Snapshot) -> int:
@@ -468,15 +292,14 @@ class PlannerNode(FieldNode):
     def _reason_to_wait(self, held: int) -> str:
         """Return what must come before the next deployment; empty when nothing."""
         # An agent that has left the graph does not keep the others from their next round.
-        awaited = [key for key in self._out if self._answering.get(key.agent)]
+        awaited = [key for key in self._out if self._peers.is_present(key.agent)]
         if awaited and not self.values['rolling']:
             return f'waiting for {min(awaited, key=deployment_order)} to be reported'
-        left = self._left + self._unknown
-        reported = left - len(self._out)
+        reported = self._left - len(self._out)
         if held < reported:
             wait = f'waiting for a belief that holds {reported} deployments'
-            if self._heard < reported and self._forgotten:
-                wait += f'; the last one holds {self._heard}{self._in_vain}'
+            if self._held < reported and self._out.forgotten:
+                wait += f'; the last one holds {self._held}{NOT_HEARD_AGAIN}'
             return wait
         robots = self.values['robots']
         if held >= robots:
@@ -484,7 +307,7 @@ class PlannerNode(FieldNode):
         if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
         self._is_heard = True
-        if left >= robots:
+        if self._left >= robots:
             return f'waiting for robots that are out: {", ".join(map(str, self._out))}'
         return '' if self._free_agents() else 'waiting for an agent whose robot is home'
 

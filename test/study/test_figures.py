@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from kbnitp_ros.core import Belief, Grid, Observation, World
 from kbnitp_ros.study.figures import draw_number, mission_maps, Number, steps_into
-from kbnitp_ros.study.reach import cut_off_note, reach_note
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
@@ -48,32 +47,3 @@ def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
     outer, inner = (band.get_paths()[0].get_extents() for band in axes.collections)
     assert (outer.y0, outer.y1) == (quantiles[:, 0].min(), quantiles[:, 4].max())
     assert (inner.y0, inner.y1) == (quantiles[:, 1].min(), quantiles[:, 3].max())
-
-
-@pytest.mark.parametrize(
-    'grid, max_steps, told',
-    [
-        (
-            Grid(30, 30),
-            18,
-            '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
-        ),
-        (
-            Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
-            2,
-            '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
-        ),
-        (Grid(9, 9), 18, ''),
-        (Grid(9, 9), 16, ''),
-        (Grid(3, 1, blocked=(1,)), 4, ''),
-    ],
-)
-def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
-    assert reach_note(grid, max_steps) == told
-
-
-def test_it_is_told_what_is_cut_off():
-    assert (
-        cut_off_note(Grid(3, 2, blocked=(1, 4))) == '2 of 4 free cells are cut off from the base'
-    )
-    assert cut_off_note(Grid(3, 2, blocked=(1,))) == ''

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rounds of a mission: where the robots go that leave together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+import time
+from typing import Any
+
+from kbnitp_ros.core import DeploymentKey, Grid, plan_team, SensorModel
+from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.headers import next_name
+from kbnitp_ros.nodes.parameters import sensor_model_of
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+# Of robots that leave together, by deployment.
+Paths = dict[DeploymentKey, NDArray[np.intp]]
+
+
+class Rounds:
+    """
+    Plans rounds, each on a belief.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    values : mapping
+        The planner's parameters by name, kept up to date.
+    logger : RcutilsLogger
+        The planner's.
+
+    """
+
+    def __init__(self, grid: Grid, values: Mapping[str, Any], logger: RcutilsLogger) -> None:
+        self._grid = grid
+        self._values = values
+        self._model = sensor_model_of(values)
+        self._logger = logger
+        self._is_slow = False
+
+    def plan(
+        self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
+    ) -> Paths:
+        """
+        Return the paths of robots that leave together.
+
+        Parameters
+        ----------
+        known : Snapshot
+            The belief to plan on.
+        agents : sequence of str
+            Whose robots leave.
+        out : sequence of ndarray
+            The paths of those that are out.
+        stamp : int
+            Names the first of these deployments, in nanoseconds.
+
+        """
+        start = time.monotonic()
+        team = plan_team(
+            self._grid,
+            known.belief,
+            self._model_of(known),
+            self._values['max_steps'],
+            len(agents),
+            self._values['allocation'],
+            self._values['planner'],
+            width=self._values['beam_width'],
+            max_visits=self._values['max_visits'],
+            loss_cost=self._values['loss_cost'],
+            out=out,
+        )
+        longest = max((len(each.path) - 1 for each in team.plans), default=0)
+        self._say_if_slow(time.monotonic() - start, self._values['step_period'] * longest)
+        return {
+            DeploymentKey(agent, stamp + number): planned.path
+            for number, (agent, planned) in enumerate(zip(agents, team.plans))
+        }
+
+    def missing(self, planned_on: Snapshot, agents: Sequence[str], recorded: Paths) -> Paths:
+        """
+        Return the paths of a round that died with the mission before they were on record.
+
+        Some of the others may have reported, so nobody could plan these paths later.
+
+        Parameters
+        ----------
+        planned_on : Snapshot
+            The belief that the round was planned on.
+        agents : sequence of str
+            Those of the team.
+        recorded : dict
+            The paths of the round that are on record.
+
+        """
+        agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
+        if len(recorded) >= len(agents):
+            return {}
+        first = next_name(planned_on.stamp, planned_on.mission)
+        planned = self.plan(planned_on, agents, [], first)
+        # Otherwise it was a round of other agents, or the parameters are others now.
+        if not all(np.array_equal(path, planned.get(key, ())) for key, path in recorded.items()):
+            return {}
+        return {key: path for key, path in planned.items() if key not in recorded}
+
+    def _model_of(self, known: Snapshot) -> SensorModel:
+        """Return the sensor model to plan with: its numbers that are learnt are the belief's."""
+        learnt = known.unknowns.priors.keys() & vars(self._model).keys()
+        return replace(self._model, **{name: getattr(known.model, name) for name in learnt})
+
+    def _say_if_slow(self, planning: float, away: float) -> None:
+        """Say once that robots wait longer for their paths than they are away, in seconds."""
+        if 0.0 < away < planning and not self._is_slow:
+            self._is_slow = True
+            self._logger.warning(
+                f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
+                'a lower beam_width, or the planner relaxed, takes less'
+            )
