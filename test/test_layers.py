@@ -21,7 +21,8 @@ BELOW = {
     'log.bag': {'files'},
     'log': {'files', 'core', 'messages', 'log.bag'},
     'study': {'files', 'core', 'maps', 'messages'},
-    'nodes': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study'},
+    'robot': {'core'},
+    'nodes': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'robot'},
     'cli': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'nodes'},
 }
 

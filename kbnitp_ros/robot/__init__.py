@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a real robot does and remembers of its deployments: no ROS, and one file, its journal."""
+
+from kbnitp_ros.robot.itinerary import Itinerary
+from kbnitp_ros.robot.journal import Journal
+from kbnitp_ros.robot.trip import Step, Trip
+from kbnitp_ros.robot.walk import Walk
+from kbnitp_ros.robot.way import legs_of, shortest_way, without_loops
+
+__all__ = [
+    'Itinerary',
+    'Journal',
+    'Step',
+    'Trip',
+    'Walk',
+    'legs_of',
+    'shortest_way',
+    'without_loops',
+]

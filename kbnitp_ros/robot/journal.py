@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The journal of a robot: what it was ordered, where it has been and what it saw, on its own disk.
+
+It survives a loss of power at any moment. A line is on the disk before the robot acts on it, and
+is never changed. A line is eight hexadecimal digits, a space, and JSON; the digits are the CRC-32
+of the JSON, begun with that of the line before, so that a line counts only where it was written.
+
+    {"journal": 1, "agent": NAME, "grid": {...}}                     once, first
+    {"deployment": NS, "mission": NS, "orders": [CELL, ...]}         before the robot leaves
+    {"step": NUMBER, "cell": CELL, "time": NS, "reading": -1 or 0 or 1}
+    {"home": NS}                                                     no step follows
+
+A step that stands again has another reading by then.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+import fcntl
+from hashlib import sha256
+import json
+import os
+from pathlib import Path
+from typing import Any
+import zlib
+
+from kbnitp_ros.core import Grid
+from kbnitp_ros.robot.trip import Step, Trip
+
+VERSION = 1
+
+# What a journal says of its field, besides the blocked cells: of these there may be very many.
+FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
+
+
+class JournalError(ValueError):
+    """A file is no journal, or not that of this robot on this field."""
+
+
+class Journal:
+    """
+    The journal in a file, which is made if it is not there.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; its folder is made, too.
+    agent : str
+        Whose it is.
+    grid : Grid
+        The field of its deployments.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    trips : list of Trip
+        The deployments on record, in order.
+    damage : str
+        What was cut off when it was opened, and where that is kept; empty when nothing.
+
+    Raises
+    ------
+    JournalError
+        If the file is no journal, that of another agent or field, or in use by another process.
+    OSError
+        If it cannot be read or written.
+
+    """
+
+    def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
+        self.path = Path(path).expanduser()
+        self.trips: list[Trip] = []
+        self.damage = ''
+        # What is not on the disk yet, for want of room there.
+        self._unwritten: deque[dict[str, Any]] = deque()
+        self._check = 0
+        self._size = 0
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            self._lock()
+            self._read(heading(agent, grid))
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise JournalError(
+                f'journal {self.path} is in use by another process: each robot needs its own'
+            ) from error
+
+    def _read(self, expected: dict[str, Any]) -> None:
+        """Take in what is on the disk; what is damaged is cut off, and kept beside."""
+        content = os.pread(self._file, os.fstat(self._file).st_size, 0)
+        *lines, rest = content.split(b'\n')
+        for number, line in enumerate(lines):
+            try:
+                entry = self._checked(line)
+                if number:
+                    self._take(entry)
+                else:
+                    self._check_heading(entry, expected)
+            except JournalError:
+                raise
+            except (ValueError, KeyError, TypeError, IndexError) as error:
+                if not number:
+                    raise JournalError(self._no_journal) from error
+                break
+            self._check = int(line[:8], 16)
+            self._size += len(line) + 1
+        if not lines and not self._is_torn(rest, expected):
+            raise JournalError(self._no_journal)
+        whole = self._size
+        self._cut(content[whole:])
+        if self._size == 0:
+            self._append(expected)
+            # A new file is there after a loss of power only when its folder is on the disk.
+            sync_folder(self.path.parent)
+
+    @property
+    def _no_journal(self) -> str:
+        return f'{self.path} is no journal of a robot: name another file, or move it away'
+
+    def _is_torn(self, content: bytes, expected: dict[str, Any]) -> bool:
+        """Say whether a loss of power can have left this of a first line, zeros in its place."""
+        return line_of(expected, 0)[0].startswith(content.rstrip(b'\0'))
+
+    def _checked(self, line: bytes) -> Any:
+        entry = json.loads(line[9:])
+        if line_of(entry, self._check)[0] != line + b'\n':
+            raise ValueError('the check sum is another')
+        return entry
+
+    def _check_heading(self, entry: dict[str, Any], expected: dict[str, Any]) -> None:
+        """Raise a JournalError unless the journal is that of this robot on this field."""
+        for name, wanted in expected.items():
+            if entry[name] != wanted:
+                raise JournalError(
+                    f'journal {self.path} has {name} {json.dumps(entry[name])}: here it is '
+                    f'{json.dumps(wanted)}; name another file, or move it away'
+                )
+
+    def _take(self, entry: dict[str, Any]) -> None:
+        """Take in a line that is as it was written."""
+        if 'deployment' in entry:
+            orders = tuple(entry['orders'])
+            self.trips.append(Trip(entry['deployment'], entry['mission'], orders))
+        elif 'step' in entry:
+            steps, place = self.trips[-1].steps, entry['step'] - 1
+            if not 0 <= place <= len(steps):
+                raise ValueError(f'step {place + 1} comes after {len(steps)}')
+            steps[place:] = [Step(entry['cell'], entry['time'], entry['reading'])]
+        else:
+            self.trips[-1].is_home = entry['home'] >= 0
+
+    def _cut(self, damaged: bytes) -> None:
+        """Cut off what no journal has written, but keep it if it is more than a torn line."""
+        if not damaged:
+            return
+        self.damage = f'journal {self.path}: its last {len(damaged)} bytes were cut off'
+        if b'\n' in damaged:
+            kept = self.path.with_name(f'{self.path.name}.damaged-{self._size}')
+            with kept.open('wb') as file:
+                file.write(damaged)
+                file.flush()
+                os.fsync(file.fileno())
+            sync_folder(self.path.parent)
+            self.damage += f', since they are damaged, and kept as {kept}'
+        else:
+            self.damage += ': the power was lost while they were written'
+        os.ftruncate(self._file, self._size)
+        os.fsync(self._file)
+
+    @property
+    def mission(self) -> int | None:
+        """When the mission of its deployments began, in nanoseconds; None without any."""
+        return self.trips[-1].mission if self.trips else None
+
+    @property
+    def under_way(self) -> Trip | None:
+        """Return the deployment that the robot is not home from; None if it is."""
+        return self.trips[-1] if self.trips and not self.trips[-1].is_home else None
+
+    def depart(self, trip: Trip) -> None:
+        """
+        Begin a deployment.
+
+        Raises
+        ------
+        OSError
+            If that is not on the disk: then nothing has begun.
+
+        """
+        self.write()
+        self._append(
+            {'deployment': trip.stamp, 'mission': trip.mission, 'orders': list(trip.orders)}
+        )
+        self.trips.append(trip)
+
+    def step(self, trip: Trip) -> None:
+        """
+        Keep the last step of a deployment, or what was read there since.
+
+        Raises
+        ------
+        OSError
+            If it is not on the disk; `write` tries again.
+
+        """
+        step = trip.steps[-1]
+        self._unwritten.append(
+            {
+                'step': len(trip.steps),
+                'cell': step.cell,
+                'time': step.time,
+                'reading': step.reading,
+            }
+        )
+        self.write()
+
+    def arrive(self, trip: Trip, time: int) -> None:
+        """Keep that the robot is home; raises OSError as `step` does."""
+        trip.is_home = True
+        self._unwritten.append({'home': time})
+        self.write()
+
+    def write(self) -> None:
+        """Put onto the disk what is not there yet; raises OSError if there is no room for it."""
+        while self._unwritten:
+            self._append(self._unwritten[0])
+            self._unwritten.popleft()
+
+    def _append(self, entry: dict[str, Any]) -> None:
+        """Put a line onto the disk, as a whole or not at all."""
+        line, check = line_of(entry, self._check)
+        try:
+            written = 0
+            while written < len(line):
+                written += os.pwrite(self._file, line[written:], self._size + written)
+            os.fsync(self._file)
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
+        self._size += len(line)
+        self._check = check
+
+    def close(self) -> None:
+        """Let other processes have it."""
+        os.close(self._file)
+
+
+def heading(agent: str, grid: Grid) -> dict[str, Any]:
+    """Return the first line of a journal, as JSON has it."""
+    blocked = ','.join(map(str, sorted(grid.blocked)))
+    field = {name: getattr(grid, name) for name in FIELD}
+    field |= {'origin': list(grid.origin), 'blocked': sha256(blocked.encode()).hexdigest()[:16]}
+    return {'journal': VERSION, 'agent': agent, 'grid': field}
+
+
+def line_of(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
+    """Return a line of a journal and its check sum, given that of the line before; 0 for none."""
+    text = json.dumps(entry, separators=(',', ':')).encode()
+    check = zlib.crc32(text, before)
+    return b'%08x %s\n' % (check, text), check
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of the files in a folder on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

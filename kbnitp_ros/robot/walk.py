@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the positions of a robot to the cells of its walk."""
+
+from __future__ import annotations
+
+from math import hypot
+
+from kbnitp_ros.core import Grid
+from kbnitp_ros.robot.way import shortest_way
+import numpy as np
+
+# How far beyond the edge of its cell a robot must be to have left it, in sides of a cell: one that
+# drives along the edge does not go back and forth between the two, and one that passes a corner on
+# its diagonal is not in the cells beside it.
+MARGIN = 0.2
+
+
+class Walk:
+    """
+    The cell that a robot is in, and the steps that take it to the next.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    cell : int
+        Where the robot is at first.
+    patience : float
+        How long, in seconds, a position must last that is further than one cell away: until then
+        it may be an error of who tells positions.
+
+    """
+
+    def __init__(self, grid: Grid, cell: int, patience: float) -> None:
+        self.grid = grid
+        self.cell = cell
+        self._patience = patience
+        # Since when the robot seems to have jumped.
+        self._away_since: float | None = None
+
+    def follow(self, x: float, y: float, time: float) -> list[int]:
+        """
+        Return the cells that a robot has entered which is seen at a position.
+
+        Of a robot that was not seen for more than a cell these are the cells of a shortest way:
+        it must have come by some way, and that it survived is evidence of the shortest at least.
+
+        Parameters
+        ----------
+        x, y : float
+            Where it is, in metres.
+        time : float
+            When, in seconds.
+
+        Raises
+        ------
+        ValueError
+            If no robot can be there, or not yet: then it is still in the cell where it was.
+
+        """
+        row, col = divmod(self.cell, self.grid.width)
+        place = (np.array([x, y]) - self.grid.origin) / self.grid.resolution - (col, row)
+        if (np.abs(place - 0.5) <= 0.5 + MARGIN).all():
+            self._away_since = None
+            return []
+        cell = self.cell_at(x, y)
+        to_row, to_col = divmod(cell, self.grid.width)
+        if max(abs(to_row - row), abs(to_col - col)) > 1:
+            if self._away_since is None:
+                self._away_since = time
+            if time - self._away_since < self._patience:
+                raise ValueError(
+                    f'the robot seems to have jumped from cell {self.cell} to cell {cell}, '
+                    f'({x:.2f}, {y:.2f}): that counts if it lasts for {self._patience} s'
+                )
+        way = shortest_way(self.grid, self.cell, cell)[1:]
+        self._away_since = None
+        self.cell = cell
+        return way
+
+    def settle(self, x: float, y: float) -> list[int]:
+        """Return the cells entered by a robot that has come to rest: then no margin counts."""
+        cell = self.cell_at(x, y)
+        way = shortest_way(self.grid, self.cell, cell)[1:]
+        self.cell = cell
+        return way
+
+    def cell_at(self, x: float, y: float) -> int:
+        """
+        Return the cell at a position.
+
+        Raises
+        ------
+        ValueError
+            If it is outside the grid or in a blocked cell.
+
+        """
+        cell = int(self.grid.cells_at([[x, y]])[0])
+        if cell in self.grid.blocked:
+            raise ValueError(f'point ({x}, {y}) is in cell {cell}, which is blocked')
+        return cell
+
+
+def distance_to_base(grid: Grid, x: float, y: float) -> float:
+    """Return how far a position is from the middle of the base, in metres."""
+    ((base_x, base_y),) = grid.centers([grid.base]).tolist()
+    return hypot(x - base_x, y - base_y)

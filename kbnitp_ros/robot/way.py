@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ways through the grid: orders in legs that can be driven, and ways that nobody ordered."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+
+from kbnitp_ros.core import Grid
+
+# The cells of one goal, the one that the robot starts in first. A stay is its cell twice.
+Leg = tuple[int, ...]
+
+
+def legs_of(orders: Sequence[int]) -> list[Leg]:
+    """
+    Return a path in legs that one goal of Nav2 each can drive.
+
+    A goal counts as reached when the robot is near its last pose, wherever the others are, so a
+    way that ends where it starts is done before it begins. And a controller takes the nearest
+    point of a path for where the robot is on it. So no leg enters a cell twice, its start
+    included; but for stays, which are legs of their own.
+
+    Parameters
+    ----------
+    orders : sequence of int
+        Cells, each a neighbour of the one before, or the same.
+
+    Returns
+    -------
+    list of tuple of int
+        Each leg starts in the cell that the one before ends in.
+
+    """
+    legs: list[Leg] = []
+    leg = [orders[0]]
+    for before, cell in pairwise(orders):
+        if cell in leg:
+            if len(leg) > 1:
+                legs.append(tuple(leg))
+            leg = [before]
+        if cell == before:
+            legs.append((cell, cell))
+        else:
+            leg.append(cell)
+    if len(leg) > 1:
+        legs.append(tuple(leg))
+    return legs
+
+
+def without_loops(cells: Iterable[int]) -> list[int]:
+    """Return a way from the first to the last of these cells that enters none of them twice."""
+    way: dict[int, None] = {}
+    for cell in cells:
+        if cell in way:
+            while next(reversed(way)) != cell:
+                way.popitem()
+        else:
+            way[cell] = None
+    return list(way)
+
+
+def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
+    """
+    Return the cells of a way with the fewest steps, both ends included.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+
+    """
+    came_from = {start: start}
+    frontier = deque([start])
+    while frontier and end not in came_from:
+        cell = frontier.popleft()
+        for neighbor in grid.neighbors(cell).tolist():
+            if neighbor not in came_from:
+                came_from[neighbor] = cell
+                frontier.append(neighbor)
+    if end not in came_from:
+        raise ValueError(f'no way leads from cell {start} to cell {end}')
+    way = [end]
+    while way[-1] != start:
+        way.append(came_from[way[-1]])
+    return way[::-1]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The journal of a robot after any loss of power, damage, or mix-up."""
+
+from copy import deepcopy
+import os
+from pathlib import Path
+import resource
+
+from hypothesis import given
+from hypothesis import strategies as st
+from kbnitp_ros.core import Grid
+from kbnitp_ros.robot import Journal, Step, Trip
+from kbnitp_ros.robot.journal import JournalError
+import pytest
+
+GRID = Grid(4, 3, blocked=[5])
+ORDERS = (0, 1, 2, 1, 0)
+
+# What a robot does, one after another: leave, come to a cell, read something there, come home.
+DOINGS = st.lists(st.integers(0, 5), max_size=30)
+
+
+def opened(path, agent='scout_1', grid=GRID):
+    return Journal(path, agent, grid)
+
+
+def live(journal, doings):
+    """Have a robot do what it can of this; yield what is on record after each line."""
+    trip = None
+    for number, doing in enumerate(doings):
+        if trip is None:
+            trip = Trip(1000 + number, 7, ORDERS)
+            journal.depart(trip)
+        elif doing == 0:
+            journal.arrive(trip, number)
+            trip = None
+        elif doing < 4 or not trip.steps or trip.steps[-1].reading == 1:
+            trip.steps.append(Step(doing, number))
+            journal.step(trip)
+        else:
+            trip.steps[-1].reading += 1
+            journal.step(trip)
+        yield deepcopy(journal.trips)
+
+
+def reopened(path):
+    journal = opened(path)
+    journal.close()
+    return journal
+
+
+@given(doings=DOINGS, data=st.data())
+def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
+    tmp_path_factory, doings, data
+):
+    path = tmp_path_factory.mktemp('journal') / 'journal'
+    journal = opened(path)
+    states, ends = [[]], [path.stat().st_size]
+    for state in live(journal, doings):
+        states.append(state)
+        ends.append(path.stat().st_size)
+    journal.close()
+    content = path.read_bytes()
+    end = data.draw(st.integers(0, len(content)))
+    lines = sum(each <= end for each in ends)
+    # Of a torn line, blocks may be on the disk that were given to the file and never written.
+    path.write_bytes(content[:end] + bytes(data.draw(st.integers(0, 50))))
+    journal = reopened(path)
+    assert journal.trips == states[max(lines - 1, 0)]
+    assert path.read_bytes() == content[: ends[max(lines - 1, 0)]]
+    # It is gone on with as if nothing had happened.
+    journal = opened(path)
+    assert not journal.damage
+    trip = Trip(9999, 7, ORDERS)
+    journal.depart(trip)
+    journal.close()
+    assert reopened(path).trips == [*states[max(lines - 1, 0)], trip]
+
+
+@given(doings=DOINGS, data=st.data())
+def test_damage_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory, doings, data):
+    path = tmp_path_factory.mktemp('journal') / 'journal'
+    journal = opened(path)
+    states = [[], *live(journal, doings)]
+    journal.close()
+    content = bytearray(path.read_bytes())
+    heading = content.index(b'\n') + 1
+    if len(content) == heading:
+        return
+    place = data.draw(st.integers(heading, len(content) - 1))
+    content[place] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(content)
+    journal = reopened(path)
+    whole = bytes(content[:place]).count(b'\n') - 1
+    assert journal.trips == states[whole]
+    assert str(path) in journal.damage
+    kept = [each for each in path.parent.iterdir() if 'damaged' in each.name]
+    together = path.read_bytes() + (kept[0].read_bytes() if kept else b'')
+    # A last line that was torn is not kept: nobody has acted on it.
+    assert bytes(content).startswith(together)
+    cut = bytes(content).removeprefix(together)
+    assert kept or b'\n' not in cut
+    assert bool(kept) == (len(together) == len(content))
+
+
+def test_a_journal_of_another_robot_or_field_is_refused_by_name(tmp_path):
+    path = tmp_path / 'folder' / 'journal'
+    opened(path).close()
+    content = path.read_bytes()
+    with pytest.raises(JournalError, match=r'journal .*folder/journal has agent "scout_1": here'):
+        opened(path, 'scout_2')
+    with pytest.raises(JournalError, match=r'has grid .*"width": 4.*here it is .*"width": 5'):
+        opened(path, grid=Grid(5, 3, blocked=[5]))
+    with pytest.raises(JournalError, match='has grid'):
+        opened(path, grid=Grid(4, 3, blocked=[6]))
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
+def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path, content):
+    path = tmp_path / 'letters'
+    path.write_bytes(content)
+    with pytest.raises(JournalError, match='letters is no journal of a robot'):
+        opened(path)
+    assert path.read_bytes() == content
+
+
+def test_two_processes_never_write_one_journal(tmp_path):
+    journal = opened(tmp_path / 'journal')
+    with pytest.raises(JournalError, match='in use by another process'):
+        opened(tmp_path / 'journal')
+    journal.close()
+    opened(tmp_path / 'journal').close()
+
+
+def test_a_disk_that_is_full_takes_nothing_from_what_is_on_it(tmp_path):
+    path = tmp_path / 'journal'
+    journal = opened(path)
+    trip = Trip(1, 7, ORDERS)
+    journal.depart(trip)
+    size = path.stat().st_size
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # A part of the next line has room.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10, before[1]))
+    try:
+        for number in range(3):
+            trip.steps.append(Step(number, number, 1))
+            with pytest.raises(OSError, match='journal'):
+                journal.step(trip)
+            assert path.stat().st_size == size
+        with pytest.raises(OSError, match='journal'):
+            journal.arrive(trip, 9)
+        with pytest.raises(OSError, match='journal'):
+            journal.depart(Trip(2, 7, ORDERS))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert len(journal.trips) == 1
+    # With room again all is written that was kept in memory, in its order.
+    journal.write()
+    journal.close()
+    (known,) = reopened(path).trips
+    assert known == trip
+    assert known.is_home
+
+
+def test_every_line_is_on_the_disk_before_the_robot_goes_on(tmp_path, monkeypatch):
+    synced = {}
+    fsync = os.fsync
+
+    def keep(descriptor):
+        fsync(descriptor)
+        synced[str(Path(f'/proc/self/fd/{descriptor}').readlink())] = os.fstat(descriptor).st_size
+
+    monkeypatch.setattr(os, 'fsync', keep)
+    path = tmp_path / 'journal'
+    journal = opened(path)
+    assert str(tmp_path) in synced
+    for _ in live(journal, [1, 1, 4, 4, 2, 0, 1, 0]):
+        assert synced[str(path)] == path.stat().st_size
+    journal.close()

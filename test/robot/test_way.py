@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Legs that goals can drive, ways home, and walks that are walks whatever positions come."""
+
+from contextlib import suppress
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+from kbnitp_ros.core import Grid
+from kbnitp_ros.robot import Itinerary, legs_of, shortest_way, Walk, without_loops
+import numpy as np
+import pytest
+
+GRID = Grid(6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9, 14, 15, 21])
+
+
+def wander(data, grid, steps, start=None):
+    """Return a way drawn at random."""
+    way = [grid.base if start is None else start]
+    for _ in range(steps):
+        way.append(data.draw(st.sampled_from(grid.neighbors(way[-1]).tolist())))
+    return way
+
+
+def home(grid, way):
+    return [*way, *shortest_way(grid, way[-1], grid.base)[1:]]
+
+
+@given(data=st.data(), steps=st.integers(1, 20))
+def test_legs_make_the_orders_and_none_closes_or_crosses_itself(data, steps):
+    orders = home(GRID, wander(data, GRID, steps))
+    legs = legs_of(orders)
+    made = [orders[0]]
+    for leg in legs:
+        assert leg[0] == made[-1]
+        made += leg[1:]
+        assert len(set(leg)) == len(leg) or (len(leg) == 2 and leg[0] == leg[1])
+    assert made == orders
+
+
+def test_legs_of_a_path_there_and_back_and_round():
+    assert legs_of([0, 1, 2, 1, 0]) == [(0, 1, 2), (2, 1, 0)]
+    assert legs_of([0, 1, 7, 6, 0]) == [(0, 1, 7, 6), (6, 0)]
+    assert legs_of([0, 0, 1, 1, 1, 0, 0]) == [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (0, 0)]
+    assert legs_of([0, 0]) == [(0, 0)]
+
+
+@given(data=st.data(), steps=st.integers(0, 25))
+def test_a_way_without_loops_goes_where_the_way_went(data, steps):
+    way = wander(data, GRID, steps)
+    cut = without_loops(reversed(way))
+    assert cut[0] == way[-1]
+    assert cut[-1] == GRID.base
+    assert len(set(cut)) == len(cut)
+    assert set(cut) <= set(way)
+    assert all(after in GRID.neighbors(before) for before, after in pairwise(cut))
+
+
+def test_the_shortest_way_is_as_long_as_the_grid_says():
+    for cell in np.flatnonzero(GRID.free).tolist():
+        way = shortest_way(GRID, cell, GRID.base)
+        assert len(way) - 1 == GRID.steps_to_base[cell]
+    with pytest.raises(ValueError, match='no way leads'):
+        shortest_way(GRID, 0, 9)
+
+
+@given(data=st.data(), steps=st.integers(1, 30), connectivity=st.sampled_from([4, 8]))
+def test_a_walk_is_one_whatever_positions_come(data, steps, connectivity):
+    grid = Grid(
+        6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9], connectivity=connectivity
+    )
+    walk = Walk(grid, grid.base, patience=1.0)
+    cells = [grid.base]
+    for time in range(steps):
+        x, y = data.draw(st.tuples(st.floats(-3, 4), st.floats(0, 6)))
+        with suppress(ValueError):
+            cells += walk.follow(x, y, float(time))
+        assert cells[-1] == walk.cell
+    grid.check_path([*home(grid, cells), grid.base])
+
+
+@given(data=st.data(), steps=st.integers(0, 12), noise=st.floats(0, 0.045))
+def test_a_robot_on_its_orders_walks_them(data, steps, noise):
+    """Positions along straight lines between the middles of the cells, with some noise."""
+    orders = home(GRID, wander(data, GRID, steps))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    walk, cells = Walk(GRID, GRID.base, patience=1.0), [GRID.base]
+    centers = GRID.centers(orders)
+    for number, (start, end) in enumerate(pairwise(centers)):
+        for part in np.linspace(0, 1, 21):
+            x, y = start + part * (end - start) + rng.uniform(-noise, noise, 2)
+            cells += walk.follow(x, y, number + part)
+    moves = [cell for before, cell in zip([None, *orders], orders) if cell != before]
+    assert cells == moves
+
+
+def test_a_jump_counts_when_it_lasts():
+    walk = Walk(Grid(9, 9), 0, patience=2.0)
+    with pytest.raises(ValueError, match='jumped from cell 0 to cell 40'):
+        walk.follow(4.5, 4.5, 0.0)
+    assert walk.follow(0.6, 0.5, 1.0) == []
+    for time in (2.0, 3.9):
+        with pytest.raises(ValueError, match='jumped'):
+            walk.follow(4.5, 4.5, time)
+    assert walk.follow(4.5, 4.5, 4.0) == [10, 20, 30, 40]
+    with pytest.raises(ValueError, match='outside the grid'):
+        walk.follow(-1.0, 4.5, 5.0)
+    assert walk.cell == 40
+
+
+def test_along_an_edge_a_robot_stays_in_its_cell_until_it_has_come_to_rest():
+    walk = Walk(Grid(9, 9), 0, patience=2.0)
+    for time in range(20):
+        assert walk.follow(1.0 + 0.19 * (-1) ** time, 0.5, time) == []
+    assert walk.follow(1.21, 0.5, 20) == [1]
+    assert walk.settle(0.99, 0.5) == [0]
+
+
+def test_a_leg_is_tried_again_from_where_the_robot_is_then_it_goes_home_as_it_came():
+    grid = Grid(9, 9)
+    itinerary = Itinerary(grid, [0, 1, 2, 3, 12, 11, 10, 0], attempts=2)
+    walk = [0]
+
+    def enter(cell):
+        walk.append(cell)
+        itinerary.enter(cell)
+
+    assert itinerary.next_leg(walk) == (0, 1, 2, 3, 12, 11, 10)
+    enter(1)
+    itinerary.fail()
+    assert itinerary.next_leg(walk) == (1, 2, 3, 12, 11, 10)
+    # Beside its way, the robot makes for the same cells; with progress it is tried as often again.
+    enter(10)
+    enter(2)
+    itinerary.fail()
+    assert not itinerary.heads_home
+    assert itinerary.next_leg(walk) == (2, 3, 12, 11, 10)
+    itinerary.fail()
+    assert itinerary.heads_home
+    assert itinerary.destination == 0
+    assert itinerary.next_leg(walk) == (2, 10, 1, 0)
+    for number in range(6):
+        itinerary.fail()
+        # The shortest way and the way it came, in turns.
+        expected = [(2, 10, 1, 0), (2, 1, 0)][(number + 1) // 2 % 2]
+        assert itinerary.next_leg(walk) == expected
+
+
+def test_stays_and_legs_follow_each_other_until_the_robot_goes_home():
+    itinerary = Itinerary(Grid(9, 9), [0, 1, 1, 0], attempts=1)
+    legs = []
+    walk = [0]
+    while not itinerary.heads_home:
+        leg = itinerary.next_leg(walk)
+        legs.append((leg, itinerary.is_stay))
+        for cell in leg[1:]:
+            walk.append(cell)
+            itinerary.enter(cell)
+        itinerary.succeed()
+    assert legs == [((0, 1), False), ((1, 1), True), ((1, 0), False)]
+    assert itinerary.next_leg(walk) == (0,)
