@@ -12,7 +12,16 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
-from kbnitp_ros.core import Belief, Estimator, Grid, Observation, run_mission, SensorModel, World
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    Observation,
+    ORDINARY,
+    run_mission,
+    SensorModel,
+    World,
+)
 from kbnitp_ros.core.inference.chains import CHAINS, Chains
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
 from kbnitp_ros.core.inference.tally import Tally
@@ -48,7 +57,7 @@ def posterior(lethality: float, observations: list[Observation], seed: int) -> N
     tally = Tally.empty(GRID.cells)
     for observation in observations:
         sampler.assimilate(observation)
-        tally = tally.and_one_more(observation)
+        tally = tally.and_one_more(observation, ORDINARY)
     start = sampler._inference
     hypotheses = Hypotheses(PRIOR, SensorModel(lethality), Unknowns())
     rng = np.random.default_rng(seed)

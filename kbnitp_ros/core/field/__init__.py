@@ -7,6 +7,7 @@ from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.field.conduct import Conduct, OBEDIENT, Traverse
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.kind import Kind, ORDINARY, SENSORS
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
 from kbnitp_ros.core.field.observation import as_path, Observation, Visits
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -15,9 +16,12 @@ from kbnitp_ros.core.field.world import World
 
 __all__ = [
     'OBEDIENT',
+    'ORDINARY',
+    'SENSORS',
     'Belief',
     'Conduct',
     'Grid',
+    'Kind',
     'Observation',
     'SensorModel',
     'Traverse',

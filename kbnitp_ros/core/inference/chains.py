@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kbnitp_ros.core.field import SensorModel, times_log
+from kbnitp_ros.core.field import ORDINARY, SensorModel, times_log
 from kbnitp_ros.core.inference import gibbs
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
 from kbnitp_ros.core.inference.prior_map import expit, softplus
@@ -105,10 +105,19 @@ class Chains:
         self.sweeps = 0
         self._undecided = np.flatnonzero(hypotheses.hazard.undecided)
         self._ties = tally.ties(hypotheses.belief.hazard > 0.0, hypotheses.hazard.undecided)
-        steps, self._length = np.unique(tally.steps, return_inverse=True)
-        exposures = np.arange(tally.steps.max(initial=0) + 1)
-        self._endured = np.exp(times_log(steps, hypotheses.log_endured[:, None]))
-        self._spared = np.exp(times_log(exposures, hypotheses.log_spared[:, None]))
+        # By kind, as the tally counts them.
+        self._rates = [hypotheses.rates(kind) for kind in tally.kinds]
+        # What losses have in common with others: the kind of robot and the number of steps.
+        longest = tally.steps.max(initial=0)
+        lengths, self._length = np.unique(
+            tally.kind * (longest + 1) + tally.steps, return_inverse=True
+        )
+        self._kind_of_length, steps = np.divmod(lengths, longest + 1)
+        exposures = np.arange(longest + 1)
+        log_endured, log_spared = self._survival_of_kinds()
+        of_lengths = np.take(log_endured, self._kind_of_length, axis=1)
+        self._endured = np.exp(times_log(steps, of_lengths))
+        self._spared = np.exp(times_log(exposures, log_spared[:, :, None]))
         self._moving = gibbs.Chains(
             self.hazardous,
             np.zeros((CHAINS, tally.steps.size), np.int32),
@@ -124,13 +133,16 @@ class Chains:
             name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
             for name in hypotheses.unknown
         }
-        # Sums of the chances to survive a step into a safe cell and into a hazard.
+        # Sums of the chances to survive a step into a safe cell and into a hazard, of robots like
+        # all others.
         self._steps_survived = np.zeros(2)
 
     def sweep(self) -> None:
         """Draw everything once, and add up the probabilities it was drawn with."""
         log_odds, target_if_safe, target_if_hazardous = self._given_returns()
-        chances = gibbs.Chances(np.exp(log_odds), self._length, self._endured, self._spared)
+        chances = gibbs.Chances(
+            np.exp(log_odds), self._length, self._kind_of_length, self._endured, self._spared
+        )
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
                 self._moving,
@@ -165,6 +177,17 @@ class Chains:
         """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self.place[name], None]
 
+    def _survival_of_kinds(self) -> tuple[Floats, Floats]:
+        """Return log chances of no malfunction and of no strike, each of shape (values, kinds)."""
+        endured, spared = (
+            [np.broadcast_to(of_kind, self._hypotheses.bins[name].values.size) for of_kind in each]
+            for name, each in (
+                ('malfunction', [rates.log_endured for rates in self._rates]),
+                ('lethality', [rates.log_spared for rates in self._rates]),
+            )
+        )
+        return np.stack(endured, axis=1), np.stack(spared, axis=1)
+
     def _given_returns(self) -> tuple[Floats, Floats, Floats]:
         """
         Return what steps survived and readings tell of each cell, shape (1 or chains, cells).
@@ -172,19 +195,20 @@ class Chains:
         That is the log odds of a hazard, and the odds of a target without and with one.
         """
         tally, hypotheses = self._tally, self._hypotheses
-        true, false = (
-            self._of_chains(name, hypotheses.bins[name].values)
-            for name in ('true_positive', 'false_positive')
-        )
-        with np.errstate(divide='ignore', invalid='ignore'):
-            read = times_log(tally.positive, np.log(true) - np.log(false))
-            read = read + times_log(tally.negative, np.log1p(-true) - np.log1p(-false))
+        read: Floats = np.zeros((1, tally.survived.shape[1]))
+        for rates, positive, negative in zip(self._rates, tally.positive, tally.negative):
+            true = self._of_chains('true_positive', rates.true_positive)
+            false = self._of_chains('false_positive', rates.false_positive)
+            with np.errstate(divide='ignore', invalid='ignore'):
+                read = read + times_log(positive, np.log(true) - np.log(false))
+                read = read + times_log(negative, np.log1p(-true) - np.log1p(-false))
         read = read.clip(-CERTAIN_READING, CERTAIN_READING)
         kappa = hypotheses.kappa.at(self.place['kappa'])
         background = hypotheses.background.at(self.place['target_background'])
-        spared = self._of_chains('lethality', hypotheses.log_spared)
         log_odds = hypotheses.hazard.at(self.place['hazard_density'])
-        log_odds = log_odds + times_log(tally.survived, spared)
+        for rates, survived in zip(self._rates, tally.survived):
+            spared = self._of_chains('lethality', rates.log_spared)
+            log_odds = log_odds + times_log(survived, spared)
         log_odds = log_odds + (softplus(read + kappa) - softplus(kappa))
         log_odds = log_odds - (softplus(read + background) - softplus(background))
         return (
@@ -221,21 +245,31 @@ class Chains:
         tally, hypotheses = self._tally, self._hypotheses
         exposures, lengths = self._moving.exposures, self._length
         if 'lethality' in hypotheses.unknown:
-            likelihood = np.ones((CHAINS, hypotheses.log_spared.size))
+            values, kinds, most = self._spared.shape
+            likelihood = np.ones((CHAINS, values))
             endured = self._endured[self.place['malfunction'][:, None], lengths]
-            gibbs.weigh_by_losses(endured, exposures, self._spared.T.copy(), likelihood)
-            exposed = (self.hazardous * tally.survived).sum(axis=1)
-            log_likelihood = log(likelihood) + exposed[:, None] * hypotheses.log_spared
+            spared: Floats = self._spared.reshape(values, kinds * most).T.copy()
+            place = exposures + (tally.kind * most).astype(np.int32)
+            gibbs.weigh_by_losses(endured, place, spared, likelihood)
+            log_likelihood = log(likelihood)
+            for kind, rates, survived in zip(tally.kinds, self._rates, tally.survived):
+                if kind.lethality is None:
+                    exposed = (self.hazardous * survived).sum(axis=1)
+                    log_likelihood = log_likelihood + exposed[:, None] * rates.log_spared
             weight = self._draw('lethality', log_likelihood)
-            spared = (weight * np.exp(hypotheses.log_spared)).sum(axis=1)
-            endured = np.exp(hypotheses.log_endured[self.place['malfunction']])
+            ordinary = self._rates[tally.kinds.index(ORDINARY)]
+            spared = (weight * np.exp(ordinary.log_spared)).sum(axis=1)
+            endured = np.exp(ordinary.log_endured[self.place['malfunction']])
             self._steps_survived += endured.sum(), (endured * spared).sum()
         if 'malfunction' in hypotheses.unknown:
-            likelihood = np.ones((CHAINS, hypotheses.log_endured.size))
-            spared = self._spared[self.place['lethality'][:, None], exposures]
+            likelihood = np.ones((CHAINS, self._endured.shape[0]))
+            spared = self._spared[self.place['lethality'][:, None], tally.kind, exposures]
             length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
             gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
-            log_likelihood = log(likelihood) + tally.survived.sum() * hypotheses.log_endured
+            log_likelihood = log(likelihood)
+            for kind, rates, survived in zip(tally.kinds, self._rates, tally.survived):
+                if kind.malfunction is None:
+                    log_likelihood = log_likelihood + survived.sum() * rates.log_endured
             self._draw('malfunction', log_likelihood)
 
     def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
@@ -263,8 +297,11 @@ class Chains:
         for name, concerned in (('true_positive', target), ('false_positive', ~target)):
             if name in unknown:
                 values = hypotheses.bins[name].values
-                positive = (concerned * tally.positive).sum(axis=1)[:, None]
-                negative = (concerned * tally.negative).sum(axis=1)[:, None]
+                learning = [getattr(kind, name) is None for kind in tally.kinds]
+                positive, negative = (
+                    (concerned * counts[learning].sum(axis=0)).sum(axis=1)[:, None]
+                    for counts in (tally.positive, tally.negative)
+                )
                 log_likelihood = positive * np.log(values) + negative * np.log1p(-values)
                 self._draw(name, log_likelihood)
 
@@ -276,7 +313,7 @@ class Chains:
         }
 
     def model(self) -> SensorModel:
-        """Return the model that survives and reads with the probabilities expected."""
+        """Return the model of robots like all others: the probabilities expected of them."""
         means = {name: learnt.mean for name, learnt in self.learnt().items()}
         if 'lethality' in means:
             # That of a step into a hazard is the mean of a product: where both are unknown, a

@@ -6,7 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, whole_number
+from kbnitp_ros.core.field import (
+    Belief,
+    Kind,
+    Observation,
+    ORDINARY,
+    SensorModel,
+    whole_number,
+)
 from kbnitp_ros.core.inference.methods import VERSIONS, versions
 from kbnitp_ros.core.inference.unknowns import ALL_KNOWN, Learnt, Unknowns
 
@@ -83,7 +90,11 @@ class Estimator:
 
     @property
     def model(self) -> SensorModel:
-        """Return the sensor model to plan with: as given, or as expected by what was learnt."""
+        """
+        Return the sensor model to plan with: as given, or as expected by what was learnt.
+
+        It is that of robots like all others, and `Kind.model` makes that of a kind of it.
+        """
         return self._inference.model
 
     @property
@@ -101,9 +112,17 @@ class Estimator:
         """Whether that is as little as the method aims at."""
         return self._inference.is_settled
 
-    def assimilate(self, observation: Observation) -> None:
+    def assimilate(self, observation: Observation, kind: Kind = ORDINARY) -> None:
         """
         Take in one deployment.
+
+        Parameters
+        ----------
+        observation : Observation
+            Its outcome.
+        kind : Kind
+            Of the robot: its sensor model is that of the estimator but for what it has of its own,
+            which is known even where the estimator's is learnt.
 
         Raises
         ------
@@ -112,7 +131,7 @@ class Estimator:
             which then stays as it is.
 
         """
-        self._inference.assimilate(observation)
+        self._inference.assimilate(observation, kind)
 
     def copy(self) -> Estimator:
         """Return an estimator that goes on by itself from here; it costs next to no memory."""

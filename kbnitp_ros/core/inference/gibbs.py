@@ -72,16 +72,20 @@ class Chances(NamedTuple):
     odds : ndarray, shape (1 or chains, cells)
         Of each hazard without the losses; from `SMALL` to `LARGE`.
     length : ndarray of int, shape (losses,)
-        Which of the lengths that lost paths have is that of each.
+        Which of the lengths that lost paths have is that of each; of robots of different kinds
+        they count as different.
+    kind : ndarray of int, shape (lengths,)
+        Of the robots whose paths have each length.
     endured : ndarray, shape (values, lengths)
         Chance of no malfunction in a path of each length.
-    spared : ndarray, shape (values, most exposures + 1)
-        Chance of no strike in that many exposures.
+    spared : ndarray, shape (values, kinds, most exposures + 1)
+        Chance of no strike in that many exposures of a robot of each kind.
 
     """
 
     odds: NDArray[np.float64]
     length: NDArray[np.intp]
+    kind: NDArray[np.intp]
     endured: NDArray[np.float64]
     spared: NDArray[np.float64]
 
@@ -94,12 +98,16 @@ def lost(survived: float) -> float:
 
 @compiled
 def tabulate_losses(
-    endured: NDArray[np.float64], spared: NDArray[np.float64], table: NDArray[np.float64]
+    endured: NDArray[np.float64],
+    kind: NDArray[np.intp],
+    spared: NDArray[np.float64],
+    table: NDArray[np.float64],
 ) -> None:
     """Fill `table`, (lengths, exposures), with the chance to be lost."""
     for length in range(endured.size):
-        for exposures in range(spared.size):
-            table[length, exposures] = lost(endured[length] * spared[exposures])
+        of_kind = spared[kind[length]]
+        for exposures in range(of_kind.size):
+            table[length, exposures] = lost(endured[length] * of_kind[exposures])
 
 
 @compiled
@@ -117,12 +125,12 @@ def draw_hazards(
     `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
     shape, takes the conditional odds of a hazard that each was drawn with.
     """
-    table = np.empty((chances.endured.shape[1], chances.spared.shape[1]))
+    table = np.empty((chances.endured.shape[1], chances.spared.shape[2]))
     for chain in range(chains.hazardous.shape[0]):
         odds = chances.odds[chain % chances.odds.shape[0]]
         hazardous, exposures = chains.hazardous[chain], chains.exposures[chain]
         endured = chances.endured[chains.malfunction[chain]]
-        tabulate_losses(endured, chances.spared[chains.strike[chain]], table)
+        tabulate_losses(endured, chances.kind, chances.spared[chains.strike[chain]], table)
         for cell in cells:
             start, end = ties.first_loss[cell], ties.first_loss[cell + 1]
             here = hazardous[cell]
@@ -157,12 +165,12 @@ def exchange_hazards(
     hazardous cell, its safe cell and the acceptance. There are as many of each after an exchange
     as before, so proposals are symmetric.
     """
-    table = np.empty((chances.endured.shape[1], chances.spared.shape[1]))
+    table = np.empty((chances.endured.shape[1], chances.spared.shape[2]))
     for chain in range(chains.hazardous.shape[0]):
         odds = chances.odds[chain % chances.odds.shape[0]]
         hazardous, exposures = chains.hazardous[chain], chains.exposures[chain]
         endured = chances.endured[chains.malfunction[chain]]
-        tabulate_losses(endured, chances.spared[chains.strike[chain]], table)
+        tabulate_losses(endured, chances.kind, chances.spared[chains.strike[chain]], table)
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
             path = int(numbers[0] * exposures.size)

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
-from kbnitp_ros.core.field import Belief, SensorModel, times_log
+from kbnitp_ros.core.field import Belief, Kind, SensorModel, times_log
 from kbnitp_ros.core.inference.prior_map import PriorMap
 from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Bins, Unknowns
@@ -14,6 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """
+    What robots of one kind do, for each value of the numbers; one value where theirs is known.
+
+    Attributes
+    ----------
+    log_endured : ndarray, shape (values,)
+        Log chance of a step without malfunction, for each malfunction.
+    log_spared : ndarray, shape (values,)
+        Log chance that a step into a hazard does not destroy the robot, for each lethality.
+    true_positive, false_positive : ndarray, shape (values,)
+        As of a `SensorModel`.
+
+    """
+
+    log_endured: NDArray[np.float64]
+    log_spared: NDArray[np.float64]
+    true_positive: NDArray[np.float64]
+    false_positive: NDArray[np.float64]
 
 
 class Hypotheses:
@@ -25,7 +47,7 @@ class Hypotheses:
     belief : Belief
         The prior.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        What robots like all others, and their sensors, are believed to be like.
     unknowns : Unknowns
         Which of these numbers are not known.
 
@@ -39,9 +61,6 @@ class Hypotheses:
         Which are not.
     hazard, kappa, background : PriorMap
         P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
-    log_endured, log_spared : ndarray, shape (values,)
-        Log chance of a step without malfunction, and of a step into a hazard that does not
-        destroy the robot, for each malfunction and for each lethality.
 
     Raises
     ------
@@ -72,10 +91,6 @@ class Hypotheses:
         self.hazard = self._map('hazard_density', belief.hazard, possible)
         self.kappa = self._map('kappa', belief.kappa, possible)
         self.background = self._map('target_background', background.clip(max=1.0), safe > 0.0)
-        with np.errstate(divide='ignore'):
-            self.log_endured = np.log1p(-self.bins['malfunction'].values)
-            strike = self.bins['lethality'].values * (1.0 - model.false_negative)
-            self.log_spared = np.log1p(-strike)
         self.prior_is_known = not {'hazard_density', 'kappa', 'target_background'}.intersection(
             self.unknown
         )
@@ -102,6 +117,19 @@ class Hypotheses:
         joint = [(1.0 - hazard) * (1.0 - background), (1.0 - hazard) * background]
         joint += [hazard * (1.0 - kappa), hazard * kappa]
         return self.belief_of(np.stack(joint, axis=-1).reshape(-1, 2, 2))
+
+    def rates(self, kind: Kind) -> Rates:
+        """Return what robots of a kind do: their own numbers are known, the others as here."""
+        values = {name: self.bins[name].values for name in RATES}
+        values |= {name: np.array([value]) for name, value in kind.sensors.items()}
+        strike = values['lethality'] * (1.0 - kind.model(self._model).false_negative)
+        with np.errstate(divide='ignore'):
+            return Rates(
+                log_endured=np.log1p(-values['malfunction']),
+                log_spared=np.log1p(-strike),
+                true_positive=values['true_positive'],
+                false_positive=values['false_positive'],
+            )
 
     def belief_of(self, joint: NDArray[np.float64]) -> Belief:
         """Return the belief with these joints, without what the prior excludes."""
@@ -131,17 +159,22 @@ class Hypotheses:
         """
         # Whatever is unknown lies strictly between 0 and 1, and where makes no difference here.
         model = self.model_with({name: self.bins[name].values[0] for name in self.unknown})
+        models = [kind.model(model) for kind in tally.kinds]
         with np.errstate(divide='ignore'):
             cell = np.log(self._prior.joint)
-        cell += times_log(tally.survived[:, None], model.log_survival)[:, :, None]
-        cell += times_log(tally.positive[:, None], model.log_reading[1])[:, None]
-        cell += times_log(tally.negative[:, None], model.log_reading[0])[:, None]
+        for each, survived, positive, negative in zip(
+            models, tally.survived, tally.positive, tally.negative
+        ):
+            cell += times_log(survived[:, None], each.log_survival)[:, :, None]
+            cell += times_log(positive[:, None], each.log_reading[1])[:, None]
+            cell += times_log(negative[:, None], each.log_reading[0])[:, None]
         possible = np.isfinite(cell).any(axis=2)
         exposed = np.bincount(
             tally.path, tally.visits * possible[tally.cell, 1], minlength=tally.steps.size
         )
-        spared = times_log(tally.steps - exposed, model.log_survival[0])
-        spared += times_log(exposed, model.log_survival[1])
+        log_survival = np.array([each.log_survival for each in models])[tally.kind]
+        spared = times_log(tally.steps - exposed, log_survival[:, 0])
+        spared += times_log(exposed, log_survival[:, 1])
         if not (possible.any(axis=1).all() and (spared < 0.0).all()):
             raise ValueError(
                 'the outcome is impossible under this prior, sensor model and what came before: '

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Mapping
+from types import MappingProxyType
 
-from kbnitp_ros.core.field import Belief, Grid
+from kbnitp_ros.core.field import Belief, Grid, Kind
 from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.inference.register import (
     deployment_order,
@@ -37,6 +39,8 @@ class Ledger(Register):
         The most steps a path may have.
     estimator : Estimator
         Before the first deployment.
+    kinds : mapping of str to Kind
+        Of the robots of each agent whose robots are not like all others.
 
     Attributes
     ----------
@@ -51,8 +55,14 @@ class Ledger(Register):
 
     """
 
-    def __init__(self, grid: Grid, max_steps: int, estimator: Estimator) -> None:
-        super().__init__(grid, max_steps)
+    def __init__(
+        self,
+        grid: Grid,
+        max_steps: int,
+        estimator: Estimator,
+        kinds: Mapping[str, Kind] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(grid, max_steps, kinds)
         self.deployments: list[DeploymentKey] = []
         self.newest: DeploymentKey | None = None
         self.newest_stamp = 0
@@ -89,7 +99,8 @@ class Ledger(Register):
             estimator = estimators[count - 1].copy()
             try:
                 estimator.assimilate(
-                    self._observation(each, outcome if each == key else self._outcomes[each])
+                    self._observation(each, outcome if each == key else self._outcomes[each]),
+                    self.kind(each),
                 )
             except ValueError as error:
                 if each == key:

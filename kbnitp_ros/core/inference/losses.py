@@ -30,6 +30,9 @@ class Losses:
         How often the path visits the cell.
     checksum : ndarray of int, shape (factors,)
         Of each factor's visits, to find equal ones.
+    destroyed : ndarray, shape (2,)
+        1 - s_z of one visit, of the robots among those lost to which hazards make the most of a
+        difference.
 
     """
 
@@ -38,6 +41,7 @@ class Losses:
     place: NDArray[np.int32]
     count: NDArray[np.int32]
     checksum: NDArray[np.uint32]
+    destroyed: NDArray[np.float64]
 
     @classmethod
     def none(cls, cells: int) -> Losses:
@@ -54,7 +58,7 @@ class Losses:
             older=none,
         )
         place = np.full(cells, -1, dtype=np.int32)
-        return cls(graph, none, place, none, np.empty(0, dtype=np.uint32))
+        return cls(graph, none, place, none, np.empty(0, dtype=np.uint32), np.ones(2))
 
     @property
     def factors(self) -> int:
@@ -66,18 +70,23 @@ class Losses:
         return slice(int(self.graph.first[factor]), int(self.graph.first[factor + 1]))
 
     def and_one_of(self, visits: Visits, model: SensorModel) -> Losses:
-        """Return the losses and one more, of a robot that made these visits."""
+        """Return the losses and one more, of a robot of this model that made these visits."""
         checksum = crc32(np.stack([visits.cells, visits.counts]).astype(np.int32).tobytes())
+        lost = -np.expm1(times_log(visits.counts[:, None], model.log_survival))
         for factor in np.flatnonzero(self.checksum == checksum).tolist():
             entries = self.entries(factor)
             cells = self.cells[self.graph.node[entries]]
-            if np.array_equal([cells, self.count[entries]], [visits.cells, visits.counts]):
+            same_visits = np.array_equal(
+                [cells, self.count[entries]], [visits.cells, visits.counts]
+            )
+            if same_visits and np.array_equal(self.graph.lost[entries], lost):
                 copies = self.graph.copies.copy()
                 copies[factor] += 1.0
                 return replace(self, graph=self.graph._replace(copies=copies))
-        return self._and_another(visits, model, checksum)
+        destroyed = more_telling(self.destroyed, -np.expm1(model.log_survival))
+        return replace(self._and_another(visits, lost, checksum), destroyed=destroyed)
 
-    def _and_another(self, visits: Visits, model: SensorModel, checksum: int) -> Losses:
+    def _and_another(self, visits: Visits, lost: NDArray[np.float64], checksum: int) -> Losses:
         """Return the losses and one that is like none of them."""
         graph, size = self.graph, visits.cells.size
         new = visits.cells[self.place[visits.cells] < 0]
@@ -89,7 +98,6 @@ class Losses:
         newest = appended(graph.newest, np.full(new.size, -1))
         older = appended(graph.older, newest[node])
         newest[node] = len(graph.node) + np.arange(size)
-        lost = -np.expm1(times_log(visits.counts[:, None], model.log_survival))
         return Losses(
             graph=Graph(
                 first=appended(graph.first, [len(graph.node) + size]),
@@ -105,7 +113,17 @@ class Losses:
             place=place,
             count=appended(self.count, visits.counts),
             checksum=appended(self.checksum, [checksum]),
+            destroyed=self.destroyed,
         )
+
+
+def more_telling(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return of two pairs 1 - s_z the one of which a change of hazard changes the mean by more.
+
+    By its part of the mean, which grows with the ratio of the two, whatever the hazard.
+    """
+    return one if one[1] * other[0] >= other[1] * one[0] else other
 
 
 def appended(array: NDArray[Any], values: ArrayLike) -> NDArray[Any]:

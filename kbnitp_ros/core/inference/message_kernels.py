@@ -173,7 +173,7 @@ def settle(
     odds : ndarray, shape (cells,)
         Log odds of each hazard without the losses; may be infinite.
     destroyed : ndarray, shape (2,)
-        1 - s_z of one visit.
+        1 - s_z of one visit, by which it is judged what is worth telling.
     tolerance : float
         The relative change of a cell's chance to destroy in one visit that is told.
     rounds : int

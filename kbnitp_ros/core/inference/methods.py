@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel
+from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel
 from kbnitp_ros.core.inference import exact, multi_universe, published
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.sampled import Sampler
@@ -45,8 +45,8 @@ class Inference(Protocol):
     sampling_error: float
     is_settled: bool
 
-    def assimilate(self, observation: Observation) -> None:
-        """Take in one deployment; a refusal, a ValueError, leaves everything as it was."""
+    def assimilate(self, observation: Observation, kind: Kind) -> None:
+        """Take in one deployment of a kind of robot; a ValueError leaves all as it was."""
 
     def copy(self) -> Inference:
         """Return one that goes on by itself from here, at next to no cost in memory."""

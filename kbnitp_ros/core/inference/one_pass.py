@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
+from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel, Visits
 from kbnitp_ros.core.inference.evidence import (
     check_cells,
     given,
@@ -75,9 +75,9 @@ class OnePassEstimate(Told):
         super().__init__(belief, model)
         self._method = method
 
-    def assimilate(self, observation: Observation) -> None:
+    def assimilate(self, observation: Observation, kind: Kind) -> None:
         """Take in one more deployment."""
-        self.belief = self._method.update(self.belief, self.model, observation)
+        self.belief = self._method.update(self.belief, kind.model(self.model), observation)
 
 
 def independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import KeysView
+from collections.abc import KeysView, Mapping
 from copy import copy
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from kbnitp_ros.core.field import Grid, Observation
+from kbnitp_ros.core.field import Grid, Kind, Observation, ORDINARY
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -138,6 +139,8 @@ class Register:
         What the paths are checked against.
     max_steps : int
         The most steps a path may have.
+    kinds : mapping of str to Kind
+        Of the robots of each agent whose robots are not like all others.
 
     Attributes
     ----------
@@ -146,9 +149,12 @@ class Register:
 
     """
 
-    def __init__(self, grid: Grid, max_steps: int) -> None:
+    def __init__(
+        self, grid: Grid, max_steps: int, kinds: Mapping[str, Kind] = MappingProxyType({})
+    ) -> None:
         self.grid = grid
         self.max_steps = max_steps
+        self.kinds = dict(kinds)
         self.duplicates = 0
         # Thousands of deployments are kept, so each in few bytes.
         self._cell_type = np.min_scalar_type(grid.cells - 1)
@@ -170,6 +176,15 @@ class Register:
     def out(self) -> int:
         """How many paths wait for their report."""
         return len(self._paths) - len(self._outcomes)
+
+    def kind(self, key: DeploymentKey) -> Kind:
+        """Return what kind of robot makes a deployment."""
+        return self.kinds.get(key.agent, ORDINARY)
+
+    def most_steps(self, key: DeploymentKey) -> int:
+        """Return the most steps that the path of a deployment may have."""
+        own = self.kind(key).max_steps
+        return self.max_steps if own is None else own
 
     def ending(self, key: DeploymentKey) -> Ending:
         """Return how a deployment ended that was reported."""
@@ -217,7 +232,7 @@ class Register:
             the reports that were waiting can be taken in; those are then dropped.
 
         """
-        cells = self.grid.check_path(path, self.max_steps).astype(self._cell_type).tobytes()
+        cells = self.grid.check_path(path, self.most_steps(key)).astype(self._cell_type).tobytes()
         if key in self._paths:
             if cells != self._paths[key]:
                 raise ValueError(f'path of deployment {key} is known and differs: the first holds')
@@ -283,7 +298,7 @@ class Register:
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
         """Return what counts of a report; raises ValueError if no robot can have made it."""
-        seen = observation_of(report, key, self.path(key), self.grid, self.max_steps)
+        seen = observation_of(report, key, self.path(key), self.grid, self.most_steps(key))
         if seen.readings is None:
             return Outcome(steps_survived=seen.steps_survived) if seen.steps_survived else LOST
         bits = np.packbits(seen.readings == 1).tobytes()

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from copy import copy
 from typing import ClassVar
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel
+from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel
 from kbnitp_ros.core.inference import chains
 from kbnitp_ros.core.inference.chains import Chains
 from kbnitp_ros.core.inference.evidence import check_cells
@@ -58,7 +58,7 @@ class Sampler:
     belief : Belief
         The prior.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        What robots like all others, and their sensors, are believed to be like.
     unknowns : Unknowns
         Which numbers of the two are not known.
     seed : int
@@ -69,7 +69,8 @@ class Sampler:
     belief : Belief
         Given all deployments so far, averaged over what is not known.
     model : SensorModel
-        The mean model: per step it survives, and reads, with the probabilities expected.
+        The mean model: per step it survives, and reads, with the probabilities expected of robots
+        like all others.
     parameters : mapping of str to Learnt
         What is known of each unknown number.
     sampling_error : float
@@ -105,7 +106,7 @@ class Sampler:
         )
         self.sampling_error, self.is_settled = 0.0, True
 
-    def assimilate(self, observation: Observation) -> None:
+    def assimilate(self, observation: Observation, kind: Kind) -> None:
         """
         Take in one more deployment.
 
@@ -117,7 +118,7 @@ class Sampler:
 
         """
         check_cells(self.belief, observation)
-        tally = self._tally.and_one_more(observation)
+        tally = self._tally.and_one_more(observation, kind)
         self._hypotheses.refuse_impossible(tally)
         rng = generator(self._seed, tally.deployments)
         settled = SETTLED_LEARNING if self._hypotheses.unknown else SETTLED

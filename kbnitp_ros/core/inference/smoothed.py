@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, Visits
+from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel, Visits
 from kbnitp_ros.core.inference.evidence import (
     check_cells,
     condition,
@@ -96,7 +96,7 @@ class Messages:
             rows.evidence[:, 0] += rows.terms[:, factor]
         return Messages(losses, silent, rows)
 
-    def settle(self, odds: NDArray[np.float64], model: SensorModel, in_turn: bool) -> None:
+    def settle(self, odds: NDArray[np.float64], in_turn: bool) -> None:
         """
         Send messages until they hardly change.
 
@@ -104,19 +104,17 @@ class Messages:
         ----------
         odds : ndarray, shape (rows, cells of the losses)
             Log odds without the losses.
-        model : SensorModel
-            What the robots are believed to be like.
         in_turn : bool
             Whether each row starts from where the row before it ends.
 
         """
-        destroyed = -np.expm1(model.log_survival)
+        graph, destroyed = self.losses.graph, self.losses.destroyed
         for row, row_odds in enumerate(odds):
             if in_turn and row:
                 for each in self.rows:
                     each[row] = each[row - 1]
             state = State(*(each[row] for each in self.rows))
-            settle(self.losses.graph, state, self.silent, row_odds, destroyed, TOLERANCE, ROUNDS)
+            settle(graph, state, self.silent, row_odds, destroyed, TOLERANCE, ROUNDS)
 
     def log_evidence(self, odds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the Bethe log evidence of the losses, shape (rows,)."""
@@ -139,7 +137,7 @@ class Smoother(Told):
     prior : Belief
         Before the first deployment.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        What robots like all others, and their sensors, are believed to be like.
 
     """
 
@@ -157,7 +155,7 @@ class Smoother(Told):
         self._conditioned = self._plain
         self._visited = np.zeros(prior.cells, dtype=bool)
 
-    def assimilate(self, observation: Observation) -> None:
+    def assimilate(self, observation: Observation, kind: Kind) -> None:
         """
         Take in one more deployment, at the cost of the messages that it changes.
 
@@ -169,20 +167,20 @@ class Smoother(Told):
 
         """
         check_cells(self._prior, observation)
-        losses = self._losses
+        losses, model = self._losses, kind.model(self.model)
         if observation.readings is not None:
             visits = Visits.of(observation.path)
-            said = returned_log_likelihood(self.model, visits, observation.readings)
+            said = returned_log_likelihood(model, visits, observation.readings)
         else:
             visits = Visits.of(observation.path[: observation.steps_survived + 1])
-            said = survived_log_likelihood(self.model, visits)[:, :, None]
+            said = survived_log_likelihood(model, visits)[:, :, None]
             steps = observation.steps_survived
             lost = Visits.of(observation.path[steps:])
-            losses = losses.and_one_of(lost, self.model)
+            losses = losses.and_one_of(lost, model)
         local, odds = self._local.copy(), self._odds.copy()
         local[visits.cells] += said
         odds[visits.cells] = log_odds((self._log_prior + local)[visits.cells])
-        check_possible(odds, losses, self.model)
+        check_possible(odds, losses)
         self._local, self._odds, self._losses = local, odds, losses
         self._visited = self._visited.copy()
         self._visited[observation.path[1:]] = True
@@ -200,7 +198,7 @@ class Smoother(Told):
         """Return what the losses add to the log odds of their cells."""
         odds = self._odds[self._losses.cells]
         self._plain = self._plain.grown(self._losses, odds)
-        self._plain.settle(odds[None], self.model, False)
+        self._plain.settle(odds[None], False)
         fixed = most_entangled(odds, self._plain.rows.said[0])
         values = gray_code(fixed.size)
         conditioned = np.tile(odds, (len(values), 1))
@@ -211,7 +209,7 @@ class Smoother(Told):
         else:
             self._conditioned = self._conditioned.grown(self._losses, odds)
         self._fixed = fixed
-        self._conditioned.settle(conditioned, self.model, is_new)
+        self._conditioned.settle(conditioned, is_new)
         weight = self._conditioned.log_evidence(conditioned)
         weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
         total = conditioned + self._conditioned.rows.said
@@ -221,7 +219,7 @@ class Smoother(Told):
         return np.subtract(hazardous - safe, odds, out=np.zeros(odds.size), where=is_open)
 
 
-def check_possible(odds: NDArray[np.float64], losses: Losses, model: SensorModel) -> None:
+def check_possible(odds: NDArray[np.float64], losses: Losses) -> None:
     """
     Refuse evidence that not even a hazard in every cell that may have one explains.
 
@@ -231,8 +229,6 @@ def check_possible(odds: NDArray[np.float64], losses: Losses, model: SensorModel
         Log odds of each hazard without the losses; NaN where neither value is possible.
     losses : Losses
         The lost paths.
-    model : SensorModel
-        What the robots are believed to be like.
 
     Raises
     ------
@@ -240,11 +236,12 @@ def check_possible(odds: NDArray[np.float64], losses: Losses, model: SensorModel
         If it is impossible.
 
     """
+    graph = losses.graph
     unexplained = False
-    # Malfunctions explain every loss.
-    if model.malfunction == 0.0:
-        graph = losses.graph
+    # Malfunctions explain the loss of every robot that has any.
+    if (graph.lost[graph.first[:-1], 0] == 0.0).any():
         explained = (graph.lost[:, 1] > 0.0) & (odds[losses.cells[graph.node]] > -np.inf)
+        explained |= graph.lost[:, 0] > 0.0
         unexplained = not np.logical_or.reduceat(explained, graph.first[:-1]).all()
     if np.isnan(odds).any() or unexplained:
         raise ValueError(

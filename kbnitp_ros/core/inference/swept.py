@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import product
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
+from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel, times_log, Visits
 from kbnitp_ros.core.inference.evidence import condition, returned_log_likelihood
 from kbnitp_ros.core.inference.told import Told
 import numpy as np
@@ -87,7 +87,7 @@ class SweptSmoother(Told):
         self._messages: NDArray[np.float64] = np.empty((1, 0))
         self._visited = np.zeros(prior.cells, dtype=bool)
 
-    def assimilate(self, observation: Observation) -> None:
+    def assimilate(self, observation: Observation, kind: Kind) -> None:
         """
         Take in one more deployment, at the cost of a few message sweeps.
 
@@ -97,15 +97,13 @@ class SweptSmoother(Told):
             If the outcome is impossible; the evidence then stays as it was.
 
         """
-        visits = Visits.of(observation.path)
+        visits, model = Visits.of(observation.path), kind.model(self.model)
         returned, losses = self._returned, self._losses
         if observation.readings is not None:
             returned = returned.copy()
-            returned[visits.cells] += returned_log_likelihood(
-                self.model, visits, observation.readings
-            )
+            returned[visits.cells] += returned_log_likelihood(model, visits, observation.readings)
         else:
-            losses = losses.and_one_of(visits, self.model)
+            losses = losses.and_one_of(visits, model)
         self._check_possible(returned, losses)
         self._returned, self._losses = returned, losses
         self._messages = np.pad(

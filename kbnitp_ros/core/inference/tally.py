@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from kbnitp_ros.core.field import Observation, Visits
+from kbnitp_ros.core.field import Kind, Observation, ORDINARY, Visits
 from kbnitp_ros.core.inference import gibbs
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,16 @@ class Tally:
 
     Attributes
     ----------
-    survived, positive, negative : ndarray of int, shape (cells,)
-        Steps into each cell that are known to have been survived, and how many of them brought a
-        reading of a target, and of none.
+    survived, positive, negative : ndarray of int, shape (kinds, cells)
+        Steps of each kind of robots into each cell that are known to have been survived, and how
+        many of them brought a reading of a target, and of none.
+    kinds : tuple of Kind
+        Of the robots so far, by what sets their sensor models apart.
     deployments : int
         How many there were.
-    steps : ndarray of int, shape (losses,)
-        Of each path on which a robot was lost, without those it is known to have survived.
+    steps, kind : ndarray of int, shape (losses,)
+        Of each path on which a robot was lost, without those it is known to have survived, and
+        which of the kinds the robot was of.
     cell, path, visits : ndarray of int, shape (entries,)
         Which cell is on which of these paths, and how often it enters it; in the order of paths.
 
@@ -38,8 +41,10 @@ class Tally:
     survived: NDArray[np.int32]
     positive: NDArray[np.int32]
     negative: NDArray[np.int32]
+    kinds: tuple[Kind, ...] = (ORDINARY,)
     deployments: int = 0
     steps: NDArray[np.int32] = field(default_factory=none_yet)
+    kind: NDArray[np.int32] = field(default_factory=none_yet)
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)
@@ -47,34 +52,54 @@ class Tally:
     @classmethod
     def empty(cls, cells: int) -> Tally:
         """Return the tally before the first deployment."""
-        return cls(*np.zeros((3, cells), np.int32))
+        return cls(*np.zeros((3, 1, cells), np.int32))
 
-    def and_one_more(self, observation: Observation) -> Tally:
-        """Return the tally with one more deployment."""
-        steps = observation.path[1:]
-        tally = replace(self, deployments=self.deployments + 1)
+    def and_one_more(self, observation: Observation, kind: Kind) -> Tally:
+        """Return the tally with one more deployment, of a robot of this kind."""
+        sensors = Kind(**kind.sensors)
+        known = self.with_room_for(sensors)
+        of_kind, steps = known.kinds.index(sensors), observation.path[1:]
+        tally = replace(known, deployments=self.deployments + 1)
         if observation.readings is not None:
+            seen, not_seen = (steps[observation.readings == reading] for reading in (1, 0))
             return replace(
                 tally,
-                survived=plus(self.survived, steps),
-                positive=plus(self.positive, steps[observation.readings == 1]),
-                negative=plus(self.negative, steps[observation.readings == 0]),
+                survived=plus(known.survived, of_kind, steps),
+                positive=plus(known.positive, of_kind, seen),
+                negative=plus(known.negative, of_kind, not_seen),
             )
-        known = observation.steps_survived
-        lost = Visits.of(observation.path[known:])
+        alive = observation.steps_survived
+        lost = Visits.of(observation.path[alive:])
         return replace(
             tally,
-            survived=plus(self.survived, steps[:known]),
-            steps=np.append(self.steps, np.int32(steps.size - known)),
+            survived=plus(known.survived, of_kind, steps[:alive]),
+            steps=np.append(self.steps, np.int32(steps.size - alive)),
+            kind=np.append(self.kind, np.int32(of_kind)),
             cell=np.append(self.cell, lost.cells.astype(np.int32)),
             path=np.append(self.path, np.full(lost.cells.size, self.steps.size, np.int32)),
             visits=np.append(self.visits, lost.counts.astype(np.int32)),
         )
 
+    def with_room_for(self, kind: Kind) -> Tally:
+        """Return the tally with room for a kind of robots."""
+        if kind in self.kinds:
+            return self
+        survived, positive, negative = (
+            np.pad(counts, ((0, 1), (0, 0)))
+            for counts in (self.survived, self.positive, self.negative)
+        )
+        return replace(
+            self,
+            survived=survived,
+            positive=positive,
+            negative=negative,
+            kinds=(*self.kinds, kind),
+        )
+
     @property
     def visited(self) -> NDArray[np.bool_]:
         """Which cells some robot was to step into, shape (cells,)."""
-        visited: NDArray[np.bool_] = self.survived > 0
+        visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
         visited[self.cell] = True
         return visited
 
@@ -84,7 +109,7 @@ class Tally:
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
         movable = undecided[self.cell]
         return gibbs.Ties(
-            starts(self.cell[held], self.survived.size),
+            starts(self.cell[held], self.survived.shape[1]),
             self.path[by_cell],
             self.visits[by_cell],
             starts(self.path[movable], self.steps.size),
@@ -92,9 +117,11 @@ class Tally:
         )
 
 
-def plus(counts: NDArray[np.int32], steps: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return how often each cell was stepped into, with some steps more."""
-    return counts + np.bincount(steps, minlength=counts.size).astype(np.int32)
+def plus(counts: NDArray[np.int32], kind: int, steps: NDArray[np.intp]) -> NDArray[np.int32]:
+    """Return how often each cell was stepped into, with some steps more of one kind."""
+    more = counts.copy()
+    more[kind] += np.bincount(steps, minlength=counts.shape[1]).astype(np.int32)
+    return more
 
 
 def starts(group: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
