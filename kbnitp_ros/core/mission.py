@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import (
     Belief,
     Conduct,
     Grid,
+    Kind,
     OBEDIENT,
     Observation,
+    of_each,
     SensorModel,
     whole_number,
     World,
@@ -35,7 +37,7 @@ class Deployment:
     belief : Belief
         Given this and all earlier deployments.
     model : SensorModel
-        What robots are planned with that know of these.
+        What robots like all others are planned with that know of these.
     parameters : mapping of str to Learnt
         What is known by then of each number that was not.
 
@@ -68,6 +70,7 @@ def run_mission(
     unknowns: Unknowns = ALL_KNOWN,
     seed: int = 0,
     conduct: Conduct = OBEDIENT,
+    kinds: Sequence[Kind] = (),
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -84,7 +87,7 @@ def run_mission(
     belief : Belief
         The prior.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        What robots like all others, and their sensors, are believed to be like.
     world : World
         The hidden truth.
     robots : int
@@ -107,6 +110,8 @@ def run_mission(
         Of the random numbers that the method draws.
     conduct : Conduct
         How the robots depart from their orders; by default they do not.
+    kinds : sequence of Kind
+        Of the robots of each agent, which they are like in truth as well; empty if all are alike.
 
     Returns
     -------
@@ -124,23 +129,27 @@ def run_mission(
     truth = model if world_model is None else world_model
     deployments: list[Deployment] = []
     robots, agents = whole_number('robots', robots, 0), team_size(grid, agents)
+    kinds = of_each(agents, kinds)
     while len(deployments) < robots:
+        leaving = kinds[: robots - len(deployments)]
         team = plan_team(
             grid,
             estimator.belief,
             estimator.model,
             max_steps,
-            min(agents, robots - len(deployments)),
+            len(leaving),
             allocation,
             planner,
             width=width,
             max_visits=max_visits,
             loss_cost=loss_cost,
+            kinds=leaving,
         )
-        for planned in team.plans:
-            made = conduct.traverse(world, grid, planned.path, truth, rng.spawn(1)[0])
+        for planned, kind in zip(team.plans, leaving):
+            own = kind.model(truth)
+            made = conduct.traverse(world, grid, planned.path, own, rng.spawn(1)[0])
             observation = made.observation
-            estimator.assimilate(observation)
+            estimator.assimilate(observation, kind)
             deployments.append(
                 Deployment(
                     planned,

@@ -7,7 +7,7 @@ from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.field.conduct import Conduct, OBEDIENT, Traverse
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.kind import Kind, ORDINARY, SENSORS
+from kbnitp_ros.core.field.kind import Kind, of_each, ORDINARY
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
 from kbnitp_ros.core.field.observation import as_path, Observation, Visits
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -17,7 +17,6 @@ from kbnitp_ros.core.field.world import World
 __all__ = [
     'OBEDIENT',
     'ORDINARY',
-    'SENSORS',
     'Belief',
     'Conduct',
     'Grid',
@@ -35,6 +34,7 @@ __all__ = [
     'frozen',
     'log_loss',
     'log_predicted_survival',
+    'of_each',
     'probability',
     'sum_of_others',
     'surprisal',

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -66,3 +67,25 @@ class Kind:
 
 
 ORDINARY = Kind()
+
+
+def of_each(robots: int, kinds: Sequence[Kind]) -> tuple[Kind, ...]:
+    """
+    Return the kind of each of so many robots.
+
+    Parameters
+    ----------
+    robots : int
+        How many.
+    kinds : sequence of Kind
+        Theirs; empty if all are alike.
+
+    Raises
+    ------
+    ValueError
+        If there is not one for each.
+
+    """
+    if kinds and len(kinds) != robots:
+        raise ValueError(f'kinds has {len(kinds)} of them: it must have one for each of {robots}')
+    return tuple(kinds) or (ORDINARY,) * robots

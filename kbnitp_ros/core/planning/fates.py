@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import prod
 
 from kbnitp_ros.core.field import (
     as_path,
@@ -14,6 +15,7 @@ from kbnitp_ros.core.field import (
     Visits,
 )
 from kbnitp_ros.core.inference import condition, lost_likelihood
+from kbnitp_ros.core.planning.readings import Camera, Most, most_counted
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -40,9 +42,11 @@ class Fates:
     joint : ndarray, shape (fates, n, 2, 2)
         P(Z = z, X = x) of these cells given who returned and who was lost, but not yet what the
         returned ones read.
-    readings : ndarray, shape (fates, n, most + 1)
-        P(the returned robots bring m readings of the cell) for m = 0 to `most`: certain but where
-        several fates are merged.
+    readings : ndarray, shape (fates, n, *counts)
+        P(the returned robots bring so many readings of the cell by each of their cameras), from 0
+        up along an axis for each: certain but where several fates are merged.
+    cameras : tuple of Camera
+        Those of the robots.
 
     """
 
@@ -51,6 +55,22 @@ class Fates:
     cells: NDArray[np.intp]
     joint: NDArray[np.float64]
     readings: NDArray[np.float64]
+    cameras: tuple[Camera, ...] = ()
+
+    @property
+    def most_readings(self) -> Most:
+        """Return the most readings of a cell by each camera."""
+        return tuple(zip(self.cameras, (count - 1 for count in self.readings.shape[2:])))
+
+    @property
+    def states(self) -> int:
+        """Return how many numbers of readings by each camera there may be."""
+        return prod(self.readings.shape[2:])
+
+    def states_after(self, model: SensorModel, visits: int) -> int:
+        """Return how many there may be with so many visits of one more robot."""
+        own = dict(self.most_readings).get(Camera.of(model), 0) + 1
+        return self.states // own * (own + visits)
 
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """
@@ -65,17 +85,17 @@ class Fates:
         -------
         joint : ndarray, shape (fates, k, 2, 2)
             As the attribute.
-        readings : ndarray, shape (fates, k, most + 1)
-            As the attribute.
+        readings : ndarray, shape (fates, k, states)
+            As the attribute, the counts of all cameras along one axis.
 
         """
-        fates, _, most = self.readings.shape
+        fates = self.probability.size
         joint = np.tile(self.belief.joint[cells], (fates, 1, 1, 1))
-        readings = np.zeros((fates, cells.size, most))
+        readings = np.zeros((fates, cells.size, self.states))
         readings[:, :, 0] = 1.0
         here, there = self.places_of(cells)
         joint[:, here] = self.joint[:, there]
-        readings[:, here] = self.readings[:, there]
+        readings[:, here] = self.readings[:, there].reshape(fates, there.size, self.states)
         return joint, readings
 
     def places_of(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -88,7 +108,7 @@ class Fates:
 def nobody_sent(belief: Belief) -> Fates:
     """Return the only fate of no robots: all is as believed."""
     none = np.empty(0, dtype=np.intp)
-    return Fates(belief, np.ones(1), none, np.empty((1, 0, 2, 2)), np.empty((1, 0, 1)))
+    return Fates(belief, np.ones(1), none, np.empty((1, 0, 2, 2)), np.empty((1, 0)))
 
 
 def after_sending(fates: Fates, model: SensorModel, path: ArrayLike) -> Fates:
@@ -104,9 +124,9 @@ def after_sending(fates: Fates, model: SensorModel, path: ArrayLike) -> Fates:
     fates : Fates
         Of the robots before.
     model : SensorModel
-        What the robots are believed to be like.
+        What this robot is believed to be like.
     path : array_like of int, shape (steps + 1,)
-        Of the robot, its cells in order.
+        Its cells in order.
 
     Returns
     -------
@@ -118,7 +138,14 @@ def after_sending(fates: Fates, model: SensorModel, path: ArrayLike) -> Fates:
     cells = np.union1d(fates.cells, visits.cells)
     at = np.searchsorted(cells, visits.cells)
     joint, readings = fates.of_cells(cells)
-    readings = np.pad(readings, ((0, 0), (0, 0), (0, visits.counts.max())))
+    camera, counts = Camera.of(model), fates.readings.shape[2:]
+    cameras = fates.cameras
+    if camera not in cameras:
+        cameras, counts = (*cameras, camera), (*counts, 1)
+    axis = 2 + cameras.index(camera)
+    room = [(0, 0)] * (2 + len(cameras))
+    room[axis] = (0, visits.counts.max())
+    readings = np.pad(readings.reshape(*readings.shape[:2], *counts), room)
 
     hazard = joint[:, at, 1].sum(axis=-1).clip(max=1.0)
     log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival).sum(axis=1)
@@ -144,8 +171,21 @@ def after_sending(fates: Fates, model: SensorModel, path: ArrayLike) -> Fates:
     )
     for count in np.unique(visits.counts):
         more = np.ix_(is_return, at[visits.counts == count])
-        readings[more] = np.roll(readings[more], count, axis=-1)
-    return _merged(Fates(fates.belief, probability, cells, joint, readings))
+        readings[more] = np.roll(readings[more], count, axis=axis)
+    readings = _counted(readings, most_counted(len(cameras)))
+    return _merged(Fates(fates.belief, probability, cells, joint, readings, cameras))
+
+
+def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
+    """Return readings by several cameras, of which those beyond `most` by one count no more."""
+    if most is None:
+        return readings
+    for axis in range(2, readings.ndim):
+        beyond = np.moveaxis(readings, axis, -1)
+        if beyond.shape[-1] > most + 1:
+            last = beyond[..., most:].sum(axis=-1, keepdims=True)
+            readings = np.moveaxis(np.concatenate([beyond[..., :most], last], -1), -1, axis)
+    return readings
 
 
 def _merged(fates: Fates) -> Fates:
@@ -154,12 +194,9 @@ def _merged(fates: Fates) -> Fates:
         return fates
     alone = MOST_FATES - 1
     weights = fates.probability[alone:]
-    return Fates(
-        fates.belief,
-        np.append(fates.probability[:alone], weights.sum()),
-        fates.cells,
-        *(
-            np.concatenate([each[:alone], np.average(each[alone:], axis=0, weights=weights)[None]])
-            for each in (fates.joint, fates.readings)
-        ),
+    joint, readings = (
+        np.concatenate([each[:alone], np.average(each[alone:], axis=0, weights=weights)[None]])
+        for each in (fates.joint, fates.readings)
     )
+    probability = np.append(fates.probability[:alone], weights.sum())
+    return replace(fates, probability=probability, joint=joint, readings=readings)

@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import log_predicted_survival, SensorModel, times_log
-from kbnitp_ros.core.planning.information import Readings
 from kbnitp_ros.core.planning.moments import EXPONENTS
 from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.readings import Readings
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,12 +40,12 @@ class Gains:
         visits = np.arange(max_visits + 1)
         belief = objective.belief
         hazard = belief.hazard[cells]
-        nothing_read = np.eye(1, fates.readings.shape[-1])
+        nothing_read = np.eye(1, fates.states)
         shape = (fates.probability.size, cells.size, visits.size)
         log_survival = np.broadcast_to(
             log_predicted_survival(hazard[:, None], visits, model.log_survival), shape
         ).copy()
-        readings = Readings.of(model, max_visits, nothing_read.size - 1)
+        readings = Readings.of(model, max_visits, fates.most_readings)
         read = np.zeros(shape)
         read[..., 1:] = _read(readings, belief.joint[cells], nothing_read.repeat(cells.size, 0))
         here, there = fates.places_of(cells)
@@ -54,7 +54,8 @@ class Gains:
             log_survival[:, here] = log_predicted_survival(
                 joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
             )
-            read[:, here, 1:] = _read(readings, joint, fates.readings[:, there])
+            _, earlier = fates.of_cells(cells[here])
+            read[:, here, 1:] = _read(readings, joint, earlier)
 
         alive = log_survival[..., 1:] > -np.inf
         with np.errstate(invalid='ignore'):

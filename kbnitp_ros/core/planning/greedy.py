@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.planning.labels import DECIMALS
 from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.robot import Robot
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,44 +28,49 @@ class Team:
         Of their paths together, nats.
     paths : tuple of ndarray of int, each of shape (steps + 1,)
         In the order of the robots.
-    last : Objective
-        What the last of them was planned for; the next one's if there is none.
+    last : Objective, optional
+        What the last of them was planned for; None if there is none.
 
     """
 
-    worth: float
-    paths: tuple[NDArray[np.intp], ...]
-    last: Objective
+    worth: float = 0.0
+    paths: tuple[NDArray[np.intp], ...] = ()
+    last: Objective | None = None
 
-    def grown(self, finder: PathFinder) -> list[Team]:
-        """Return the teams with one robot more, on each of the paths found for it."""
-        objective = self.last.after(self.paths[-1]) if self.paths else self.last
+    def grown(self, robot: Robot) -> list[Team]:
+        """Return the teams with this robot as well, on each of the paths found for it."""
+        objective = robot.objective
+        if self.last is not None:
+            objective = objective.given(self.last.after(self.paths[-1]))
         return [
             Team(round(self.worth + found.worth, DECIMALS), (*self.paths, found.path), objective)
-            for found in finder.paths(objective)
+            for found in robot.finder.paths(objective)
         ]
 
-    def visits(self) -> tuple[tuple[int, ...], ...]:
-        """Return the cells that robots visit: what a team is worth depends on nothing else."""
-        return tuple(sorted(tuple(sorted(path[1:].tolist())) for path in self.paths))
+    def visits(self, robots: Sequence[Robot]) -> Hashable:
+        """Return which cells robots of each kind visit: a team is worth that, and no more."""
+        return tuple(
+            sorted(
+                (robots.index(robot), *sorted(path[1:].tolist()))
+                for robot, path in zip(robots, self.paths)
+            )
+        )
 
 
-def allocate(
-    finder: PathFinder, objective: Objective, agents: int
-) -> tuple[list[NDArray[np.intp]], None]:
+def allocate(robots: Sequence[Robot]) -> tuple[list[NDArray[np.intp]], None]:
     """
     Return paths, each planned given that those before it are taken, returned or lost.
 
     Several teams grow side by side and the best is returned: the robot after which there is most
     left to find is not always the one that finds most.
     """
-    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // agents)
-    teams = [Team(0.0, (), objective)]
-    for _ in range(agents):
-        grown = [longer for team in teams for longer in team.grown(finder)]
-        distinct: dict[tuple[tuple[int, ...], ...], Team] = {}
+    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
+    teams = [Team()]
+    for robot in robots:
+        grown = [longer for team in teams for longer in team.grown(robot)]
+        distinct: dict[Hashable, Team] = {}
         for team in sorted(grown, key=lambda team: -team.worth):
-            distinct.setdefault(team.visits(), team)
+            distinct.setdefault(team.visits(robots), team)
             if len(distinct) == side_by_side:
                 break
         teams = list(distinct.values())

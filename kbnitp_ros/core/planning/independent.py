@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 from kbnitp_ros.core.planning.fates import nobody_sent
-from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.robot import Robot
 import numpy as np
 from numpy.typing import NDArray
 
 
-def allocate(
-    finder: PathFinder, objective: Objective, agents: int
-) -> tuple[list[NDArray[np.intp]], None]:
-    """Return the same path for all: robots that believe the same plan the same."""
-    alone = replace(objective, fates=nobody_sent(objective.belief))
-    return [finder.paths(alone)[0].path] * agents, None
+def allocate(robots: Sequence[Robot]) -> tuple[list[NDArray[np.intp]], None]:
+    """Return the same path for all of a kind: robots that believe the same plan the same."""
+    nobody = nobody_sent(robots[0].objective.belief)
+    paths = {
+        robot: robot.finder.paths(robot.objective.given(nobody))[0].path
+        for robot in dict.fromkeys(robots)
+    }
+    return [paths[robot] for robot in robots], None

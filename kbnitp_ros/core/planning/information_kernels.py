@@ -16,6 +16,8 @@ def new_readings(
     earlier: Any,
     visits: Any,
     survival: Any,
+    after: Any,
+    outcomes: Any,
     likelihood: Any,
     noise: Any,
     information: Any,
@@ -23,23 +25,28 @@ def new_readings(
     """
     Find what a robot that survives n visits reads of cells on top of earlier robots' readings.
 
-    The sum over m of P(m earlier readings) * (I(X; Y^(m + n)) - I(X; Y^m)), given the n visits
-    survived. Readings enter through their count of positives, which is sufficient.
+    The sum over states e of P(e) * (I(X; Y in e and n more) - I(X; Y in e)), given the n visits
+    survived. A state is how many readings each camera has brought; readings enter through their
+    counts of positives, which are sufficient.
 
     Parameters
     ----------
     joint : ndarray, shape (cells, 2, 2)
         P(Z = z, X = x), indexed [cell, z, x].
-    earlier : ndarray, shape (cells, most + 1)
-        P(m earlier readings).
+    earlier : ndarray, shape (cells, earlier states)
+        P(earlier readings).
     visits : ndarray of int, shape (cells,)
         n of each cell.
     survival : ndarray, shape (most visits + 1, 2)
         P(n visits survived | Z = z), indexed [n, z].
-    likelihood : ndarray, shape (most readings + 1, most readings + 1, 2)
-        P(k of m readings are positive | X = x), indexed [m, k, x].
-    noise : ndarray, shape (most readings + 1, 2)
-        Entropy of that count, indexed [m, x].
+    after : ndarray of int, shape (earlier states, most visits + 1)
+        The state after n readings more.
+    outcomes : ndarray of int, shape (states,)
+        How many each has.
+    likelihood : ndarray, shape (states, most outcomes, 2)
+        P(outcome | X = x), indexed [state, outcome, x].
+    noise : ndarray, shape (states, 2)
+        Entropy of the outcome, indexed [state, x].
     information : ndarray, shape (cells,)
         The result, nats; 0 where n visits cannot be survived.
 
@@ -52,23 +59,25 @@ def new_readings(
         if without + target == 0.0:
             continue
         target /= without + target
-        for m in range(earlier.shape[1]):
-            if earlier[cell, m] > 0.0:
-                more = reading_information(target, m + n, likelihood, noise)
-                more -= reading_information(target, m, likelihood, noise)
-                information[cell] += earlier[cell, m] * more
+        for state in range(earlier.shape[1]):
+            if earlier[cell, state] > 0.0:
+                more = reading_information(target, after[state, n], outcomes, likelihood, noise)
+                more -= reading_information(target, after[state, 0], outcomes, likelihood, noise)
+                information[cell] += earlier[cell, state] * more
 
 
 @compiled
-def reading_information(target: float, readings: int, likelihood: Any, noise: Any) -> Any:
-    """Return I(X; Y^m) for P(X = 1) = `target`, nats; arguments as of `new_readings`."""
+def reading_information(
+    target: float, state: int, outcomes: Any, likelihood: Any, noise: Any
+) -> Any:
+    """Return I(X; Y) of a state for P(X = 1) = `target`, nats; arguments as of `new_readings`."""
     entropy = 0.0
-    for positive in range(readings + 1):
-        p = (1.0 - target) * likelihood[readings, positive, 0]
-        p += target * likelihood[readings, positive, 1]
+    for outcome in range(outcomes[state]):
+        p = (1.0 - target) * likelihood[state, outcome, 0]
+        p += target * likelihood[state, outcome, 1]
         if p > 0.0:
             entropy -= p * log(p)
-    entropy -= (1.0 - target) * noise[readings, 0] + target * noise[readings, 1]
+    entropy -= (1.0 - target) * noise[state, 0] + target * noise[state, 1]
     return entropy
 
 

@@ -107,8 +107,9 @@ class Search:
     ) -> None:
         fates = objective.fates.probability
         self.reach = Reach.of(grid, max_steps)
-        earlier = objective.fates.readings.shape[-1] - 1
-        check_memory(self.reach, max_steps, width, max_visits, fates.size, earlier)
+        earlier = objective.fates.states
+        further = objective.fates.states_after(objective.model, min(max_visits, max_steps))
+        check_memory(self.reach, max_steps, width, max_visits, fates.size, earlier, further)
         max_visits = min(max_visits, max_steps)
         gains = Gains.of(objective, self.reach.cells, max_visits)
         self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
@@ -196,7 +197,13 @@ class Search:
 
 
 def check_memory(
-    reach: Reach, max_steps: int, width: int, max_visits: int, fates: int, earlier: int
+    reach: Reach,
+    max_steps: int,
+    width: int,
+    max_visits: int,
+    fates: int,
+    earlier: int,
+    further: int,
 ) -> None:
     """
     Check that a search can have the memory that it takes.
@@ -207,8 +214,9 @@ def check_memory(
         Of the paths.
     max_steps, width, max_visits : int
         As of `best_paths`.
-    fates, earlier : int
-        How many fates the robots before have, and the most readings that they bring of a cell.
+    fates, earlier, further : int
+        How many fates the robots before have, how many numbers of readings of a cell they may
+        bring, and how many there are with those of the robot that is planned for.
 
     Raises
     ------
@@ -227,9 +235,9 @@ def check_memory(
         + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
         # The gains and the chances of readings, while they are made.
         + 3 * number * cells * visits * factors_and_terms
-        + 10 * number * (visits + earlier + 1) ** 2
+        + 10 * number * further**2
         # What the robots before bring.
-        + 2 * number * fates * cells * (earlier + 5)
+        + 2 * number * fates * cells * (earlier + 4)
     )
     if estimate > MOST_MEMORY:
         raise ValueError(

@@ -21,9 +21,9 @@ class Objective:
     belief : Belief
         Before the round.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        What the robot and its sensors are believed to be like.
     loss_cost : float
-        What a lost robot is worth, nats, at least 0.
+        What it is worth if it is lost, nats, at least 0.
     interest : ndarray, shape (cells,)
         What counts of the information of readings in each cell, in [0, 1].
     fates : Fates
@@ -54,6 +54,10 @@ class Objective:
         interest = np.ones(belief.cells)
         return cls(belief, model, cost('loss_cost', loss_cost), interest, nobody_sent(belief))
 
-    def after(self, path: NDArray[np.intp]) -> Objective:
-        """Return the objective of the next robot, after one that takes `path`."""
-        return replace(self, fates=after_sending(self.fates, self.model, path))
+    def after(self, path: NDArray[np.intp]) -> Fates:
+        """Return what may become of the robots once this one takes `path` as well."""
+        return after_sending(self.fates, self.model, path)
+
+    def given(self, fates: Fates) -> Objective:
+        """Return the objective of the robot if others have left before."""
+        return replace(self, fates=fates)

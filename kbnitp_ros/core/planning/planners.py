@@ -16,6 +16,7 @@ from kbnitp_ros.core.planning.fates import MOST_FATES
 from kbnitp_ros.core.planning.labels import best_paths, check_memory, Found
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.reach import Reach
+from kbnitp_ros.core.planning.readings import check_cameras, most_counted
 
 Planner = Callable[[Grid, Objective, int, int, int], list[Found]]
 
@@ -62,7 +63,7 @@ class PathFinder:
         planner = PLANNERS[self.planner]
         return planner(self.grid, objective, self.max_steps, self.width, self.max_visits)
 
-    def check_memory(self, robots: int) -> None:
+    def check_memory(self, robots: int, cameras: int = 1) -> None:
         """
         Check that paths can be searched for within the memory allowed, before any is.
 
@@ -70,18 +71,25 @@ class PathFinder:
         ----------
         robots : int
             How many leave together or are out, at least 1.
+        cameras : int
+            How many different ones they have.
 
         Raises
         ------
         ValueError
-            With an estimate, if it takes more.
+            With an estimate, if it takes more; or if the cameras are too many.
 
         """
+        check_cameras(cameras)
         if labels := LABELS.get(self.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
             fates = 2 ** min(before, MOST_FATES.bit_length() - 1)
-            earlier = before * min(self.max_visits, self.max_steps)
+            visits = min(self.max_visits, self.max_steps)
+            counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
+            further = counts ** (cameras - 1) * (counts + visits)
             reach = Reach.of(self.grid, self.max_steps)
             width = labels(self.width)
-            check_memory(reach, self.max_steps, width, self.max_visits, fates, earlier)
+            check_memory(
+                reach, self.max_steps, width, self.max_visits, fates, counts**cameras, further
+            )

@@ -46,15 +46,18 @@ class Regions:
 
 
 def divide(
-    grid: Grid, cells: NDArray[np.intp], entropy: NDArray[np.float64], parts: int
+    grid: Grid,
+    cells: NDArray[np.intp],
+    entropy: NDArray[np.float64],
+    reach: NDArray[np.bool_],
 ) -> Regions:
     """
     Divide cells into the regions of a power diagram that hold about the same entropy.
 
-    A cell belongs to the site r of least |cell - site r|^2 - weight r. All robots come from the
-    base, so the sites are the centres of sectors around it; one after the other gets the weight
-    at which its region holds an even share, until none changes, and the evenest of the divisions
-    on the way is returned.
+    A cell belongs to the site r of least |cell - site r|^2 - weight r, of those that reach it.
+    All robots come from the base, so the sites are the centres of sectors around it; one after the
+    other gets the weight at which its region holds an even share, until none changes, and the
+    evenest of the divisions on the way is returned.
 
     Parameters
     ----------
@@ -64,8 +67,8 @@ def divide(
         What to divide, ascending.
     entropy : ndarray, shape (n,)
         What each of them has to share out, at least 0.
-    parts : int
-        How many regions, at least 1; there may be empty ones.
+    reach : ndarray of bool, shape (n, regions)
+        Whether it may be in each region; in one at least. There may be empty ones.
 
     Returns
     -------
@@ -76,8 +79,9 @@ def divide(
     row, col = np.divmod(cells, grid.width)
     base_row, base_col = divmod(grid.base, grid.width)
     place = (col - base_col) + 1j * (row - base_row)
+    parts = reach.shape[1]
     sites = _sector_centres(place, entropy, parts) * np.exp(1j * TURN)
-    distance = np.abs(place[:, None] - sites) ** 2
+    distance = np.where(reach, np.abs(place[:, None] - sites) ** 2, np.inf)
     weight = np.zeros(parts)
     share = entropy.sum() / parts
     best = _regions(distance, entropy)
@@ -111,7 +115,16 @@ def _sector_centres(
 
 
 def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
-    """Return the weight above whose margins lie cells of about `share` in all."""
+    """
+    Return the weight above whose margins lie cells of about `share` in all.
+
+    Those that no other site reaches, of margin -inf, are among them whatever the weight.
+    """
+    share -= float(mass[margin == -np.inf].sum())
+    is_open = np.isfinite(margin)
+    margin, mass = margin[is_open], mass[is_open]
+    if not margin.size:
+        return 0.0
     order = np.argsort(margin, kind='stable')
     held = np.concatenate([[0.0], np.cumsum(mass[order])])
     taken = int(np.abs(held - share).argmin())

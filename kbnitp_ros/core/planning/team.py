@@ -6,13 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Belief, Grid, SensorModel, whole_number
+from kbnitp_ros.core.field import Belief, Grid, Kind, of_each, SensorModel, whole_number
 from kbnitp_ros.core.planning.allocations import ALLOCATIONS
+from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
 from kbnitp_ros.core.planning.information import team_information
-from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.plan import Plan
 from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.readings import Camera, check_cameras
 from kbnitp_ros.core.planning.regions import Regions
+from kbnitp_ros.core.planning.robot import Robot
 from numpy.typing import ArrayLike
 
 
@@ -49,7 +51,9 @@ def plan_team(
     width: int = 16,
     max_visits: int = 3,
     loss_cost: float = 0.0,
+    kinds: Sequence[Kind] = (),
     out: Sequence[ArrayLike] = (),
+    kinds_out: Sequence[Kind] = (),
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -57,7 +61,7 @@ def plan_team(
     Parameters
     ----------
     grid, belief, model, max_steps, planner, width, max_visits, loss_cost
-        As for `plan`; the same limits for each robot.
+        As for `plan`; of each robot that has nothing else of its own.
     agents : int
         How many robots, from 1 to the number of free cells.
     allocation : str
@@ -65,9 +69,13 @@ def plan_team(
         'voronoi': the field is divided into regions of about equal entropy, one a robot.
         'greedy': robot after robot, for what each adds to what those before it are expected to
         bring, returned or lost.
+    kinds : sequence of Kind
+        Of each robot; empty if all are alike.
     out : sequence of array_like of int, each of shape (steps + 1,)
         The paths of robots that have left before and are not back. All but 'independent' plan for
         what is added to them.
+    kinds_out : sequence of Kind
+        Of each of those; empty if all are alike.
 
     Returns
     -------
@@ -78,20 +86,25 @@ def plan_team(
     ------
     ValueError
         If the allocation or the planner is unknown, a number is out of range, the belief has
-        another number of cells than the grid, or a robot that is out could not have left that way.
+        another number of cells than the grid, a robot that is out could not have left that way,
+        there is not one kind for each robot, or they have too many different cameras.
 
     """
     if allocation not in ALLOCATIONS:
         raise ValueError(f'allocation is {allocation!r}: known are {", ".join(ALLOCATIONS)}')
     agents = team_size(grid, agents)
+    kinds, kinds_out = of_each(agents, kinds), of_each(len(out), kinds_out)
+    check_cameras(len({Camera.of(kind.model(model)) for kind in (*kinds, *kinds_out)}))
     finder = PathFinder(grid, planner, max_steps, width, max_visits)
-    objective = Objective.alone(grid, belief, model, loss_cost)
-    for path in out:
-        objective = objective.after(grid.check_path(path))
-    paths, regions = ALLOCATIONS[allocation](finder, objective, agents)
+    alone = {kind: Robot.of(kind, finder, belief, model, loss_cost) for kind in kinds}
+    fates = nobody_sent(belief)
+    for path, kind in zip(out, kinds_out):
+        fates = after_sending(fates, kind.model(model), grid.check_path(path))
+    robots = {kind: robot.given(fates) for kind, robot in alone.items()}
+    paths, regions = ALLOCATIONS[allocation]([robots[kind] for kind in kinds])
     return TeamPlan(
-        tuple(Plan.along(path, belief, model) for path in paths),
-        team_information(belief, model, paths, objective.fates),
+        tuple(Plan.along(path, belief, kind.model(model)) for path, kind in zip(paths, kinds)),
+        team_information(belief, model, paths, fates, kinds),
         regions,
     )
 

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from kbnitp_ros.core.field import surprisal
-from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.core.planning.planners import PathFinder
 from kbnitp_ros.core.planning.regions import divide, Regions
+from kbnitp_ros.core.planning.robot import Robot
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,21 +16,22 @@ from numpy.typing import NDArray
 ELSEWHERE = 0.1
 
 
-def allocate(
-    finder: PathFinder, objective: Objective, agents: int
-) -> tuple[list[NDArray[np.intp]], Regions]:
+def allocate(robots: Sequence[Robot]) -> tuple[list[NDArray[np.intp]], Regions]:
     """
     Return paths that look for information in their own regions.
 
     The regions share out the joint entropy of the cells that a robot can visit and come back
-    from. Readings elsewhere count little; where its path leads a robot is free, and so is its
-    fate to tell of all hazards on the way.
+    from, each among the robots that can. Readings elsewhere count little; where its path leads a
+    robot is free, and so is its fate to tell of all hazards on the way.
     """
-    cells = np.flatnonzero(finder.grid.in_reach(finder.max_steps))
-    entropy = surprisal(objective.belief.joint[cells]).sum(axis=(1, 2))
-    regions = divide(finder.grid, cells, entropy, agents)
+    grid, belief = robots[0].finder.grid, robots[0].objective.belief
+    in_reach = {robot: grid.in_reach(robot.finder.max_steps) for robot in dict.fromkeys(robots)}
+    reach = np.stack([in_reach[robot] for robot in robots], axis=1)
+    cells = np.flatnonzero(reach.any(axis=1))
+    entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
+    regions = divide(grid, cells, entropy, reach[cells])
     paths = []
-    for robot in range(agents):
-        interest = np.where(regions.owner == robot, 1.0, ELSEWHERE)
-        paths.append(finder.paths(replace(objective, interest=interest))[0].path)
+    for number, robot in enumerate(robots):
+        interest = np.where(regions.owner == number, 1.0, ELSEWHERE)
+        paths.append(robot.finder.paths(replace(robot.objective, interest=interest))[0].path)
     return paths, regions
