@@ -43,6 +43,7 @@ from kbnitp_ros.nodes.parameters import (
     parameters_of,
 )
 from kbnitp_ros.nodes.reach import reach_note
+from kbnitp_ros.nodes.shell import DEPLOYMENTS
 from kbnitp_ros.nodes.world_file import read_world
 from kbnitp_ros.study.figures import mission_maps, mission_progress, Number
 import numpy as np
@@ -404,7 +405,9 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     with free_domain() as domain, Processes(domain) as processes:
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
-            processes.start(node, {**parameters[node], **awaited})
+            # The progress bar says it.
+            levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
+            processes.start(node, {**parameters[node], **awaited}, levels=levels)
         with observed(domain, parameters['planner']['agents']) as observer:
             observer.watch(parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}

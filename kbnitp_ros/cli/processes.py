@@ -114,6 +114,7 @@ class Processes:
         *,
         namespace: str = '/',
         remaps: Mapping[str, str] | None = None,
+        levels: Mapping[str, str] | None = None,
         output: IO[Any] | None = None,
     ) -> subprocess.Popen[bytes]:
         """
@@ -129,6 +130,8 @@ class Processes:
             Where its topics are.
         remaps : mapping, optional
             What it calls a topic, and the name to use instead.
+        levels : mapping, optional
+            From which level on a logger says something, by its name, such as ``planner``.
         output : file, optional
             Where its stdout and stderr go; to those of this process when None.
 
@@ -139,6 +142,8 @@ class Processes:
         for name, value in (parameters or {}).items():
             # JSON is the YAML that ROS reads a value as.
             command += ['--param', f'{name}:={json.dumps(value)}']
+        for logger, level in (levels or {}).items():
+            command += ['--log-level', f'{logger}:={level}']
         process = subprocess.Popen(
             command, env=self._environment, stdout=output, stderr=output and subprocess.STDOUT
         )

@@ -96,11 +96,9 @@ class TrialLedger(Ledger):
         """Be again as before the trial."""
         while self._on_trial:
             key, known, self._estimators = self._on_trial.pop()
+            self._set_outcome(key, known)
             if known is None:
-                del self._outcomes[key]
                 del self.deployments[
                     bisect_left(self.deployments, deployment_order(key), key=deployment_order)
                 ]
-            else:
-                self._outcomes[key] = known
         self.newest, self.newest_stamp = self._before

@@ -9,7 +9,7 @@ from functools import partial
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
-from kbnitp_ros.core import Estimator, Ledger
+from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
 from kbnitp_ros.log.bag import read_log, same_types
 from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
@@ -25,6 +25,8 @@ from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.parameters import agents_of, estimator_of
 from kbnitp_ros.nodes.shell import run
 from nav_msgs.msg import OccupancyGrid, Path
+
+WAITING_FOR_CLOCK = 'waiting for the clock to start on /clock (parameter use_sim_time)'
 
 
 class EstimatorNode(FieldNode):
@@ -88,7 +90,7 @@ class EstimatorNode(FieldNode):
     def _publish_first(self) -> None:
         waiting, now = self.waiting_for([self._belief]), self.now()
         if waiting or now <= 0:
-            self.diagnostics.state = waiting or 'waiting for the clock to start'
+            self.diagnostics.state = waiting or WAITING_FOR_CLOCK
         else:
             self._started = now
             self._awaiting.cancel()
@@ -107,7 +109,7 @@ class EstimatorNode(FieldNode):
         except ValueError as error:
             self._refuse(f'{agent}/path', error)
         else:
-            self._accept(changed)
+            self._accept(key, changed)
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
@@ -116,7 +118,7 @@ class EstimatorNode(FieldNode):
         except ValueError as error:
             self._refuse(f'{agent}/report', error)
         else:
-            self._accept(changed)
+            self._accept(key, changed)
 
     def _join(self, mission: int) -> None:
         """
@@ -146,13 +148,25 @@ class EstimatorNode(FieldNode):
         self.diagnostics.waiting = self._ledger.waiting
         self.diagnostics.refuse(topic, error)
 
-    def _accept(self, changed: bool) -> None:
+    def _accept(self, key: DeploymentKey, changed: bool) -> None:
         self.diagnostics.accept()
         self.diagnostics.waiting = self._ledger.waiting
         if self._awaiting.is_canceled():
             if changed:
                 self._publish(self._ledger)
+                self._tell_ending(key)
             self._say_what_is_held()
+
+    def _tell_ending(self, key: DeploymentKey) -> None:
+        """Tell on the console how a deployment ended, and what is known now."""
+        ledger = self._ledger
+        survived, steps = ledger.ending(key)
+        contact = f', heard of last after step {steps}' if steps else ''
+        ended = 'came back' if survived else f'was lost{contact}'
+        self.tell_deployment(
+            f'{key} {ended}: entropy {ledger.belief.entropy():.2f} nats after '
+            f'{len(ledger.deployments)} deployments, {ledger.lost} robots lost'
+        )
 
     def _publish(self, ledger: Ledger) -> None:
         mission = self._started if self._mission is None else self._mission

@@ -38,7 +38,7 @@ class FieldNode(Shell):
     def _await_map(self, topic: str) -> None:
         self._topic = topic
         self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED, largest_map(MOST_PIXELS))
-        self.diagnostics.state = f'waiting for a map on {topic}'
+        self.diagnostics.state = f'waiting for a map on {topic} (parameter map_topic)'
         self.spin_until(lambda: self._grid is not None)
 
     def _on_map(self, message: OccupancyGrid) -> None:

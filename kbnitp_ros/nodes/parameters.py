@@ -505,7 +505,8 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('agent', 'estimator'),
-        'Nodes that must listen to the paths before the first is sent.',
+        'Who must listen to the paths before the first is sent: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         ('planner',),
         element=str,
         pattern=NAME,
@@ -513,7 +514,8 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('planner',),
-        'Nodes that must listen to the belief before the first is published.',
+        'Who must listen to the belief before the first is published: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         ('estimator',),
         element=str,
         pattern=NAME,
@@ -521,7 +523,8 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('planner', 'estimator'),
-        'Nodes that must listen to the reports before the first robot leaves.',
+        'Who must listen to the reports before the first robot leaves: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         AGENTS,
         element=str,
         pattern=NAME,

@@ -21,8 +21,8 @@ from kbnitp_ros.nodes.parameters import agents_of, check_search, parameters_of
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.reach import cut_off_note, reach_note
 from kbnitp_ros.nodes.robots_out import RobotsOut
-from kbnitp_ros.nodes.rounds import Paths, Rounds
-from kbnitp_ros.nodes.shell import run
+from kbnitp_ros.nodes.rounds import in_words, Plans, Rounds
+from kbnitp_ros.nodes.shell import run, some
 from kbnitp_ros.nodes.succession import Succession
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import SetParametersResult
@@ -73,7 +73,6 @@ class PlannerNode(FieldNode):
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
         self.add_on_set_parameters_callback(self._check_changes)
-        self.diagnostics.state = 'waiting for the belief'
         self._beliefs = self._hear_beliefs()
         for agent in self._agents:
             self.hear(
@@ -253,6 +252,7 @@ class PlannerNode(FieldNode):
         """Send the next robots, unless something must come first."""
         newest = self._succession.newest
         if newest is None:
+            self.diagnostics.state = self._waiting_for_belief()
             return
         reason_to_wait = self._reason_to_wait(newest.deployments)
         if reason_to_wait:
@@ -262,13 +262,14 @@ class PlannerNode(FieldNode):
         stamp = self._next_stamp(newest)
         self._send(self._rounds.plan(newest, agents, self._out.paths, stamp), newest.mission)
 
-    def _send(self, paths: Paths, mission: int) -> None:
+    def _send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
         mission = self._succession.begin(mission)
-        for key, path in paths.items():
-            self._out.leave(key, path)
-            message = path_message(self.grid, path, key.stamp, mission)
+        for key, plan in plans.items():
+            self._out.leave(key, plan.path)
+            message = path_message(self.grid, plan.path, key.stamp, mission)
             self._paths[key.agent].publish(message)
+            self.tell_deployment(f'{key} leaves {in_words(self.grid, plan)}')
             self._last_stamp = max(self._last_stamp, key.stamp)
 
     def _free_agents(self) -> list[str]:
@@ -294,13 +295,13 @@ class PlannerNode(FieldNode):
         # An agent that has left the graph does not keep the others from their next round.
         awaited = [key for key in self._out if self._peers.is_present(key.agent)]
         if awaited and not self.values['rolling']:
-            return f'waiting for {min(awaited, key=deployment_order)} to be reported'
+            return self._waiting_for_report(min(awaited, key=deployment_order))
         reported = self._left - len(self._out)
         if held < reported:
             wait = f'waiting for a belief that holds {reported} deployments'
             if self._held < reported and self._out.forgotten:
-                wait += f'; the last one holds {self._held}{NOT_HEARD_AGAIN}'
-            return wait
+                return f'{wait}; the last one holds {self._held}{NOT_HEARD_AGAIN}'
+            return f'{wait} on {self._of_whom("belief", self._peers.estimators)}'
         robots = self.values['robots']
         if held >= robots:
             return f'done: {held} of {robots} robots deployed'
@@ -308,8 +309,50 @@ class PlannerNode(FieldNode):
             return waiting
         self._is_heard = True
         if self._left >= robots:
-            return f'waiting for robots that are out: {", ".join(map(str, self._out))}'
-        return '' if self._free_agents() else 'waiting for an agent whose robot is home'
+            out = some(self._out)
+            return f'waiting for robots that are out: {out}; no more leave (parameter robots)'
+        return '' if self._free_agents() else self._waiting_for_agent()
+
+    def _of_whom(self, topic: str, publishers: int) -> str:
+        """Return the full name of a topic, and whether it is told by anybody."""
+        name = self.resolve_topic_name(topic)
+        return name if publishers else f'{name}, which nobody publishes'
+
+    def _waiting_for_belief(self) -> str:
+        wait = f'waiting for the belief on {self._of_whom("belief", self._peers.estimators)}'
+        if not self._peers.estimators:
+            return f'{wait}: start an estimator'
+        return f'{wait}: its estimator waits for those that its parameter await_nodes names'
+
+    def _waiting_for_report(self, key: DeploymentKey) -> str:
+        """Return that a robot which is out is waited for, and what ends that."""
+        agent = self.resolve_topic_name(key.agent)
+        wait = f'waiting for {key} to be reported on {agent}/report'
+        if self.values['recorded'] and not self._out.is_recorded(key):
+            return (
+                f'{wait}: it leaves when the recorder tells on {agent}/recorded that its path is '
+                'on disk (parameter recorded)'
+            )
+        if self.values['silent_loss']:
+            deadline = self.values['return_deadline']
+            return (
+                f'{wait}, at most until {deadline} s after it is due (parameter return_deadline)'
+            )
+        return f'{wait}, however long that takes (parameter silent_loss is false)'
+
+    def _waiting_for_agent(self) -> str:
+        """Return that an agent is waited for, and why each of the team is not free."""
+        absent = [
+            self.resolve_topic_name(f'{agent}/report')
+            for agent in self._agents
+            if not self._peers.is_present(agent)
+        ]
+        reasons = [
+            f'nobody publishes {some(absent)}' if absent else '',
+            f'{some(self._out)} are out' if self._out else '',
+        ]
+        why = '; '.join(filter(None, reasons))
+        return f'waiting for an agent whose robot is home: {why} (parameter agents)'
 
 
 def main(args: Sequence[str] | None = None) -> int:

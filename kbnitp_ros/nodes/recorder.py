@@ -48,6 +48,9 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 
 EVIDENCE = (PATH, REPORT)
 
+# Without whom there is no mission.
+AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to publish belief'}
+
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
 AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
@@ -106,6 +109,7 @@ class RecorderNode(Shell):
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
         )
+        self.diagnostics.state = self._state()
         self._on_parameters(self.get_fully_qualified_name(), self.values)
         self.create_poll(self._discover)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -203,8 +207,19 @@ class RecorderNode(Shell):
         if type_name == PATH and name.endswith('/path'):
             recorded = f'{name.removesuffix("path")}recorded'
             topic.recorded = self.create_publisher(Time, recorded, qos.EVIDENCE)
-        self.diagnostics.state = f'recording {len(self._topics)} topics'
+        self.diagnostics.state = self._state()
         return topic
+
+    def _state(self) -> str:
+        """Return what is recorded, and whom it waits for."""
+        recording = f'recording {len(self._topics)} topics'
+        heard = {topic.type_name for topic in self._topics.values()}
+        absent = [who for kind, who in AWAITED.items() if kind not in heard]
+        if not absent:
+            return recording
+        return (
+            f'waiting for {" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
+        )
 
     def _type_of(self, name: str) -> str | None:
         """Return the type of a topic that is one of the mission's; None if it is another."""

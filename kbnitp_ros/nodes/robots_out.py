@@ -99,6 +99,10 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
         """Take note that the path of a robot is on disk, so that it leaves."""
         self._recorded.add(key)
 
+    def is_recorded(self, key: DeploymentKey) -> bool:
+        """Return whether the path of a robot is on disk, as far as known."""
+        return key in self._recorded
+
     def end(self, key: DeploymentKey) -> None:
         """Take note that a robot was reported."""
         self._out.pop(key, None)
@@ -119,7 +123,7 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
             return {}
         overdue = {}
         for key, robot in list(self._out.items()):
-            if self._values['recorded'] and key not in self._recorded:
+            if self._values['recorded'] and not self.is_recorded(key):
                 continue
             # Robots do not come home sooner because the clock was set back.
             robot.due = self._due(now, robot) if robot.due is None else robot.due + jump

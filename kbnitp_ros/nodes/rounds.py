@@ -8,7 +8,7 @@ from dataclasses import replace
 import time
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Grid, plan_team, SensorModel
+from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_team, SensorModel
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.nodes.parameters import sensor_model_of
@@ -18,6 +18,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 # Of robots that leave together, by deployment.
 Paths = dict[DeploymentKey, NDArray[np.intp]]
+Plans = dict[DeploymentKey, Plan]
 
 
 class Rounds:
@@ -44,9 +45,9 @@ class Rounds:
 
     def plan(
         self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
-    ) -> Paths:
+    ) -> Plans:
         """
-        Return the paths of robots that leave together.
+        Return the plans of robots that leave together.
 
         Parameters
         ----------
@@ -77,15 +78,15 @@ class Rounds:
         longest = max((len(each.path) - 1 for each in team.plans), default=0)
         self._say_if_slow(time.monotonic() - start, self._values['step_period'] * longest)
         return {
-            DeploymentKey(agent, stamp + number): planned.path
+            DeploymentKey(agent, stamp + number): planned
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
         }
 
-    def missing(self, planned_on: Snapshot, agents: Sequence[str], recorded: Paths) -> Paths:
+    def missing(self, planned_on: Snapshot, agents: Sequence[str], recorded: Paths) -> Plans:
         """
-        Return the paths of a round that died with the mission before they were on record.
+        Return the plans of a round that died with the mission before their paths were on record.
 
-        Some of the others may have reported, so nobody could plan these paths later.
+        Some of the others may have reported, so nobody could plan these later.
 
         Parameters
         ----------
@@ -103,9 +104,12 @@ class Rounds:
         first = next_name(planned_on.stamp, planned_on.mission)
         planned = self.plan(planned_on, agents, [], first)
         # Otherwise it was a round of other agents, or the parameters are others now.
-        if not all(np.array_equal(path, planned.get(key, ())) for key, path in recorded.items()):
+        if not all(
+            key in planned and np.array_equal(path, planned[key].path)
+            for key, path in recorded.items()
+        ):
             return {}
-        return {key: path for key, path in planned.items() if key not in recorded}
+        return {key: plan for key, plan in planned.items() if key not in recorded}
 
     def _model_of(self, known: Snapshot) -> SensorModel:
         """Return the sensor model to plan with: its numbers that are learnt are the belief's."""
@@ -120,3 +124,13 @@ class Rounds:
                 f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
                 'a lower beam_width, or the planner relaxed, takes less'
             )
+
+
+def in_words(grid: Grid, plan: Plan) -> str:
+    """Return where a plan leads and what is expected of it."""
+    farthest = plan.path[np.argmax(grid.steps_to_base[plan.path])]
+    ((x, y),) = grid.centers([farthest]).tolist()
+    return (
+        f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '
+        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats'
+    )

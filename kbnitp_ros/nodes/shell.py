@@ -21,6 +21,7 @@ from kbnitp_ros.nodes.executor import frames_of_callback, OneByOne
 from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
 from kbnitp_ros.nodes.given import check_given, names_given
 from kbnitp_ros.nodes.parameters import declare
+from kbnitp_ros.nodes.roles import Listeners
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -50,6 +51,12 @@ FAREWELL = 0.3
 # mission begins, and how often it says so again.
 SAY_FIRST = 3.0
 SAY_AGAIN = 10.0
+
+# The logger, below that of its node, which has a line for each deployment.
+DEPLOYMENTS = 'deployments'
+
+# How many of many topics, or robots, a line on the console names.
+NAMED = 3
 
 T = TypeVar('T')
 
@@ -92,6 +99,7 @@ class Shell(Node):
         self.diagnostics = Diagnostics(self)
         self._publisher_counts: dict[str, int] = {}
         self._author_counts: dict[str, int] = {}
+        self._deployments = self.get_logger().get_child(DEPLOYMENTS)
         self._awaited = ''
         self._say_at = 0.0
         self.create_poll(self._say_what_is_awaited)
@@ -155,13 +163,20 @@ class Shell(Node):
         return self._author_counts[topic]
 
     def waiting_for(self, publishers: Iterable[Publisher]) -> str:
-        """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
-        missing = []
+        """
+        Return which of the parameter `await_nodes` do not listen yet; empty when all do.
+
+        It names nodes, or the roles that they serve.
+        """
+        listeners = Listeners(self)
+        deaf: dict[str, list[str]] = {}
         for topic in (publisher.topic_name for publisher in publishers):
-            listening = {each.node_name for each in self.get_subscriptions_info_by_topic(topic)}
-            absent = [node for node in self.values['await_nodes'] if node not in listening]
-            missing += [f'{node} to listen to {topic}' for node in absent]
-        return f'waiting for {", ".join(missing)}' if missing else ''
+            listening = listeners.roles(topic)
+            for awaited in self.values['await_nodes']:
+                if awaited not in listening:
+                    deaf.setdefault(awaited, []).append(topic)
+        missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in deaf.items()]
+        return f'waiting for {" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
     def _say_what_is_awaited(self) -> None:
         """Say on the console what the node waits for, when it has for a while and again later."""
@@ -172,6 +187,10 @@ class Shell(Node):
         elif awaited and now > self._say_at:
             self._say_at = now + SAY_AGAIN
             self.get_logger().info(awaited)
+
+    def tell_deployment(self, words: str) -> None:
+        """Say something of a deployment on the console, by a logger that can be silenced alone."""
+        self._deployments.info(words)
 
     def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
         """
@@ -230,6 +249,13 @@ class Shell(Node):
         end = time.monotonic() + FAREWELL
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
+
+
+def some(items: Iterable[object]) -> str:
+    """Return the first few of some items in words, and how many more there are."""
+    first = [str(each) for each in items]
+    more = len(first) - NAMED
+    return ', '.join(first[:NAMED]) + (f' and {more} more' if more > 0 else '')
 
 
 def run(

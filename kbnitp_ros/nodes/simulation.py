@@ -166,7 +166,7 @@ class SimulatedAgent:
             return ''
         return (
             f'waiting for the recorder to tell on {self.name}/recorded that the path of '
-            f'{next(iter(self._waiting))} is on disk'
+            f'{next(iter(self._waiting))} is on disk (parameter recorded)'
         )
 
     def _on_path(self, message: Path) -> None:

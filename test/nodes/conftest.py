@@ -34,7 +34,7 @@ class Field:
         self._diagnosed_at = {}
         self._namespaces = set()
 
-    def start(self, name, parameters=None, namespace='/'):
+    def start(self, name, parameters=None, namespace='/', remaps=None):
         """Start a node with those of the parameters that it has, and return its process."""
         own = {*parameters_of(name), *ROS_PARAMETERS}
         given = {each: value for each, value in (parameters or {}).items() if each in own}
@@ -49,7 +49,9 @@ class Field:
                 qos.DIAGNOSTICS,
             )
         with self._outputs[full_name].open('ab') as output:
-            return self.processes.start(name, given, namespace=namespace, output=output)
+            return self.processes.start(
+                name, given, namespace=namespace, remaps=remaps, output=output
+            )
 
     def start_mission(self, parameters, namespace='/', log=None):
         """Start the nodes of a mission, all with these parameters; without a log no recorder."""

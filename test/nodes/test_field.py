@@ -56,7 +56,7 @@ GRID = Grid(
 )
 
 
-WAITING = 'waiting for a map on /m/map'
+WAITING = 'waiting for a map on /m/map (parameter map_topic)'
 
 
 @pytest.fixture
@@ -189,7 +189,9 @@ def test_a_map_that_changes_changes_no_mission(field, file):
 
 def test_who_waits_for_a_map_can_be_ended(field):
     field.start('planner', {**PARAMETERS, 'map_topic': '/map'})
-    field.until(lambda: field.state('/planner') == 'waiting for a map on /map', 'waiting planner')
+    field.until(
+        lambda: 'waiting for a map on /map (param' in field.state('/planner'), 'waiting planner'
+    )
     assert field.processes.stop() == {'/planner': 0}
 
 

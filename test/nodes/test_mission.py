@@ -258,7 +258,8 @@ def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
     field.start_mission({**parameters, 'use_sim_time': True})
 
     field.until(
-        lambda: field.state('/estimator') == 'waiting for the clock to start', 'wait for the clock'
+        lambda: 'waiting for the clock to start on /clock' in field.state('/estimator'),
+        'wait for the clock',
     )
     assert not paths
     now = [100]

@@ -146,6 +146,8 @@ class Register:
     ----------
     duplicates : int
         Paths and reports that said nothing new.
+    lost : int
+        How many deployments are known to have ended with a lost robot.
 
     """
 
@@ -156,6 +158,7 @@ class Register:
         self.max_steps = max_steps
         self.kinds = dict(kinds)
         self.duplicates = 0
+        self.lost = 0
         # Thousands of deployments are kept, so each in few bytes.
         self._cell_type = np.min_scalar_type(grid.cells - 1)
         self._paths: dict[DeploymentKey, bytes] = {}
@@ -290,8 +293,15 @@ class Register:
             self.duplicates += 1
             return False
         self._take_in(key, outcome, report)
-        self._outcomes[key] = outcome
+        self._set_outcome(key, outcome)
         return True
+
+    def _set_outcome(self, key: DeploymentKey, outcome: Outcome | None) -> None:
+        """Have an outcome count from now on; None for none."""
+        before = self._outcomes.pop(key, None)
+        if outcome is not None:
+            self._outcomes[key] = outcome
+        self.lost += is_loss(outcome) - is_loss(before)
 
     def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         """Do what a new outcome entails, before it is known; may raise ValueError."""
@@ -319,6 +329,11 @@ class Register:
         if unseen.size:
             readings[np.unpackbits(unseen, count=steps) == 1] = -1
         return Observation(path, True, readings)
+
+
+def is_loss(outcome: Outcome | None) -> bool:
+    """Return whether a deployment is known to have ended with a lost robot."""
+    return outcome is not None and not outcome.ending.survived
 
 
 def observation_of(
