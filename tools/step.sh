@@ -13,7 +13,8 @@ said=$(mktemp)
 # The newest line of what the command says; behind a carriage return it starts anew.
 follow() {
   while sleep "$period"; do
-    line=$(tail -c 1000 "$said" | tr '\r' '\n' | grep -v '^[[:space:]]*$' | tail -n 1)
+    # It may be gone: the command has ended.
+    line=$(tail -c 1000 "$said" 2>/dev/null | tr '\r' '\n' | grep -v '^[[:space:]]*$' | tail -n 1)
     echo "  $SECONDS s: ${line:0:$((width - 10))}"
   done
 }

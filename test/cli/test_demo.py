@@ -172,6 +172,7 @@ def test_a_mission_that_died_before_its_first_robot_left_is_resumed(tmp_path):
     assert '1 deployments' in resumed.stdout
 
 
+@pytest.mark.full
 def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
     small = ['--robots', 1, '--size', 3, '--max-steps', 4]
     assert run_demo(*small, '--out', tmp_path / 'open').returncode == 0
@@ -426,7 +427,16 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
     assert 'unfinished' not in replayed.stdout
 
 
-@pytest.mark.parametrize('node', ['planner', 'team', 'estimator', 'recorder'])
+@pytest.mark.parametrize(
+    'node',
+    [
+        'planner',
+        *(
+            pytest.param(each, marks=pytest.mark.full)
+            for each in ('team', 'estimator', 'recorder')
+        ),
+    ],
+)
 def test_demo_fails_when_a_node_dies(running, node):
     process, _ = running
     nodes = nodes_of(process)

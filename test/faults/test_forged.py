@@ -17,6 +17,7 @@ def undisturbed(tmp_path_factory):
     return run_forged(tmp_path_factory.mktemp('undisturbed'), ())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', FORGERIES)
 def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, kind):
     outcome = run_forged(tmp_path, [kind], SCALE)

@@ -67,10 +67,11 @@ class Field:
             self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
 
     def kill(self, full_name):
-        """End a node without warning; it may be started again."""
+        """End a node without warning; it may be started again, and has said nothing yet."""
         process = self.processes.started.pop(full_name)
         process.kill()
         process.wait()
+        self._diagnosed.pop(full_name, None)
 
     def said(self, full_name):
         """Return what a node wrote to its terminal."""
