@@ -11,6 +11,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
+    package_data={'kbnitp_ros.report': ['assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -34,6 +35,7 @@ setup(
             'planner = kbnitp_ros.nodes.planner:main',
             'recorder = kbnitp_ros.nodes.recorder:main',
             'replay = kbnitp_ros.cli.replay:main',
+            'report = kbnitp_ros.cli.report:main',
             'study = kbnitp_ros.cli.study:main',
             'team = kbnitp_ros.nodes.team:main',
         ],

@@ -11,6 +11,7 @@ COMMANDS = {
     'demo': 'kbnitp_ros.cli.demo',
     'study': 'kbnitp_ros.cli.study',
     'replay': 'kbnitp_ros.cli.replay',
+    'report': 'kbnitp_ros.cli.report',
     'planner': 'kbnitp_ros.nodes.planner',
     'agent': 'kbnitp_ros.nodes.agent',
     'team': 'kbnitp_ros.nodes.team',
@@ -22,8 +23,9 @@ USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".
 
 HELP = f"""{USAGE}
 
-demo runs a whole mission, study many without ROS, and replay checks a recorded one; the others are
-the nodes. `python3 -m kbnitp_ros NAME --help` tells more of each, --version which version this is.
+demo runs a whole mission, study many without ROS, replay checks a recorded one and report shows
+it; the others are the nodes. `python3 -m kbnitp_ros NAME --help` tells more of each, --version
+which version this is.
 
 example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
 

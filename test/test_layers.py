@@ -20,10 +20,22 @@ BELOW = {
     'maps': {'files', 'core'},
     'log.bag': {'files'},
     'log': {'files', 'core', 'messages', 'log.bag'},
-    'study': {'files', 'core', 'maps', 'messages'},
     'robot': {'core'},
+    'figures': set(),
+    'study': {'files', 'core', 'maps', 'messages', 'figures'},
+    'report': {'core', 'maps', 'messages', 'log', 'log.bag', 'figures'},
     'nodes': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'robot'},
-    'cli': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'nodes'},
+    'cli': {
+        'files',
+        'core',
+        'maps',
+        'messages',
+        'log',
+        'log.bag',
+        'study',
+        'report',
+        'nodes',
+    },
 }
 
 # Modules and functions of files, processes and sockets that the core has no use for.

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 # What is imported -> its rosdep key and its wheel. Other imports are ROS packages: the key is the
 # name, the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
 PYTHON_PACKAGES = {
+    'colorspacious': (None, 'colorspacious'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'joblib': ('python3-joblib', 'joblib'),
     'lz4': ('mcap-ros2-support', 'lz4'),
@@ -28,6 +29,8 @@ PYTHON_PACKAGES = {
     'numba': (None, 'numba'),
     'numpy': ('python3-numpy', 'numpy'),
     'PIL': ('python3-pil', 'pillow'),
+    'playwright': (None, 'playwright'),
+    'plotly': (None, 'plotly'),
     'pyarrow': (None, 'pyarrow'),
     'pytest': ('python3-pytest', 'pytest'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),

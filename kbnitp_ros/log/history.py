@@ -3,18 +3,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from kbnitp_ros.core import Belief, deployment_order, Grid, Observation, World
-from kbnitp_ros.log.bag import LogError, read_log, same_types
+from kbnitp_ros.core import Belief, deployment_order, DeploymentKey, Grid, Observation, World
+from kbnitp_ros.log.bag import LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
-from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import Known, read_model_belief
+
+# Of all beliefs on record, which are held as joints and as maps.
+MOST_BYTES = 4 * 2**30
+BYTES_PER_CELL = (4 + 3) * 8
 
 
 @dataclass(frozen=True, eq=False)
+class HeardBelief:
+    """
+    A belief on record.
+
+    Attributes
+    ----------
+    snapshot : Snapshot
+        What it says.
+    time : int
+        When it was received, in nanoseconds.
+    position : int
+        How far into the log it stands, in bytes.
+
+    """
+
+    snapshot: Snapshot
+    time: int
+    position: int
+
+
+@dataclass(eq=False)
 class History:
     """
     What a log tells of its mission.
@@ -23,26 +52,52 @@ class History:
     ----------
     grid : Grid
         The field.
-    beliefs : list of Belief
-        Those on record, the prior first.
-    observations : list of Observation
-        The deployments on record in their order, each once: the return if a loss was reported too.
+    evidence : Evidence
+        The deployments on record.
+    topic : str
+        That of the beliefs.
+    heard : list of HeardBelief
+        The beliefs on record, the prior first; what an estimator told again comes again.
+    sent : dict of DeploymentKey to int
+        When the path of a deployment was received, in nanoseconds.
+    told : dict of (DeploymentKey, int) to int
+        When the report of a deployment with this stamp was received, in nanoseconds.
     learnt : list of dict of str to Known
         What was known of the numbers that were learnt, by their names; in the order on
         record, empty if none were.
+    learnt_stamps : list of int
+        The stamps of the beliefs that these go with, in nanoseconds.
     world : World or None
         The hidden truth, if the agent published it.
 
     """
 
     grid: Grid
-    beliefs: list[Belief]
-    observations: list[Observation]
-    learnt: list[dict[str, Known]]
-    world: World | None
+    evidence: Evidence
+    topic: str = ''
+    heard: list[HeardBelief] = field(default_factory=list)
+    sent: dict[DeploymentKey, int] = field(default_factory=dict)
+    told: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
+    learnt: list[dict[str, Known]] = field(default_factory=list)
+    learnt_stamps: list[int] = field(default_factory=list)
+    world: World | None = None
+
+    @property
+    def beliefs(self) -> list[Belief]:
+        """Those on record, the prior first."""
+        return [each.snapshot.belief for each in self.heard]
+
+    @property
+    def observations(self) -> list[Observation]:
+        """Of the deployments that ended, each once: the return if a loss was reported too."""
+        ended = sorted(self.evidence.reports, key=deployment_order)
+        return [self.evidence.observation(key) for key in ended]
 
 
-def read_history(path: str | Path) -> History:
+def read_history(
+    path: str | Path,
+    progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+) -> History:
     """
     Read what happened in a mission.
 
@@ -50,39 +105,87 @@ def read_history(path: str | Path) -> History:
     ----------
     path : str or Path
         Its log.
+    progress : callable
+        Passes the log's messages on; may show how far the reading has come.
 
     Raises
     ------
     LogError
-        If the file cannot be read or has no belief on record.
-    ValueError
-        If a belief on record is none, or what was learnt.
+        If the file cannot be read or has no belief on record, a belief on record is none, or what
+        was learnt, beliefs are of several missions, or they take more than `MOST_BYTES`.
 
     """
     first = first_belief(path)
     if first is None:
-        raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
-    evidence = Evidence(first.grid, first.max_steps)
-    snapshots = []
-    learnt = []
+        raise LogError(
+            f'{path} has no beliefs on record that can be read: it must have messages of type '
+            f'{BELIEF}'
+        )
+    history = History(first.grid, Evidence(first.grid, first.max_steps))
     truth = {}
     with same_types(path):
-        for logged in read_log(path, (BELIEF, GRID, MODEL, PATH, REPORT)):
-            if logged.type_name == BELIEF:
-                snapshots.append(read_belief_maps(logged.message))
-                evidence.max_steps = max(evidence.max_steps, snapshots[-1].max_steps)
-            elif logged.type_name in (PATH, REPORT):
-                evidence.take(logged)
-            elif logged.type_name == MODEL:
-                learnt.append(read_model_belief(logged.message))
-            elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
-                truth[logged.topic.rpartition('/')[2]] = read_occupancy_grid(logged.message) > 0.0
-    return History(
-        grid=first.grid,
-        beliefs=[snapshot.belief for snapshot in snapshots],
-        observations=[
-            evidence.observation(key) for key in sorted(evidence.reports, key=deployment_order)
-        ],
-        learnt=learnt,
-        world=World(truth['hazard'], truth['target']) if len(truth) == 2 else None,
-    )
+        for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, REPORT))):
+            with named(path, logged, history):
+                if logged.type_name in (PATH, REPORT):
+                    take_evidence(history, logged)
+                elif logged.type_name == BELIEF:
+                    take_belief(history, logged)
+                elif logged.type_name == MODEL:
+                    stamp = from_stamp(logged.message.header.stamp)
+                    history.learnt.append(read_model_belief(logged.message))
+                    history.learnt_stamps.append(stamp)
+                elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
+                    name = logged.topic.rpartition('/')[2]
+                    truth[name] = read_occupancy_grid(logged.message) > 0.0
+    if len(truth) == 2 and truth['hazard'].size == first.grid.cells:
+        history.world = World(**truth)
+    return history
+
+
+@contextmanager
+def named(path: str | Path, logged: LoggedMessage, history: History) -> Iterator[None]:
+    """Raise a LogError that says which message it is that cannot be."""
+    try:
+        yield
+    except ValueError as error:
+        number = f'belief {len(history.heard)}' if logged.type_name == BELIEF else 'a message'
+        raise LogError(f'{path}: {number} on {logged.topic} is refused: {error}') from error
+
+
+def take_belief(history: History, logged: LoggedMessage) -> None:
+    """
+    Add a belief to the history.
+
+    Raises
+    ------
+    ValueError
+        If it is none, is of another mission, or there is no room for it.
+
+    """
+    snapshot = read_belief_maps(logged.message)
+    history.topic = history.topic or logged.topic
+    if logged.topic != history.topic:
+        raise ValueError(f'there are beliefs on {history.topic} too: a log holds one mission')
+    if snapshot.grid != history.grid:
+        raise ValueError(f'it is on {snapshot.grid}, and the first on {history.grid}')
+    needed = (len(history.heard) + 1) * history.grid.cells * BYTES_PER_CELL
+    if needed > MOST_BYTES:
+        raise ValueError(
+            f'beliefs in {history.grid.cells} cells would take {needed / 2**30:.1f} GiB up to '
+            f'here: at most {MOST_BYTES / 2**30:.0f} GiB are read'
+        )
+    history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
+    history.evidence.max_steps = max(history.evidence.max_steps, snapshot.max_steps)
+
+
+def take_evidence(history: History, logged: LoggedMessage) -> None:
+    """Add a path or a report to the history, or note that it is refused."""
+    history.evidence.take(logged)
+    if logged.type_name == PATH:
+        key = key_of_path(logged.topic, logged.message)
+        if key in history.evidence.paths:
+            history.sent.setdefault(key, logged.log_time)
+    else:
+        with suppress(ValueError):
+            key, report = read_report(logged.message, agent_of(logged.topic))
+            history.told.setdefault((key, report.stamp), logged.log_time)

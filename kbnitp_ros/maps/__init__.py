@@ -5,5 +5,14 @@ from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.files import MOST_PIXELS, read_map
 from kbnitp_ros.maps.occupancy import Map
 from kbnitp_ros.maps.prior import read_probabilities
+from kbnitp_ros.maps.writing import levels_of, write_probabilities
 
-__all__ = ['MOST_PIXELS', 'Map', 'MapError', 'read_map', 'read_probabilities']
+__all__ = [
+    'MOST_PIXELS',
+    'Map',
+    'MapError',
+    'levels_of',
+    'read_map',
+    'read_probabilities',
+    'write_probabilities',
+]

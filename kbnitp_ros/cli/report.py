@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Show a mission's log: a page, pictures, tables and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.replay import with_progress
+from kbnitp_ros.log.bag import log_size, LogError
+from kbnitp_ros.nodes.command_line import command_parser
+from kbnitp_ros.report import check_is_free, curves_of, PARTS, read_mission, write_report
+from tqdm import tqdm
+
+DESCRIPTION = """
+Show a mission's log: report.html, a page that works without a network; maps and progress as PNG
+and SVG; deployments.parquet and .csv, one row a deployment; belief.npz; and the last beliefs as
+maps of map_server (hazard.yaml, target.yaml, kappa.yaml), which a mission can begin with.
+
+The exit code is 0 if all is written, and 2 if the log cannot be used or nothing can be written.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros report runs/small --out runs/small/report',
+    'python3 -m kbnitp_ros report runs/small/mission.mcap --out shown',
+)
+
+
+@command('report')
+def main(argv: Sequence[str] | None = None) -> int:
+    """
+    Run the command.
+
+    Returns
+    -------
+    int
+        0 if all is written, 2 if the log cannot be used or nothing can be written.
+
+    """
+    parser = command_parser('report', DESCRIPTION, *EXAMPLES)
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        help="the log of one mission: its first file, or its folder if it is the only one's",
+    )
+    parser.add_argument(
+        '--out',
+        metavar='DIR',
+        type=Path,
+        required=True,
+        help='folder to make; it may be there if it is empty',
+    )
+    options = parser.parse_args(argv)
+    try:
+        check_is_free(options.out)
+        report(options.log, options.out)
+    except (LogError, ValueError, OSError) as error:
+        complain('report', error)
+        return 2
+    return 0
+
+
+def report(
+    log: Path, folder: Path, note: str = '', truth: Mapping[str, float] | None = None
+) -> None:
+    """
+    Write the report of a log and say so, with progress bars on a terminal.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be used.
+    OSError, ValueError
+        If the report cannot be written.
+
+    """
+    mission = read_mission(log, partial(with_progress, log_size(log)))
+    curves = curves_of(mission, partial(tqdm, unit='belief', disable=None))
+    with tqdm(total=len(PARTS), unit='file', disable=None) as bar:
+        left_out = write_report(folder, mission, curves, note, truth, lambda name: bar.update())
+    say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
+    for each in (*mission.notes, left_out):
+        if each:
+            say(each)

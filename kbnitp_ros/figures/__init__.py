@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How figures look: colours, line styles and markers, sizes, files."""
+
+from kbnitp_ros.figures.files import FORMATS, save
+from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, SERIES, Style, UNVISITED
+
+__all__ = [
+    'FORMATS',
+    'LOST',
+    'MAPS',
+    'RETURNED',
+    'SERIES',
+    'UNVISITED',
+    'Style',
+    'save',
+]

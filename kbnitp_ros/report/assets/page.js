@@ -1,0 +1,312 @@
+'use strict';
+
+// What Python packed: see frames.py.
+async function unpacked(id) {
+  const text = document.getElementById(id).textContent.trim();
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+const NAMES = ['hazard', 'target', 'kappa'];
+const page = (id) => document.getElementById(id);
+
+async function start() {
+  const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
+  const frames = await unpacked('frames');
+  const plots = JSON.parse(page('plots').textContent);
+  const { width, height } = mission.grid;
+  const cells = width * height;
+  const size = NAMES.length * cells;
+  for (let place = size; place < frames.length; place += 1) frames[place] += frames[place - size];
+  const blocked = new Set(mission.grid.blocked);
+  const last = mission.moments.length - 1;
+  let now = 0;
+  let timer = null;
+  let cell = mission.cell;
+
+  const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
+  const center = (each) => [
+    mission.grid.x + (each % width + 0.5) * mission.grid.resolution,
+    mission.grid.y + (Math.floor(each / width) + 0.5) * mission.grid.resolution,
+  ];
+
+  function map(moment, name) {
+    const rows = [];
+    for (let row = 0; row < height; row += 1) {
+      const values = [];
+      for (let column = 0; column < width; column += 1) {
+        const each = row * width + column;
+        values.push(blocked.has(each) ? null : level(moment, name, each) / 255);
+      }
+      rows.push(values);
+    }
+    return rows;
+  }
+
+  function line(paths) {
+    const x = [];
+    const y = [];
+    for (const path of paths) {
+      for (const each of path) {
+        const [east, north] = center(each);
+        x.push(east);
+        y.push(north);
+      }
+      x.push(null);
+      y.push(null);
+    }
+    return { x, y };
+  }
+
+  // Plotly has no hatching for maps, so cells that nobody was sent into are drawn over as a picture.
+  const side = Math.max(3, Math.min(32, Math.floor(900 / Math.max(width, height))));
+  const canvas = document.createElement('canvas');
+  canvas.width = width * side;
+  canvas.height = height * side;
+  function hatching(moment) {
+    const context = canvas.getContext('2d');
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    context.save();
+    context.beginPath();
+    let unvisited = 0;
+    mission.visited.forEach((first, each) => {
+      if ((first < 0 || first > moment) && !blocked.has(each)) {
+        context.rect((each % width) * side, (height - 1 - Math.floor(each / width)) * side, side, side);
+        unvisited += 1;
+      }
+    });
+    context.clip();
+    context.beginPath();
+    const reach = canvas.width + canvas.height;
+    for (let begin = 0; begin < reach; begin += Math.max(6, side / 3)) {
+      context.moveTo(begin, 0);
+      context.lineTo(begin - canvas.height, canvas.height);
+    }
+    context.strokeStyle = '#707070';
+    context.stroke();
+    context.restore();
+    return unvisited ? [{
+      source: canvas.toDataURL(), xref: 'x', yref: 'y', sizing: 'stretch', layer: 'above',
+      x: mission.grid.x, y: mission.grid.y + height * mission.grid.resolution,
+      sizex: width * mission.grid.resolution, sizey: height * mission.grid.resolution,
+    }] : [];
+  }
+
+  function overlays(moment) {
+    const { sortie, survived, known, out } = mission.moments[moment];
+    const traces = { out: line(out.map((each) => mission.sorties[each].path)) };
+    const path = sortie === null ? [] : mission.moments[moment].walk || mission.sorties[sortie].path;
+    const look = mission.walks[survived ? 'returned' : 'lost'];
+    traces.casing = line(path.length ? [path] : []);
+    traces.walk = { ...line(path.length ? [path] : []), line: { width: 3, color: look.color, dash: look.dash } };
+    const marked = { detected: [], nothing: [] };
+    (mission.moments[moment].readings || []).forEach((reading, step) => {
+      if (reading >= 0) marked[reading ? 'detected' : 'nothing'].push([path[step + 1]]);
+    });
+    traces.detected = line(marked.detected);
+    traces.nothing = line(marked.nothing);
+    const end = survived ? path.length - 1 : known;
+    traces.end = {
+      ...line(path.length && (survived || known) ? [[path[end]]] : []),
+      marker: { symbol: look.symbol, size: 11, color: look.color, line: { color: 'white', width: 1 } },
+    };
+    return traces;
+  }
+
+  function colours() {
+    const style = getComputedStyle(document.documentElement);
+    const of = (name) => style.getPropertyValue(`--${name}`).trim();
+    return { text: of('text'), paper: of('paper'), line: of('line') };
+  }
+
+  function themed(layout) {
+    const { text, paper, line: grid } = colours();
+    const axes = Object.keys(layout).filter((name) => /^[xy]axis/.test(name));
+    const changed = { ...layout, font: { color: text }, hoverlabel: { bgcolor: paper, font: { color: text } } };
+    axes.forEach((name) => {
+      changed[name] = { ...layout[name], gridcolor: grid, linecolor: text, tickcolor: text, zerolinecolor: grid };
+    });
+    return changed;
+  }
+
+  const config = { displayModeBar: false, responsive: true };
+  const shape = (moment) => [{
+    type: 'line', xref: 'x', yref: 'paper', x0: mission.moments[moment].place, x1: mission.moments[moment].place,
+    y0: 0, y1: 1, line: { color: colours().text, width: 1 },
+  }];
+
+  function drawMaps() {
+    const images = hatching(now);
+    const traces = overlays(now);
+    NAMES.forEach((name) => {
+      const { data, layout } = plots[name];
+      data[0].z = map(now, name);
+      mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
+      Plotly.react(page(name), data, { ...themed(layout), images }, config);
+    });
+  }
+
+  function drawCell() {
+    const places = mission.moments.map((moment) => moment.place);
+    NAMES.forEach((name, place) => {
+      plots.cell.data[place].x = places;
+      plots.cell.data[place].y = places.map((_, moment) => level(moment, name, cell) / 255);
+    });
+    Plotly.react(page('cell-plot'), plots.cell.data, { ...themed(plots.cell.layout), shapes: shape(now) }, config);
+    page('column').value = cell % width;
+    page('row').value = Math.floor(cell / width);
+    const values = NAMES.map((name) => `${name} ${(level(now, name, cell) / 255).toFixed(3)}`).join(', ');
+    const truth = mission.truth ? ` In truth: ${mission.truth.hazard[cell] ? 'a hazard' : 'no hazard'}, `
+      + `${mission.truth.target[cell] ? 'a target' : 'no target'}.` : '';
+    const first = mission.visited[cell];
+    const visited = first >= 0 && first <= now ? '' : ' No robot was sent here so far.';
+    page('cell').textContent = blocked.has(cell) ? 'Blocked: no robot can enter.' : `${values}.${truth}${visited}`;
+  }
+
+  function drawCurves() {
+    Plotly.react(page('curves'), plots.curves.data, { ...themed(plots.curves.layout), shapes: shape(now) }, config);
+  }
+
+  function tell() {
+    const moment = mission.moments[now];
+    page('told').textContent = moment.told;
+    page('moment').value = now;
+    page('moment').setAttribute('aria-valuetext', moment.told);
+    const list = page('deployment');
+    list.replaceChildren();
+    for (const [term, value] of moment.facts) {
+      list.append(Object.assign(document.createElement('dt'), { textContent: term }));
+      list.append(Object.assign(document.createElement('dd'), { textContent: value }));
+    }
+    document.querySelectorAll('#deployments tr[aria-current]').forEach((row) => row.removeAttribute('aria-current'));
+    const row = moment.sortie === null ? null : page(`deployment-${moment.sortie}`);
+    if (row) row.setAttribute('aria-current', 'true');
+  }
+
+  function show(moment) {
+    now = Math.max(0, Math.min(last, moment));
+    tell();
+    drawMaps();
+    drawCell();
+    Plotly.relayout(page('curves'), { shapes: shape(now) });
+    document.documentElement.dataset.moment = now;
+  }
+
+  function stop() {
+    clearInterval(timer);
+    timer = null;
+    page('play').textContent = 'Play';
+    page('play').setAttribute('aria-pressed', 'false');
+    page('told').setAttribute('role', 'status');
+  }
+
+  function play() {
+    if (timer !== null) {
+      stop();
+      return;
+    }
+    if (now === last) show(0);
+    page('play').textContent = 'Pause';
+    page('play').setAttribute('aria-pressed', 'true');
+    // A screen reader would fall behind.
+    page('told').removeAttribute('role');
+    timer = setInterval(() => (now === last ? stop() : show(now + 1)), Math.max(80, Math.min(700, 40000 / (last + 1))));
+  }
+
+  let asked = false;
+  function look(each) {
+    cell = each;
+    if (asked) return;
+    asked = true;
+    requestAnimationFrame(() => {
+      asked = false;
+      drawCell();
+    });
+  }
+
+  function pointed(event) {
+    const point = event.points.find((each) => each.data.type === 'heatmap');
+    if (point) look(point.pointNumber[0] * width + point.pointNumber[1]);
+  }
+
+  function named() {
+    const column = Math.max(0, Math.min(width - 1, Number(page('column').value)));
+    const row = Math.max(0, Math.min(height - 1, Number(page('row').value)));
+    look(row * width + column);
+  }
+
+  function sort(heading) {
+    const head = heading.closest('th');
+    const place = [...head.parentNode.children].indexOf(head);
+    const ascending = head.getAttribute('aria-sort') !== 'ascending';
+    [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
+    head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
+    const body = page('deployments').tBodies[0];
+    const key = (row) => row.children[place].dataset.value;
+    const sign = ascending ? 1 : -1;
+    const rows = [...body.rows].sort((one, other) => {
+      const [a, b] = [key(one), key(other)];
+      // What is not known comes last.
+      if (a === '' || b === '') return (a === '') - (b === '');
+      const order = head.classList.contains('text') ? a.localeCompare(b) : Number(a) - Number(b);
+      return sign * order;
+    });
+    body.append(...rows);
+  }
+
+  function isDark() {
+    const chosen = document.documentElement.dataset.theme;
+    return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
+  }
+
+  function paint() {
+    page('theme').textContent = isDark() ? 'Light' : 'Dark';
+    NAMES.forEach((name) => {
+      const { data, layout } = plots[`true-${name}`] || {};
+      if (data) Plotly.react(page(`true-${name}`), data, themed(layout), config);
+    });
+    drawCurves();
+    show(now);
+  }
+
+  page('moment').max = last;
+  page('column').max = width - 1;
+  page('row').max = height - 1;
+  now = last;
+  paint();
+  NAMES.forEach((name) => {
+    for (const id of [name, `true-${name}`]) {
+      if (plots[id]) page(id).on('plotly_hover', pointed).on('plotly_click', pointed);
+    }
+  });
+  page('curves').on('plotly_click', (event) => {
+    const place = event.points[0].x;
+    show(mission.moments.findIndex((moment) => moment.place >= place));
+  });
+  page('moment').addEventListener('input', (event) => show(Number(event.target.value)));
+  page('previous').addEventListener('click', () => show(now - 1));
+  page('next').addEventListener('click', () => show(now + 1));
+  page('play').addEventListener('click', play);
+  page('column').addEventListener('change', named);
+  page('row').addEventListener('change', named);
+  page('theme').addEventListener('click', () => {
+    document.documentElement.dataset.theme = isDark() ? 'light' : 'dark';
+    paint();
+  });
+  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', paint);
+  page('deployments').tHead.addEventListener('click', (event) => {
+    if (event.target.tagName === 'BUTTON') sort(event.target);
+  });
+  page('deployments').tBodies[0].addEventListener('click', (event) => {
+    const row = event.target.closest('tr');
+    if (row.dataset.moment !== '') show(Number(row.dataset.moment));
+  });
+  document.documentElement.dataset.ready = 'true';
+}
+
+start().catch((error) => {
+  page('trouble').hidden = false;
+  page('trouble').textContent = `The page cannot be shown here: ${error.message}. It needs a browser of 2023 or later.`;
+  throw error;
+});

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a mission went, as numbers after each moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from math import nan
+
+from kbnitp_ros.core import binary_entropy, log_loss, path_information
+from kbnitp_ros.report.mission import Mission
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """
+    One value a moment.
+
+    Attributes
+    ----------
+    hazard_entropy, target_entropy : ndarray, shape (moments,)
+        H(Z) and H(X) summed over the cells, in nats.
+    joint_entropy : ndarray, shape (moments,)
+        H(Z, X) summed over the cells, in nats.
+    hazard_loss, target_loss : ndarray, shape (moments,)
+        Log loss of the maps in nats; NaN where the truth is not on record.
+    expected : ndarray, shape (moments,)
+        What information the deployment that was taken in was expected to bring, given the belief
+        of the moment before: I(Z, X; Theta, Y) in nats. NaN at first, for a return that replaces
+        a loss, and where the belief before is missing.
+    gained : ndarray, shape (moments,)
+        By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot
+        more or less, also less than nothing. NaN at first and where the belief before is missing.
+    lost : ndarray of int, shape (moments,)
+        How many robots were known to be lost.
+    out : ndarray of int, shape (moments,)
+        How many had been sent and not reported.
+
+    """
+
+    hazard_entropy: Numbers
+    target_entropy: Numbers
+    joint_entropy: Numbers
+    hazard_loss: Numbers
+    target_loss: Numbers
+    expected: Numbers
+    gained: Numbers
+    lost: NDArray[np.intp]
+    out: NDArray[np.intp]
+
+
+def curves_of(
+    mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
+) -> Curves:
+    """
+    Return how a mission went.
+
+    Parameters
+    ----------
+    mission : Mission
+        As read from its log.
+    progress : callable
+        Passes the numbers of the moments on; may show how far this has come.
+
+    """
+    moments, world = mission.moments, mission.world
+    beliefs = [each.belief for each in moments]
+    joint_entropy = np.array([each.joint_entropy() for each in beliefs])
+    gaps = np.array([each.is_after_gap for each in moments])
+    gained = np.concatenate([[nan], -np.diff(joint_entropy)])
+    gained[gaps] = nan
+    expected = np.array([expected_at(mission, place) for place in progress(range(len(moments)))])
+    unknown = np.full(len(moments), nan)
+    return Curves(
+        hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),
+        target_entropy=np.array([binary_entropy(each.target).sum() for each in beliefs]),
+        joint_entropy=joint_entropy,
+        hazard_loss=np.array([log_loss(each.hazard, world.hazard) for each in beliefs])
+        if world
+        else unknown,
+        target_loss=np.array([log_loss(each.target, world.target) for each in beliefs])
+        if world
+        else unknown,
+        expected=expected,
+        gained=gained,
+        lost=lost_by(mission),
+        out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
+    )
+
+
+def expected_at(mission: Mission, place: int) -> float:
+    """Return the information that the deployment of a moment was expected to bring, in nats."""
+    moment = mission.moments[place]
+    if place == 0 or moment.sortie is None or moment.is_late or moment.is_after_gap:
+        return nan
+    before = mission.moments[place - 1]
+    return path_information(before.belief, before.model, mission.sorties[moment.sortie].path)
+
+
+def lost_by(mission: Mission) -> NDArray[np.intp]:
+    """Return how many robots were known to be lost at each moment; late returns count no more."""
+    is_lost: dict[int, bool] = {}
+    counts = []
+    for moment in mission.moments:
+        if moment.is_after_gap:
+            for place, sortie in enumerate(mission.sorties):
+                if sortie.outcome and sortie.told is not None and sortie.told <= moment.time:
+                    is_lost.setdefault(place, not sortie.outcome.survived)
+        if moment.sortie is not None and moment.outcome is not None:
+            is_lost[moment.sortie] = not moment.outcome.survived
+        counts.append(sum(is_lost.values()))
+    return np.array(counts, dtype=np.intp)
+
+
+def out_at(mission: Mission) -> list[NDArray[np.intp]]:
+    """Return who was out at each moment, by their places among the sorties."""
+    never = np.iinfo(np.int64).max
+    sent = np.array([each.sent or 0 for each in mission.sorties])
+    told = np.array([never if each.told is None else each.told for each in mission.sorties])
+    return [np.flatnonzero((sent <= each.time) & (told > each.time)) for each in mission.moments]

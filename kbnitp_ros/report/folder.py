@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All files of a report, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import shutil
+import tempfile
+
+from kbnitp_ros.figures import save
+from kbnitp_ros.report.curves import Curves
+from kbnitp_ros.report.maps_figure import maps_figure
+from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.page import page_of
+from kbnitp_ros.report.progress_figure import progress_figure
+from kbnitp_ros.report.tables import write_beliefs, write_tables
+
+
+def check_is_free(folder: Path) -> None:
+    """
+    Check that a report can be written to a folder.
+
+    Raises
+    ------
+    FileExistsError
+        If it is there and not empty.
+
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise FileExistsError(f'{folder} is there already, and no folder: name another with --out')
+    if folder.is_dir() and any(folder.iterdir()):
+        raise FileExistsError(f'{folder} is there already and not empty: name another with --out')
+
+
+def write_report(
+    folder: Path,
+    mission: Mission,
+    curves: Curves,
+    note: str = '',
+    truth: Mapping[str, float] | None = None,
+    done: Callable[[str], None] = lambda name: None,
+) -> str:
+    """
+    Write a report: all of its files, or nothing.
+
+    Parameters
+    ----------
+    folder : Path
+        Where; it is made, and may be there if it is empty.
+    mission : Mission
+        As read from its log.
+    curves : Curves
+        Of the mission.
+    note : str
+        What else is to be known of the mission.
+    truth : mapping of str to float, optional
+        What the numbers are that were learnt, as far as it is known.
+    done : callable
+        Is told of each part that is done.
+
+    Returns
+    -------
+    str
+        What the page leaves out; empty if nothing.
+
+    Raises
+    ------
+    OSError
+        If the folder is not free, or there is no room.
+    ValueError
+        If there is no page small enough.
+
+    """
+    check_is_free(folder)
+    with whole_folder(folder) as new:
+        page, left_out = page_of(mission, curves)
+        new.joinpath('report.html').write_text(page, encoding='utf-8')
+        done('report.html')
+        save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg')
+        done('maps.png')
+        save(progress_figure(mission, curves, truth), new / 'progress.png', 'png', 'svg')
+        done('progress.png')
+        write_tables(new, mission, curves)
+        done('deployments.parquet')
+        write_beliefs(new, mission, curves)
+        done('belief.npz')
+    return left_out
+
+
+# The parts that `write_report` tells of.
+PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """
+    Yield a new folder that takes the place of another one in the end; nothing is left on errors.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made, or the other one is not free.
+
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
+    try:
+        yield new
+        # Temporary folders are for their owner only.
+        new.chmod(0o777 & ~umask())
+        new.rename(folder)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+
+
+def umask() -> int:
+    """Return the permissions that new files do not have."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

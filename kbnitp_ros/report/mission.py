@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission as a report tells it: moments, one for each belief, and sorties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.core import (
+    Belief,
+    deployment_order,
+    DeploymentKey,
+    Grid,
+    Observation,
+    observation_of,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, parts_of, read_metadata
+from kbnitp_ros.log.configuration import read_parameters, RUN
+from kbnitp_ros.log.evidence import Evidence
+from kbnitp_ros.log.history import HeardBelief, History, read_history
+from kbnitp_ros.messages.models import Known
+import numpy as np
+from numpy.typing import NDArray
+
+# How many of the messages that nobody took are told one by one.
+REFUSALS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """
+    What was believed after a report was taken in; at first, before any was.
+
+    Attributes
+    ----------
+    belief : Belief
+        As it is on record.
+    model : SensorModel
+        What robots and sensors were believed to be like.
+    held : int
+        How many deployments the belief holds.
+    time : int
+        When it was received, in nanoseconds.
+    sortie : int or None
+        Whose report was taken in last, by its place among the sorties; None at first.
+    outcome : Observation or None
+        What that report told; None at first.
+    is_late : bool
+        Whether it replaced a report of the same deployment.
+    is_after_gap : bool
+        Whether beliefs are missing before it.
+    learnt : dict of str to Known
+        What was known of the numbers that are learnt, by name.
+
+    """
+
+    belief: Belief
+    model: SensorModel
+    held: int
+    time: int
+    sortie: int | None = None
+    outcome: Observation | None = None
+    is_late: bool = False
+    is_after_gap: bool = False
+    learnt: dict[str, Known] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Sortie:
+    """
+    A deployment whose path is on record.
+
+    Attributes
+    ----------
+    key : DeploymentKey
+        Agent and stamp.
+    path : ndarray of int, shape (steps + 1,)
+        Its orders.
+    outcome : Observation or None
+        What came of it in the end; None if the robot was still out.
+    sent, told : int or None
+        When its path and its first report were received, in nanoseconds; None if unknown.
+    moment : int or None
+        The last moment that took in a report of it; None if no belief on record holds it.
+
+    """
+
+    key: DeploymentKey
+    path: NDArray[np.intp]
+    outcome: Observation | None
+    sent: int | None
+    told: int | None
+    moment: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """
+    What a log tells of its mission.
+
+    Attributes
+    ----------
+    log : Path
+        Where it was read.
+    grid : Grid
+        The field.
+    rules : dict of str to object
+        What the estimator was started with: method, seed, the most steps of a path.
+    moments : list of Moment
+        In their order.
+    sorties : list of Sortie
+        In their order.
+    world : World or None
+        The hidden truth, if it is on record.
+    run : dict of str to str
+        Time and versions of the run.
+    parameters : dict of str to dict
+        Of each node, by its full name.
+    notes : list of str
+        What else is to be known of the log.
+
+    """
+
+    log: Path
+    grid: Grid
+    rules: dict[str, Any]
+    moments: list[Moment]
+    sorties: list[Sortie]
+    world: World | None
+    run: dict[str, str]
+    parameters: dict[str, dict[str, Any]]
+    notes: list[str]
+
+    @property
+    def ended(self) -> list[Observation]:
+        """Outcomes of the deployments that ended."""
+        return [each.outcome for each in self.sorties if each.outcome is not None]
+
+    def visited(self) -> NDArray[np.bool_]:
+        """Return which cells a robot was sent into or came from, shape (cells,)."""
+        visited = np.zeros(self.grid.cells, dtype=bool)
+        for sortie in self.sorties:
+            visited[sortie.path if sortie.outcome is None else sortie.outcome.path] = True
+        return visited
+
+
+def read_mission(
+    log: str | Path,
+    progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+) -> Mission:
+    """
+    Return what a log tells of its mission.
+
+    Parameters
+    ----------
+    log : str or Path
+        Its first file, or its folder.
+    progress : callable
+        Passes the log's messages on; may show how far the reading has come.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, no robot had left, or beliefs are missing although neither estimator
+        nor recorder was restarted.
+
+    """
+    history = read_history(log, progress)
+    evidence = history.evidence
+    if not evidence.paths:
+        why = f': refused was {evidence.refused[0]}' if evidence.refused else ''
+        raise LogError(f'{log}: no robot had left, so there is nothing to report{why}')
+    keys = sorted(evidence.paths, key=deployment_order)
+    moments, notes = moments_of(log, history, keys)
+    first = history.heard[0].snapshot
+    return Mission(
+        log=Path(log),
+        grid=history.grid,
+        rules={'method': first.method, 'seed': first.seed, 'max_steps': evidence.max_steps},
+        moments=moments,
+        sorties=sorties_of(history, keys, moments),
+        world=history.world,
+        run=read_metadata(log).get(RUN, {}),
+        parameters=read_parameters(log),
+        notes=[*notes, *notes_of(log, evidence)],
+    )
+
+
+def moments_of(
+    log: str | Path, history: History, keys: Sequence[DeploymentKey]
+) -> tuple[list[Moment], list[str]]:
+    """
+    Return the beliefs on record as moments, and what is to be known of those that are missing.
+
+    An estimator that is restarted tells its prior and what it held again, which is left out.
+
+    Raises
+    ------
+    LogError
+        If beliefs are missing although neither estimator nor recorder was restarted.
+
+    """
+    place = {key: number for number, key in enumerate(keys)}
+    learnt = dict(zip(history.learnt_stamps, history.learnt))
+    ends = list(accumulate(part.stat().st_size for part in parts_of(log)))
+    moments: list[Moment] = []
+    notes = []
+    taken = set()
+    known: set[DeploymentKey] = set()
+    before: HeardBelief | None = None
+    is_restarted = False
+    for heard in history.heard:
+        said = heard.snapshot
+        name = said.deployments, said.newest, said.stamp
+        if moments and (said.deployments < max(moments[-1].held, 1) or name in taken):
+            is_restarted |= said.newest is None
+            continue
+        taken.add(name)
+        missing = said.deployments - moments[-1].held - 1 if moments else 0
+        if missing > 0:
+            assert before is not None
+            is_later_part = any(before.position < end <= heard.position for end in ends)
+            which = f'{moments[-1].held + 1} to {said.deployments - 1}'
+            if missing == 1:
+                which = f'{said.deployments - 1}'
+            if not (is_restarted or is_later_part or moments[-1].sortie is None):
+                raise LogError(
+                    f'{log}: the belief after deployment {which} is missing, and neither the '
+                    'estimator nor the recorder was restarted there: the log is not as it was '
+                    'recorded. replay tells what else is wrong with it'
+                )
+            notes.append(
+                f'There is no belief after deployment {which} on record: estimator or recorder '
+                'were restarted, or began later.'
+            )
+        moments.append(
+            Moment(
+                said.belief,
+                said.model,
+                said.deployments,
+                heard.time,
+                place.get(said.newest) if said.newest else None,
+                outcome_of(history.evidence, said.newest, said.stamp),
+                is_late=said.newest in known,
+                is_after_gap=missing > 0,
+                learnt=learnt.get(said.stamp, {}),
+            )
+        )
+        if said.newest:
+            known.add(said.newest)
+        before, is_restarted = heard, False
+    return moments, notes
+
+
+def outcome_of(evidence: Evidence, key: DeploymentKey | None, stamp: int) -> Observation | None:
+    """Return what the report of this stamp told; None if it is not on record."""
+    if key not in evidence.reports or key not in evidence.paths:
+        return None
+    report = evidence.report_of(key, stamp)
+    return observation_of(report, key, evidence.path(key), evidence.grid, evidence.max_steps)
+
+
+def sorties_of(
+    history: History, keys: Sequence[DeploymentKey], moments: Sequence[Moment]
+) -> list[Sortie]:
+    """Return the deployments whose path is on record."""
+    evidence = history.evidence
+    last = {moment.sortie: place for place, moment in enumerate(moments)}
+    told: dict[DeploymentKey, int] = {}
+    for (key, _), time in history.told.items():
+        told[key] = min(time, told.get(key, time))
+    # Of what was reported while no belief is on record, the first one after it tells.
+    return [
+        Sortie(
+            key,
+            evidence.path(key),
+            evidence.observation(key) if key in evidence.reports else None,
+            history.sent.get(key),
+            told.get(key),
+            last.get(place, moment_after(moments, told.get(key))),
+        )
+        for place, key in enumerate(keys)
+    ]
+
+
+def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
+    """Return the first moment from a time on; None if there is none."""
+    if time is None:
+        return None
+    return next((place for place, each in enumerate(moments) if each.time >= time), None)
+
+
+def notes_of(log: str | Path, evidence: Evidence) -> Iterator[str]:
+    """Yield what is to be known of a log besides."""
+    if not is_finished(log):
+        yield 'The log is unfinished: it was still being written, or its end is missing.'
+    if evidence.without_report:
+        yield f'{len(evidence.without_report)} robots were still out when the log ends.'
+    if evidence.without_path:
+        yield f'{len(evidence.without_path)} deployments have no path on record.'
+    for refusal in evidence.refused[:REFUSALS]:
+        yield f'Refused: {refusal}'
+    if len(evidence.refused) > REFUSALS:
+        yield f'Refused: {len(evidence.refused) - REFUSALS} more.'

@@ -1,0 +1,394 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a mission: one HTML file that needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from html import escape
+from importlib.resources import files
+import json
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from kbnitp_ros.figures import LOST, MAPS, RETURNED
+from kbnitp_ros.log.naming import NAME
+from kbnitp_ros.report.curves import Curves, out_at
+from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
+from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.plots import cell_plot, curve_plot, map_plot, TRACES, WALKS
+from kbnitp_ros.report.tables import rows
+import numpy as np
+from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
+
+# What can still be mailed.
+MOST_BYTES = 15_000_000
+
+SECOND = 10**9
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the table: its heading, the value of a row, its decimals, whether it is text."""
+
+    heading: str
+    name: str
+    decimals: int = 0
+    is_text: bool = False
+
+
+TABLE = (
+    Column('no.', 'deployment'),
+    Column('agent', 'agent', is_text=True),
+    Column('outcome', 'outcome', is_text=True),
+    Column('steps', 'steps'),
+    Column('survived', 'steps_survived'),
+    Column('targets read', 'detected'),
+    Column('expected (nats)', 'information_expected', 2),
+    Column('gained (nats)', 'information_gained', 2),
+    Column('entropy (nats)', 'entropy', 1),
+    Column('log loss (nats)', 'log_loss', 1),
+    Column('told after (s)', 'duration', 1),
+)
+
+
+def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
+    """
+    Return the page of a mission, and what it leaves out.
+
+    All that is in the log is shown as long as the page has no more than `MOST_BYTES`; else every
+    second moment with its deployment, or every third, and so on.
+
+    Parameters
+    ----------
+    mission : Mission
+        As read from its log.
+    curves : Curves
+        Of the mission.
+
+    Returns
+    -------
+    page, left_out : str
+        HTML, and a sentence that is empty if nothing is left out.
+
+    Raises
+    ------
+    ValueError
+        If two moments alone are too much.
+
+    """
+    moments = len(mission.moments)
+    frames = quantised([each.belief for each in mission.moments])
+    stride = 1
+    while True:
+        kept = np.unique([*range(0, moments, stride), moments - 1])
+        left_out = '' if stride == 1 else told_left_out(stride, moments, kept.size)
+        page = filled(mission, curves, frames[kept], kept, left_out)
+        size = len(page.encode())
+        if size <= MOST_BYTES:
+            return page, left_out
+        if kept.size == 2:
+            raise ValueError(
+                f'a page of {mission.grid.cells} cells has {size / 1e6:.1f} MB with two beliefs: '
+                f'at most {MOST_BYTES / 1e6:.0f} MB can be'
+            )
+        fixed = len(get_plotlyjs())
+        stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MOST_BYTES - fixed))))
+
+
+def told_left_out(stride: int, moments: int, kept: int) -> str:
+    """Return what a page says of the moments that it leaves out."""
+    return (
+        f'The page shows {kept} of {moments} moments, one in {stride}, to stay below '
+        f'{MOST_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
+    )
+
+
+def filled(
+    mission: Mission,
+    curves: Curves,
+    frames: NDArray[np.uint8],
+    kept: NDArray[np.intp],
+    left_out: str,
+) -> str:
+    """Return the page with some of the moments."""
+    table = rows(mission, curves)
+    shown = deployments_shown(mission, kept)
+    assets = {name: asset(f'page.{name}') for name in ('html', 'css', 'js')}
+    notes = [*([left_out] if left_out else []), *mission.notes]
+    return Template(assets['html']).substitute(
+        title=escape(f'Mission {title_of(mission.log)}'),
+        summary=escape(summary(mission, curves)),
+        style=assets['css'],
+        notes='\n'.join(f'<p class="note">{escape(note)}</p>' for note in notes),
+        beside=' and what is there' if mission.world else '',
+        columns='beside' if mission.world else 'alone',
+        maps='\n'.join(map_figures(mission)),
+        returned=RETURNED.colour,
+        lost=LOST.colour,
+        headings=''.join(heading(column) for column in TABLE),
+        rows='\n'.join(row(table[each], each, kept, mission) for each in shown),
+        configuration=configuration(mission),
+        mission=packed_json(data_of(mission, curves, table, kept, shown)),
+        frames=packed_frames(frames),
+        plots=plots_of(mission, curves, kept),
+        plotly=get_plotlyjs().replace('</script', '<\\/script'),
+        script=assets['js'],
+    )
+
+
+def title_of(log: Path) -> str:
+    """Return what a mission is called: its log, or the folder if that has the usual name."""
+    path = log.resolve()
+    return path.parent.name if path.name == NAME else path.name
+
+
+def asset(name: str) -> str:
+    """Return a part of the page that is the same for all missions."""
+    return files('kbnitp_ros.report').joinpath('assets').joinpath(name).read_text(encoding='utf-8')
+
+
+def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
+    """Return the sorties whose rows a page has: all, or those of the moments that it has."""
+    if kept.size == len(mission.moments):
+        return list(range(len(mission.sorties)))
+    told = {mission.moments[place].sortie for place in kept}
+    return sorted(each for each in told if each is not None)
+
+
+def summary(mission: Mission, curves: Curves) -> str:
+    """Return a mission in a sentence."""
+    lost = sum(not each.survived for each in mission.ended)
+    entropy = curves.hazard_entropy + curves.target_entropy
+    agents = len({each.key.agent for each in mission.sorties})
+    words = [
+        f'{len(mission.sorties)} deployments of {agents} {"agents" if agents > 1 else "agent"} '
+        f'into {mission.grid.width} x {mission.grid.height} cells, {lost} robots lost',
+        f'entropy {entropy[0]:.1f} to {entropy[-1]:.1f} nats',
+        f'method {mission.rules["method"]}',
+    ]
+    if 'time' in mission.run:
+        words.append(f'recorded {mission.run["time"][:16].replace("T", " ")} UTC')
+    return f'{"; ".join(words)}.'
+
+
+def map_figures(mission: Mission) -> Iterator[str]:
+    """Yield the places of the maps, each believed one before its truth."""
+    truths = {
+        'hazard': 'hazard, true',
+        'target': 'target, true',
+        'kappa': 'target where a hazard is, true',
+    }
+    for name in MAPS:
+        yield map_place(name, f'{name}, believed')
+        if mission.world:
+            yield map_place(f'true-{name}', truths[name])
+
+
+def map_place(name: str, caption: str) -> str:
+    """Return the place of a map."""
+    return (
+        f'<figure><figcaption>{caption}</figcaption>'
+        f'<div id="{name}" class="plot" role="img" aria-label="Map of {caption}"></div></figure>'
+    )
+
+
+def plots_of(mission: Mission, curves: Curves, kept: NDArray[np.intp]) -> str:
+    """Return all plots as one JSON object that can stand in a page."""
+    plots = {name: map_plot(mission.grid, name) for name in MAPS}
+    if mission.world:
+        hazard, target = (each.astype(np.float64) for each in vars(mission.world).values())
+        truth = {'hazard': hazard, 'target': target}
+        truth['kappa'] = np.where(hazard > 0.0, target, np.nan)
+        plots |= {
+            f'true-{name}': map_plot(mission.grid, name, values) for name, values in truth.items()
+        }
+    plots['curves'] = curve_plot(mission, curves, kept)
+    plots['cell'] = cell_plot()
+    inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
+    return f'{{{inside}}}'.replace('<', '\\u003c')
+
+
+def data_of(
+    mission: Mission,
+    curves: Curves,
+    table: list[dict[str, Any]],
+    kept: NDArray[np.intp],
+    shown: list[int],
+) -> dict[str, Any]:
+    """Return what the page shows beside the beliefs, as JSON can hold it."""
+    grid, world = mission.grid, mission.world
+    out = out_at(mission)
+    needed = {*shown, *(int(each) for place in kept for each in out[place])}
+    return {
+        'grid': {
+            'width': grid.width,
+            'height': grid.height,
+            'resolution': grid.resolution,
+            'x': grid.origin[0],
+            'y': grid.origin[1],
+            'base': grid.base,
+            'blocked': sorted(grid.blocked),
+        },
+        'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
+        'traces': TRACES,
+        'walks': WALKS,
+        'truth': world
+        and {name: values.astype(int).tolist() for name, values in vars(world).items()},
+        'visited': np.searchsorted(kept, first_visits(mission)).tolist(),
+        'sorties': {
+            each: {'path': mission.sorties[each].path.tolist()} for each in sorted(needed)
+        },
+        'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
+    }
+
+
+def first_visits(mission: Mission) -> NDArray[np.intp]:
+    """Return from which moment on each cell is one that a robot was sent into; else past all."""
+    times = [each.time for each in mission.moments]
+    first = np.full(mission.grid.cells, len(times), dtype=np.intp)
+    for sortie in mission.sorties:
+        known = [(sortie.path, sortie.sent or 0)]
+        if sortie.outcome is not None and sortie.told is not None:
+            known.append((sortie.outcome.path, sortie.told))
+        for path, time in known:
+            first[path] = np.minimum(first[path], np.searchsorted(times, time))
+    return first
+
+
+def moment_of(
+    mission: Mission,
+    curves: Curves,
+    table: list[dict[str, Any]],
+    place: int,
+    out: NDArray[np.intp],
+) -> dict[str, Any]:
+    """Return what the page tells of a moment."""
+    moment = mission.moments[place]
+    seen, sortie = moment.outcome, moment.sortie
+    walk = readings = None
+    if seen is not None and seen.readings is not None and sortie is not None:
+        readings = seen.readings.astype(int).tolist()
+        if not np.array_equal(seen.path, mission.sorties[sortie].path):
+            walk = seen.path.tolist()
+    return {
+        'place': place,
+        'sortie': sortie,
+        'survived': None if seen is None else seen.survived,
+        'known': 0 if seen is None else seen.steps_survived,
+        'walk': walk,
+        'readings': readings,
+        'out': out.tolist(),
+        'told': told_of(mission, place),
+        'facts': list(facts_of(mission, curves, table, place, out)),
+    }
+
+
+def told_of(mission: Mission, place: int) -> str:
+    """Return a moment in a sentence."""
+    moment = mission.moments[place]
+    if moment.sortie is None:
+        return 'Before the first deployment.' if not moment.held else 'Where the log begins.'
+    of = f'{moment.held} of {len(mission.sorties)} deployments taken in'
+    agent = mission.sorties[moment.sortie].key.agent
+    if moment.outcome is None:
+        return f'{of}: the last report, of {agent}, is not on record.'
+    ending = 'returned' if moment.outcome.survived else 'was lost'
+    late = ' after it had been given up' if moment.is_late and moment.outcome.survived else ''
+    return f'{of}: no. {moment.sortie + 1}, {agent}, {ending}{late}.'
+
+
+def facts_of(
+    mission: Mission,
+    curves: Curves,
+    table: list[dict[str, Any]],
+    place: int,
+    out: NDArray[np.intp],
+) -> Iterator[tuple[str, str]]:
+    """Yield what there is to say of a moment, each with what it is."""
+    moment = mission.moments[place]
+    yield 'time', datetime.fromtimestamp(moment.time / SECOND, timezone.utc).strftime('%F %T UTC')
+    if moment.sortie is not None and moment.outcome is not None:
+        seen = moment.outcome
+        yield 'deployment', f'no. {moment.sortie + 1} of {table[moment.sortie]["agent"]}'
+        if seen.readings is not None:
+            read = seen.readings.astype(int)
+            looked = f'{(read == 1).sum()} targets in {(read >= 0).sum()} looks'
+            yield 'outcome', f'returned after {seen.steps} steps'
+            yield 'readings', looked
+        else:
+            yield 'outcome', f'lost on a path of {seen.steps} steps'
+            if seen.steps_survived:
+                yield 'last contact', f'after {seen.steps_survived} steps'
+    for name, values in (('expected', curves.expected), ('gained', curves.gained)):
+        if np.isfinite(values[place]):
+            yield f'information {name}', f'{values[place]:.3f} nats'
+    entropy = curves.hazard_entropy[place] + curves.target_entropy[place]
+    yield 'entropy H(Z) + H(X)', f'{entropy:.2f} nats'
+    if np.isfinite(curves.hazard_loss[place]):
+        yield 'log loss', f'{curves.hazard_loss[place] + curves.target_loss[place]:.2f} nats'
+    yield 'lost so far', str(curves.lost[place])
+    agents = [f'{mission.sorties[each].key.agent} (no. {each + 1})' for each in out]
+    yield 'out', ', '.join(agents) or 'nobody'
+    for name, known in moment.learnt.items():
+        yield name.replace('_', ' '), f'{known.mean:.3f} ± {known.sd:.3f}'
+
+
+def heading(column: Column) -> str:
+    """Return a heading of the table."""
+    kind = ' class="text"' if column.is_text else ''
+    return f'<th scope="col"{kind}><button type="button">{column.heading}</button></th>'
+
+
+def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission: Mission) -> str:
+    """Return a row of the table, which names its moment among those that the page has."""
+    sortie = mission.sorties[number]
+    moment = '' if sortie.moment is None else str(np.searchsorted(kept, sortie.moment))
+    duration = None
+    if sortie.sent is not None and sortie.told is not None:
+        duration = (sortie.told - sortie.sent) / SECOND
+    known = {**values, 'duration': duration}
+    first, *others = TABLE
+    button = f'<button type="button">{known[first.name]}</button>' if moment else number + 1
+    cells = ''.join(cell(column, known[column.name]) for column in others)
+    return (
+        f'<tr id="deployment-{number}" data-moment="{moment}">'
+        f'<td data-value="{number + 1}">{button}</td>{cells}</tr>'
+    )
+
+
+def cell(column: Column, value: Any) -> str:
+    """Return a cell of the table."""
+    if value is None:
+        return '<td data-value=""></td>'
+    if column.is_text:
+        text = escape(str(value))
+        return f'<td class="text" data-value="{text}">{text}</td>'
+    return f'<td data-value="{value}">{value:.{column.decimals}f}</td>'
+
+
+def configuration(mission: Mission) -> str:
+    """Return the tables of what the run runs on and of the parameters of each node."""
+    tables = {'Versions': mission.run, **mission.parameters}
+    sections = [
+        f'<details><summary>{escape(name)}</summary><div class="wide" tabindex="0" role="region" '
+        f'aria-label="{escape(name)}"><table><thead><tr><th scope="col" class="text">name</th>'
+        '<th scope="col" class="text">value</th></tr></thead><tbody>'
+        + ''.join(
+            f'<tr><td class="text">{escape(key)}</td>'
+            f'<td class="text value">{escape(value_text(value))}</td></tr>'
+            for key, value in values.items()
+        )
+        + '</tbody></table></div></details>'
+        for name, values in tables.items()
+        if values
+    ]
+    return '\n'.join(sections) or '<p>The log does not say how the run was configured.</p>'
+
+
+def value_text(value: Any) -> str:
+    """Return a value of a parameter as text."""
+    return value if isinstance(value, str) else json.dumps(value)

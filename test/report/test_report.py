@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a report says is what is in the log, of every kind of log, and nothing is half written."""
+
+from itertools import pairwise
+import re
+import resource
+import subprocess
+import sys
+
+from bags import write_bag
+from kbnitp_ros.cli.report import main
+from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information
+from kbnitp_ros.log.bag import LogWriter
+from kbnitp_ros.log.evidence import BELIEF
+from kbnitp_ros.log.history import read_history
+from kbnitp_ros.maps import levels_of, read_probabilities
+from kbnitp_ros.nodes.parameters import estimator_of, parameters_of
+from kbnitp_ros.report import curves_of, page, read_mission
+from kbnitp_ros.report.tables import rows
+from mission_log import GRID, Mission, MODEL, on, record, record_to, without
+from missions import sent_by_single, Shown, single, team
+import numpy as np
+from pyarrow import csv, parquet
+import pytest
+
+NAMES = ('hazard', 'target', 'kappa')
+
+FILES = {
+    'report.html', 'maps.png', 'maps.svg', 'progress.png', 'progress.svg', 'deployments.parquet',
+    'deployments.csv', 'belief.npz', 'hazard.yaml', 'hazard.pgm', 'target.yaml', 'target.pgm',
+    'kappa.yaml', 'kappa.pgm',
+}  # fmt: skip
+
+
+def report(log, out):
+    """Run the command; return the names of the files that it made."""
+    assert main([str(log), '--out', str(out)]) == 0
+    return {each.name for each in out.iterdir()}
+
+
+def told(log):
+    """Return the mission of a log, its curves, its page and its table, which need no pictures."""
+    mission = read_mission(log)
+    curves = curves_of(mission)
+    html, left_out = page.page_of(mission, curves)
+    assert not left_out
+    return mission, curves, html, rows(mission, curves)
+
+
+@pytest.fixture(scope='module')
+def shown(tmp_path_factory):
+    """Return the log of a single robot's mission and its report."""
+    folder = tmp_path_factory.mktemp('single')
+    log = single(folder / 'mission.mcap')
+    report(log, folder / 'out')
+    return log, folder / 'out'
+
+
+def test_a_single_robot(shown):
+    log, out = shown
+    assert {each.name for each in out.iterdir()} == FILES
+    mission = read_mission(log)
+    assert [each.held for each in mission.moments] == list(range(7))
+    assert [each.sortie for each in mission.moments] == [None, *range(6)]
+    assert [each.moment for each in mission.sorties] == list(range(1, 7))
+    assert mission.notes == []
+    assert mission.world is not None
+
+
+def test_the_arrays_are_the_beliefs_on_record(shown):
+    log, out = shown
+    beliefs = read_history(log).beliefs
+    with np.load(out / 'belief.npz') as arrays:
+        assert arrays['joint'].tobytes() == np.stack([b.joint for b in beliefs]).tobytes()
+        assert np.array_equal(arrays['kappa'][-1], beliefs[-1].kappa)
+        world = read_history(log).world
+        assert np.array_equal(arrays['true_hazard'], world.hazard)
+        assert arrays['hazard_loss'][3] == log_loss(beliefs[3].hazard, world.hazard)
+
+
+def test_the_tables_hold_the_same_and_say_what_the_log_says(shown):
+    log, out = shown
+    table = parquet.read_table(out / 'deployments.parquet').to_pylist()
+    texts = csv.read_csv(
+        out / 'deployments.csv',
+        convert_options=csv.ConvertOptions(
+            column_types=parquet.read_schema(out / 'deployments.parquet'), strings_can_be_null=True
+        ),
+    ).to_pylist()
+    assert texts == table
+    mission = read_mission(log)
+    for row, sortie in zip(table, mission.sorties, strict=True):
+        assert row['path'] == ' '.join(map(str, sortie.path))
+        assert row['outcome'] == ('returned' if sortie.outcome.survived else 'lost')
+        before, after = (mission.moments[row['moment'] + each].belief for each in (-1, 0))
+        assert row['information_expected'] == path_information(before, MODEL, sortie.path)
+        gained = before.joint_entropy() - after.joint_entropy()
+        assert row['information_gained'] == pytest.approx(gained, abs=1e-12)
+        assert row['entropy'] == pytest.approx(after.entropy())
+    assert {row['outcome'] for row in table} == {'returned', 'lost'}
+
+
+def test_the_last_belief_is_what_another_mission_can_begin_with(shown):
+    log, out = shown
+    mission = read_mission(log)
+    values = {name: each.default for name, each in parameters_of('estimator').items()}
+    values |= {f'prior.{name}_map': str(out / f'{name}.yaml') for name in NAMES}
+    values['learn'] = ()
+    begun = estimator_of(values, mission.grid).belief
+    for name in NAMES:
+        believed = getattr(mission.moments[-1].belief, name)
+        read = read_probabilities(out / f'{name}.yaml', mission.grid, 0.5)
+        assert np.abs(read - believed).max() <= 1 / 255
+        certain = (
+            believed if name != 'kappa' else np.where(begun.hazard > 0, believed, begun.kappa)
+        )
+        assert np.abs(getattr(begun, name) - certain).max() <= 1 / 255 + 1e-6
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_every_belief_has_maps_that_are_a_belief(seed, tmp_path):
+    """Also where hazard and target leave each other no room."""
+    rng = np.random.default_rng(seed)
+    joint = rng.dirichlet([0.05] * 4, size=20_000)
+    joint[:4] = np.eye(4)
+    belief = Belief(joint.reshape(-1, 2, 2))
+    levels = levels_of(belief)
+    for name, each in levels.items():
+        assert np.abs(each / 255 - getattr(belief, name)).max() <= 1 / 255
+    Belief.from_maps(*((1.0 - (255 - each) / 255) for each in levels.values()))
+
+
+def test_a_team_of_eight_with_silent_losses_and_late_returns(tmp_path):
+    log, whole = team(tmp_path / 'mission.mcap')
+    mission, curves, _, _ = told(log)
+    late = [each for each in mission.moments if each.is_late]
+    assert late
+    assert all(each.outcome.survived for each in late)
+    assert len(mission.moments) == len(mission.sorties) + len(late) + 1 == 25 + len(late)
+    assert mission.moments[-1].belief.joint.tobytes() == whole.ledger.belief.joint.tobytes()
+    assert np.isnan(curves.expected[[each.is_late for each in mission.moments]]).all()
+    assert curves.lost[-1] == sum(not each.survived for each in mission.ended)
+    assert (np.diff(curves.lost) == -1).sum() == len(late)
+    # The whole round is out before the first of it has reported, seven are when it has.
+    assert curves.out[:9].tolist() == [0, 7, 6, 5, 4, 3, 2, 1, 0]
+    assert curves.joint_entropy[0] - curves.joint_entropy[-1] == pytest.approx(
+        np.nansum(curves.gained)
+    )
+
+
+def test_an_unfinished_log(shown, tmp_path):
+    log, _ = shown
+    data = log.read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(data[: 9 * len(data) // 20])
+    mission, _, html, _ = told(cut)
+    assert 1 < len(mission.moments) < 7
+    assert 'The log is unfinished' in html
+
+
+def test_robots_that_are_still_out(tmp_path):
+    whole = sent_by_single(3)
+    whole.send_out(whole.walk().path)
+    log = record(tmp_path / 'mission.mcap', whole.sent)
+    _, _, html, (*_, row) = told(log)
+    assert '1 robots were still out' in html
+    assert row['outcome'] == 'out'
+    assert row['told'] is row['moment'] is row['entropy'] is None
+
+
+def test_a_log_with_no_truth(tmp_path):
+    log = single(tmp_path / 'mission.mcap', with_truth=False)
+    assert report(log, tmp_path / 'out') == FILES
+    _, curves, html, _ = told(log)
+    assert 'id="true-hazard"' not in html
+    assert np.isnan(curves.hazard_loss).all()
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_by_rosbags(tmp_path, storage):
+    bag = write_bag(tmp_path / 'bag', sent_by_single().sent, storage)
+    mission, _, html, _ = told(bag)
+    assert len(mission.moments) == 7
+    assert 'The log does not say how the run was configured' in html
+
+
+@pytest.mark.full
+def test_a_thousand_deployments_in_900_cells(tmp_path):
+    log = single(tmp_path / 'mission.mcap', 1000, grid=Grid(30, 30))
+    assert report(log, tmp_path / 'out') == FILES
+    assert (tmp_path / 'out/report.html').stat().st_size < 15_000_000
+    assert len(parquet.read_table(tmp_path / 'out/deployments.parquet')) == 1000
+
+
+def test_a_page_that_would_be_too_large_says_what_it_leaves_out(tmp_path, monkeypatch):
+    log = single(tmp_path / 'mission.mcap', 30)
+    mission = read_mission(log)
+    curves = curves_of(mission)
+    whole, nothing = page.page_of(mission, curves)
+    assert not nothing
+    monkeypatch.setattr(page, 'MOST_BYTES', len(whole.encode()) - 2000)
+    less, left_out = page.page_of(mission, curves)
+    assert len(less.encode()) <= page.MOST_BYTES
+    assert left_out in less
+    assert 'of 31 moments' in left_out
+    monkeypatch.setattr(page, 'MOST_BYTES', 1000)
+    with pytest.raises(ValueError, match='MB with two beliefs'):
+        page.page_of(mission, curves)
+
+
+def test_what_an_estimator_tells_again_is_shown_once(tmp_path):
+    whole = sent_by_single(3)
+    held, prior = on(whole.sent, '/belief')[-1], on(whole.sent, '/belief')[0]
+    log = record(tmp_path / 'mission.mcap', [*whole.sent, prior, held])
+    assert [each.held for each in read_mission(log).moments] == [0, 1, 2, 3]
+
+
+def gap(whole, *numbers):
+    """Return what a mission sent, without some of its beliefs and of their views."""
+    beliefs = [on(whole.sent, '/belief')[number] for number in numbers]
+    return without(whole.sent, *beliefs)
+
+
+def test_beliefs_that_a_restarted_recorder_missed_are_told_of(tmp_path):
+    whole = sent_by_single(6)
+    sent = gap(whole, 3)
+    before = sent.index(on(whole.sent, '/belief')[4])
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        record_to(log, sent[:before])
+    with LogWriter(tmp_path / 'mission.mcap', resume=True) as log:
+        record_to(log, sent[before:])
+    mission, curves, _, _ = told(tmp_path / 'mission.mcap')
+    assert [each.held for each in mission.moments] == [0, 1, 2, 4, 5, 6]
+    assert [each.is_after_gap for each in mission.moments] == [False] * 3 + [True] + [False] * 2
+    assert 'after deployment 3' in mission.notes[0]
+    assert mission.sorties[2].moment == 3
+    assert np.isnan([curves.expected[3], curves.gained[3]]).all()
+    assert curves.lost[-1] == sum(not each.survived for each in mission.ended)
+
+
+def broken(tmp_path):
+    """Return logs that cannot be reported on, with what is to be said."""
+    whole = sent_by_single(6)
+    none = tmp_path / 'none.mcap'
+    none.write_text('no log at all')
+    never = Mission()
+    yield none, 'is no MCAP file'
+    yield tmp_path / 'missing.mcap', 'missing.mcap'
+    yield record(tmp_path / 'never.mcap', never.sent), 'no robot had left'
+    yield record(tmp_path / 'empty.mcap', []), f'no beliefs on record that can be read: .*{BELIEF}'
+    missing = record(tmp_path / 'gap.mcap', gap(whole, 3))
+    yield missing, 'belief after deployment 3 is missing, and neither'
+    on(whole.sent, '/belief')[3].message.joint[7] = float('nan')
+    yield record(tmp_path / 'nan.mcap', whole.sent), 'belief 3 on /belief is refused: joint'
+
+
+def test_bad_logs_are_refused_and_nothing_is_left(tmp_path, capsys):
+    for log, said in broken(tmp_path):
+        there = set(tmp_path.iterdir())
+        assert main([str(log), '--out', str(tmp_path / 'out')]) == 2, log
+        error = capsys.readouterr().err
+        assert re.search(said, error), error
+        assert error.startswith('report: ')
+        assert set(tmp_path.iterdir()) == there
+
+
+def test_a_folder_that_is_there_is_left_alone(shown, tmp_path, capsys):
+    log, _ = shown
+    mine = tmp_path / 'mine'
+    mine.mkdir()
+    (mine / 'thesis.txt').write_text('all of it')
+    assert main([str(log), '--out', str(mine)]) == 2
+    assert 'is there already and not empty: name another' in capsys.readouterr().err
+    assert [each.name for each in mine.iterdir()] == ['thesis.txt']
+    assert main([str(log), '--out', str(mine / 'thesis.txt')]) == 2
+    assert (mine / 'thesis.txt').read_text() == 'all of it'
+
+
+def test_a_disk_that_takes_no_more_leaves_nothing(shown, tmp_path):
+    log, _ = shown
+    little = 100_000
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (little, little))
+
+    done = subprocess.run(
+        [sys.executable, '-m', 'kbnitp_ros', 'report', log, '--out', tmp_path / 'out'],
+        capture_output=True, text=True, preexec_fn=limit,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith('report: ')
+    assert 'File too large' in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_others_wrote_into_the_log_is_text_in_the_page(tmp_path):
+    whole = Shown(GRID)
+    agent = 'scout"><script>alert(1)</script>'
+    seen = whole.walk()
+    whole.deploy(Observation(seen.path, False), agent=agent)
+    log = record(tmp_path / 'mission.mcap', whole.sent)
+    assert '<script>alert' not in told(log)[2]
+
+
+def test_moments_are_in_their_order(shown):
+    log, _ = shown
+    times = [each.time for each in read_mission(log).moments]
+    assert all(one < other for one, other in pairwise(times))
