@@ -97,12 +97,13 @@ def progress_figure(
     rows = -(-(len(panels) + len(names)) // COLUMNS)
     figure = Figure(figsize=(7.2, 2.4 * rows + 0.3), layout='constrained')
     grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
-    for axes in grid.flat[len(panels) + len(names) :]:
-        axes.set_visible(False)
-    for axes, panel in zip(grid.flat, panels):
+    places = iter(grid.flat)
+    for panel, axes in zip(panels, places):
         draw_panel(axes, panel)
-    for axes, name in zip(grid.flat[len(panels) :], names):
+    for name, axes in zip(names, places):
         draw_number(axes, name, quantiles_of(mission, name), (truth or {}).get(name))
+    for axes in places:
+        axes.set_visible(False)
     for axes in grid.flat:
         # The last row may not be full.
         axes.tick_params(labelbottom=True)

@@ -84,7 +84,7 @@ def team(path, agents=8, rounds=3):
             if is_late:
                 late.append((key, seen))
         if number:
-            for key, seen in late[: len(late) // 2]:
+            for _ in range(len(late) // 2):
+                key, seen = late.pop(0)
                 whole.assimilate(seen.path, *whole.come_back(key, seen))
-            late = late[len(late) // 2 :]
     return record(path, whole.sent), whole
