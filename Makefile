@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks test check clean
+.PHONY: build demo results benchmarks docs test check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -39,6 +39,11 @@ results: build
 benchmarks: build .venv/.benchmarks
 	. ./env.sh && python3 benchmarks/run.py
 
+# The pages of docs/ as a site, in build/docs/html; what does not fit together is an error.
+docs: .venv/.docs
+	.venv/bin/python3 -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs/html
+	@echo 'wrote build/docs/html/index.html'
+
 test: build .venv/.dev
 	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal
 
@@ -68,6 +73,10 @@ clean:
 
 .venv/.benchmarks: requirements-benchmarks.txt .venv/.run
 	tools/step.sh 'Installing requirements-benchmarks.txt into .venv' $(PIP) --requirement requirements-benchmarks.txt
+	touch $@
+
+.venv/.docs: requirements-docs.txt .venv/.run
+	tools/step.sh 'Installing requirements-docs.txt into .venv' $(PIP) --requirement requirements-docs.txt
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How Sphinx builds these pages: Markdown by MyST, the API from numpydoc docstrings."""
+
+from pathlib import Path
+import xml.etree.ElementTree as ElementTree
+
+package = ElementTree.parse(Path(__file__).parent.parent / 'package.xml')
+
+project = 'kbnitp_ros'
+copyright = '2026, kbnitp_ros maintainers'
+author = 'kbnitp_ros maintainers'
+version = release = package.findtext('version')
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode', 'numpydoc']
+source_suffix = {'.md': 'markdown'}
+exclude_patterns = ['_build']
+
+autodoc_default_options = {'members': True, 'show-inheritance': True}
+autodoc_member_order = 'bysource'
+numpydoc_show_class_members = False
+autosummary_generate = False
+
+myst_enable_extensions = ['dollarmath']
+myst_heading_anchors = 4
+
+html_theme = 'furo'
+html_title = f'kbnitp_ros {release}'
