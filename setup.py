@@ -36,6 +36,7 @@ setup(
             'recorder = kbnitp_ros.nodes.recorder:main',
             'replay = kbnitp_ros.cli.replay:main',
             'report = kbnitp_ros.cli.report:main',
+            'robot = kbnitp_ros.nodes.robot:main',
             'study = kbnitp_ros.cli.study:main',
             'team = kbnitp_ros.nodes.team:main',
         ],

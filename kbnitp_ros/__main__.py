@@ -15,6 +15,7 @@ COMMANDS = {
     'planner': 'kbnitp_ros.nodes.planner',
     'agent': 'kbnitp_ros.nodes.agent',
     'team': 'kbnitp_ros.nodes.team',
+    'robot': 'kbnitp_ros.nodes.robot',
     'estimator': 'kbnitp_ros.nodes.estimator',
     'recorder': 'kbnitp_ros.nodes.recorder',
 }

@@ -7,6 +7,7 @@ import json
 import os
 from pathlib import Path
 import re
+import subprocess
 import sys
 from xml.etree import ElementTree
 
@@ -21,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 PYTHON_PACKAGES = {
     'colorspacious': (None, 'colorspacious'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
+    'irsim': (None, 'ir-sim'),
     'joblib': ('python3-joblib', 'joblib'),
     'lz4': ('mcap-ros2-support', 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
@@ -134,6 +136,12 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
     ]
     assert files
     assert [str(path) for path in files if not share.joinpath(path).is_file()] == []
+
+
+@pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
+def test_nothing_that_is_to_be_ignored_is_in_the_repository():
+    command = ['git', '-C', str(ROOT), 'ls-files', '--cached', '--ignored', '--exclude-standard']
+    assert subprocess.run(command, check=True, capture_output=True).stdout == b''
 
 
 @pytest.mark.parametrize('message', sorted(ROOT.glob('msg_defs/msg/*.msg')), ids=lambda p: p.stem)

@@ -18,6 +18,7 @@ EXAMPLES = {
     'planner': 'robots:=20',
     'agent': 'seed:=3',
     'team': 'seed:=3',
+    'robot': 'agent:=scout_1',
     'estimator': 'method:=kappa_bnitp_smoothed',
     'recorder': 'file:=mission.mcap',
 }

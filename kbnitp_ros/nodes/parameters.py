@@ -40,7 +40,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 import rclpy.parameter
 
-NODES = ('planner', 'agent', 'team', 'estimator', 'recorder')
+NODES = ('planner', 'agent', 'team', 'robot', 'estimator', 'recorder')
 
 # What rclpy gives every node.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -200,6 +200,7 @@ MOST_CELLS = LONGEST_SIDE**2
 NAME = '[A-Za-z][A-Za-z0-9_]*'
 AGENTS = ('agent', 'team')
 FIELD = ('planner', *AGENTS, 'estimator')
+GRID = (*FIELD, 'robot')
 
 # The numbers that can be learnt: what they are, and what is believed of them at first.
 LEARN = {
@@ -221,27 +222,27 @@ TABLE = (
         '',
         'YAML file of a map, as map_server reads it, that gives the field in place of grid.width, '
         'grid.height, grid.origin and grid.blocked; empty for none.',
-        FIELD,
+        GRID,
     ),
     Parameter(
         'map_topic',
         '',
         'Topic that such a map is published on, such as /map, to be waited for; empty for none.',
-        FIELD,
+        GRID,
     ),
     Parameter(
         'unknown_blocks',
         True,
         'Whether robots keep off cells of which the map does not know a part.',
-        FIELD,
+        GRID,
     ),
-    Parameter('grid.width', 9, 'Cells along x.', FIELD, limits=(1, LONGEST_SIDE)),
-    Parameter('grid.height', 9, 'Cells along y.', FIELD, limits=(1, LONGEST_SIDE)),
+    Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, LONGEST_SIDE)),
+    Parameter('grid.height', 9, 'Cells along y.', GRID, limits=(1, LONGEST_SIDE)),
     Parameter(
         'grid.base',
         0,
         'Cell (row * width + column, row 0 at the bottom) that every path starts and ends in.',
-        FIELD,
+        GRID,
         limits=(0, MOST_CELLS - 1),
     ),
     Parameter(
@@ -249,29 +250,29 @@ TABLE = (
         (),
         'A point in the cell that every path starts and ends in, x and y in metres in the frame '
         'map, in place of grid.base; empty for none.',
-        FIELD,
+        GRID,
         element=float,
     ),
     Parameter(
         'grid.resolution',
         0.0,
         "Side of a cell in metres, at least the map's; 0 for the map's, without a map 1.",
-        FIELD,
+        GRID,
         limits=(0.0, 1000.0),
     ),
     Parameter(
         'grid.origin',
         (0.0, 0.0),
         'Lower-left corner of cell 0 in metres, x and y in the frame map.',
-        FIELD,
+        GRID,
         element=float,
     ),
-    Parameter('grid.blocked', (), 'Cells that no robot can enter.', FIELD, element=int),
+    Parameter('grid.blocked', (), 'Cells that no robot can enter.', GRID, element=int),
     Parameter(
         'grid.connectivity',
         8,
         'To how many of the cells around one a step may lead: 8, or the 4 that share a side.',
-        FIELD,
+        GRID,
         limits=(4, 8),
     ),
     Parameter(
@@ -279,10 +280,10 @@ TABLE = (
         'auto',
         'Whether a diagonal step may touch a blocked cell: cut, as in the paper, or avoid; auto '
         'for avoid on a map and cut without one.',
-        FIELD,
+        GRID,
         choices=('auto', 'avoid', 'cut'),
     ),
-    Parameter('max_steps', 18, 'Most steps of a path.', FIELD, limits=(1, MOST_STEPS)),
+    Parameter('max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS)),
     Parameter(
         'sensor.lethality',
         0.5,
@@ -394,6 +395,9 @@ TABLE = (
         pattern=NAME,
     ),
     Parameter('agent', 'scout_1', 'Name of this agent, one of agents.', ('agent',), pattern=NAME),
+    Parameter(
+        'agent', 'scout_1', 'Name of the agent that this robot is.', ('robot',), pattern=NAME
+    ),
     Parameter(
         'robots',
         100,
@@ -525,7 +529,7 @@ TABLE = (
         ('planner', 'estimator'),
         'Who must listen to the reports before the first robot leaves: '
         'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
-        AGENTS,
+        (*AGENTS, 'robot'),
         element=str,
         pattern=NAME,
     ),
@@ -581,6 +585,96 @@ TABLE = (
         False,
         'Whether a robot leaves only when the recorder has its path on disk.',
         ('planner', *AGENTS),
+    ),
+    Parameter(
+        'recorded',
+        True,
+        'Whether the robot leaves only when the recorder has its path on disk.',
+        ('robot',),
+    ),
+    Parameter(
+        'journal',
+        '',
+        "File on the robot's own disk that keeps its orders, its way and its readings, one for "
+        'each mission; empty for AGENT.journal in the folder .ros/kbnitp_ros of the home.',
+        ('robot',),
+    ),
+    Parameter(
+        'driver',
+        'follow_waypoints',
+        'Action of Nav2 that drives the robot.',
+        ('robot',),
+        choices=('follow_waypoints', 'navigate_through_poses', 'follow_path'),
+    ),
+    Parameter(
+        'base_frame',
+        'base_link',
+        'Frame of the robot, whose place in the frame map TF tells.',
+        ('robot',),
+    ),
+    Parameter(
+        'tf_timeout',
+        2.0,
+        'Seconds after which a transform or the time of a detection is too old, and for which a '
+        'jump of more than a cell must last to count.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'arrival_tolerance',
+        0.5,
+        'Metres from the middle of the base within which the robot is home.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'stay_time',
+        2.0,
+        'Seconds that a robot waits in a cell where its path stays for a step.',
+        ('robot',),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
+        'attempts',
+        3,
+        'How often a goal is tried that brings the robot to no new cell, before it goes home.',
+        ('robot',),
+        limits=(1, 1000),
+    ),
+    Parameter(
+        'retry_delay',
+        2.0,
+        'Seconds after a goal failed until the next.',
+        ('robot',),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
+        'server_timeout',
+        10.0,
+        'Seconds without feedback after which an action server is taken for dead.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'detection_type',
+        'bool',
+        'Type of the messages on detections: std_msgs/Bool, or vision_msgs/Detection2DArray where '
+        'that package is installed.',
+        ('robot',),
+        choices=('bool', 'detection2d_array'),
+    ),
+    Parameter(
+        'detection_class',
+        '',
+        'Class of a detection in an array that is a target; empty for any.',
+        ('robot',),
+    ),
+    Parameter(
+        'detection_score',
+        0.5,
+        'Score that a detection in an array must have to count.',
+        ('robot',),
+        limits=PROBABILITY,
     ),
     Parameter(
         'resume',

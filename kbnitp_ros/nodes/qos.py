@@ -25,8 +25,16 @@ LATCHED = QoSProfile(
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
-# Poses for viewers, as tf2 has them.
+# Poses, as tf2 has them; those that never change are kept for who joins late.
 POSES = QoSProfile(depth=100)
+LATCHED_POSES = QoSProfile(
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# What sensors say, which nobody sends again.
+READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def unread_kept(offered: QoSProfile) -> QoSProfile:

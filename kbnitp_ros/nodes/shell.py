@@ -140,6 +140,21 @@ class Shell(Node):
             The most bytes that a message can have.
 
         """
+        return self.hear_newest(kind, topic, callback, qos.unread_kept(profile), largest)
+
+    def hear_newest(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile,
+        largest: int,
+    ) -> Subscription:
+        """
+        Subscribe as `hear` does, but to as many unread messages as the profile says.
+
+        Of what comes all the time, such as poses, the newest count.
+        """
 
         def read(data: bytes) -> None:
             try:
@@ -150,7 +165,7 @@ class Shell(Node):
             else:
                 callback(message)
 
-        return self.create_subscription(kind, topic, read, qos.unread_kept(profile), raw=True)
+        return self.create_subscription(kind, topic, read, profile, raw=True)
 
     def count_authors(self, topic: str, type_name: str) -> int:
         """Return how many publish messages of this type on a topic; others do not count."""

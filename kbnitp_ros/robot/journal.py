@@ -152,10 +152,11 @@ class Journal:
             orders = tuple(entry['orders'])
             self.trips.append(Trip(entry['deployment'], entry['mission'], orders))
         elif 'step' in entry:
-            steps, place = self.trips[-1].steps, entry['step'] - 1
-            if not 0 <= place <= len(steps):
-                raise ValueError(f'step {place + 1} comes after {len(steps)}')
-            steps[place:] = [Step(entry['cell'], entry['time'], entry['reading'])]
+            steps, number = self.trips[-1].steps, entry['step']
+            if not 1 <= number <= len(steps) + 1:
+                raise ValueError(f'step {number} comes after {len(steps)}')
+            step = Step(entry['cell'], entry['time'], entry['reading'])
+            self.trips[-1].steps = [*steps[: number - 1], step, *steps[number:]]
         else:
             self.trips[-1].is_home = entry['home'] >= 0
 
@@ -203,9 +204,16 @@ class Journal:
         )
         self.trips.append(trip)
 
-    def step(self, trip: Trip) -> None:
+    def step(self, trip: Trip, number: int) -> None:
         """
-        Keep the last step of a deployment, or what was read there since.
+        Keep a step of a deployment, or what was read there since.
+
+        Parameters
+        ----------
+        trip : Trip
+            The last that has begun.
+        number : int
+            Which step, counted from 1.
 
         Raises
         ------
@@ -213,10 +221,10 @@ class Journal:
             If it is not on the disk; `write` tries again.
 
         """
-        step = trip.steps[-1]
+        step = trip.steps[number - 1]
         self._unwritten.append(
             {
-                'step': len(trip.steps),
+                'step': number,
                 'cell': step.cell,
                 'time': step.time,
                 'reading': step.reading,

@@ -58,12 +58,11 @@ class Walk:
             If no robot can be there, or not yet: then it is still in the cell where it was.
 
         """
-        row, col = divmod(self.cell, self.grid.width)
-        place = (np.array([x, y]) - self.grid.origin) / self.grid.resolution - (col, row)
-        if (np.abs(place - 0.5) <= 0.5 + MARGIN).all():
+        if self._off_middle(x, y) <= 0.5 + MARGIN:
             self._away_since = None
             return []
         cell = self.cell_at(x, y)
+        row, col = divmod(self.cell, self.grid.width)
         to_row, to_col = divmod(cell, self.grid.width)
         if max(abs(to_row - row), abs(to_col - col)) > 1:
             if self._away_since is None:
@@ -77,6 +76,16 @@ class Walk:
         self._away_since = None
         self.cell = cell
         return way
+
+    def _off_middle(self, x: float, y: float) -> float:
+        """Return how far a position is from the middle of the cell, along x or y, in its sides."""
+        row, col = divmod(self.cell, self.grid.width)
+        place = (np.array([x, y]) - self.grid.origin) / self.grid.resolution - (col, row)
+        return float(np.abs(place - 0.5).max())
+
+    def sees_its_cell(self, x: float, y: float) -> bool:
+        """Return whether a robot is so far within its cell that what it sees is there."""
+        return self._off_middle(x, y) <= 0.5 - MARGIN
 
     def settle(self, x: float, y: float) -> list[int]:
         """Return the cells entered by a robot that has come to rest: then no margin counts."""

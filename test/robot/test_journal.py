@@ -36,10 +36,10 @@ def live(journal, doings):
             trip = None
         elif doing < 4 or not trip.steps or trip.steps[-1].reading == 1:
             trip.steps.append(Step(doing, number))
-            journal.step(trip)
+            journal.step(trip, len(trip.steps))
         else:
             trip.steps[-1].reading += 1
-            journal.step(trip)
+            journal.step(trip, len(trip.steps))
         yield deepcopy(journal.trips)
 
 
@@ -146,7 +146,7 @@ def test_a_disk_that_is_full_takes_nothing_from_what_is_on_it(tmp_path):
         for number in range(3):
             trip.steps.append(Step(number, number, 1))
             with pytest.raises(OSError, match='journal'):
-                journal.step(trip)
+                journal.step(trip, len(trip.steps))
             assert path.stat().st_size == size
         with pytest.raises(OSError, match='journal'):
             journal.arrive(trip, 9)

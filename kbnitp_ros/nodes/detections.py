@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot's target detector says, whatever type it says it in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from kbnitp_ros.messages.headers import read_stamp
+from kbnitp_ros.nodes.topic import message_class
+
+# What the parameter detection_type may be; not all installations have the package of the second.
+TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
+
+# The most bytes of a message: of an array, those of some ten thousand detections.
+LARGEST = 2**22
+
+
+class Detection(NamedTuple):
+    """
+    What was said at once.
+
+    Attributes
+    ----------
+    seen : bool
+        Whether there is a target.
+    stamp : int or None
+        When it was looked for, in nanoseconds; None when that is not told.
+
+    """
+
+    seen: bool
+    stamp: int | None
+
+
+def detection_class(name: str) -> type:
+    """
+    Return the message class of a value of the parameter detection_type.
+
+    Raises
+    ------
+    ValueError
+        If its package is not installed.
+
+    """
+    try:
+        return message_class(TYPES[name])
+    except LookupError as error:
+        raise ValueError(f'parameter detection_type is {name!r}: {error}') from error
+
+
+def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
+    """
+    Return what a message of the detector says.
+
+    Parameters
+    ----------
+    message : std_msgs/Bool or vision_msgs/Detection2DArray
+        As received.
+    values : mapping
+        The parameters `detection_type`, `detection_class` and `detection_score`.
+
+    Raises
+    ------
+    ValueError
+        If it tells a time that is none.
+
+    """
+    if values['detection_type'] == 'bool':
+        return Detection(bool(message.data), None)
+    wanted, least = values['detection_class'], values['detection_score']
+    seen = any(
+        result.hypothesis.class_id == (wanted or result.hypothesis.class_id)
+        and result.hypothesis.score >= least
+        for detection in message.detections
+        for result in detection.results
+    )
+    stamp = read_stamp('header.stamp', message.header.stamp)
+    # A driver that fills no header says nothing of the time.
+    return Detection(seen, stamp or None)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What drives a robot: the actions of Nav2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import ceil, cos, hypot, sin
+import time
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.headers import header, shown
+from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.node import Node
+from rclpy.task import Future
+
+# How far the poses of a path that a controller follows are apart at most, in metres.
+SPACING = 0.1
+
+ENDINGS = {
+    GoalStatus.STATUS_ABORTED: 'aborted',
+    GoalStatus.STATUS_CANCELED: 'cancelled',
+}
+
+
+def waypoints_goal(points: NDArray[np.float64], stamp: int) -> FollowWaypoints.Goal:
+    """Return the goal of stopping at each of these points but the first, shape (n, 2)."""
+    return FollowWaypoints.Goal(poses=poses_along(points, stamp)[1:])
+
+
+def through_poses_goal(points: NDArray[np.float64], stamp: int) -> NavigateThroughPoses.Goal:
+    """Return the goal of passing through these points but the first, shape (n, 2)."""
+    return NavigateThroughPoses.Goal(poses=poses_along(points, stamp)[1:])
+
+
+def path_goal(points: NDArray[np.float64], stamp: int) -> FollowPath.Goal:
+    """Return the goal of driving straight from each of these points to the next, shape (n, 2)."""
+    poses = poses_along(dense(points), stamp)
+    return FollowPath.Goal(path=Path(header=header(stamp), poses=poses))
+
+
+# By the parameter driver: the action's type, its name, and how a goal of it is made.
+DRIVERS: dict[str, tuple[Any, Callable[[NDArray[np.float64], int], Any]]] = {
+    'follow_waypoints': (FollowWaypoints, waypoints_goal),
+    'navigate_through_poses': (NavigateThroughPoses, through_poses_goal),
+    'follow_path': (FollowPath, path_goal),
+}
+
+
+def dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points on the straight lines between these, at most `SPACING` apart."""
+    stretches = [
+        np.linspace(start, end, max(1, ceil(hypot(*(end - start)) / SPACING)), endpoint=False)
+        for start, end in pairwise(points)
+    ]
+    return np.concatenate([*stretches, points[-1:]])
+
+
+def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
+    """Return a pose for each point, turned the way the robot comes; the first, the way it goes."""
+    moves = np.diff(points, axis=0)
+    directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
+    return [
+        PoseStamped(
+            header=header(stamp),
+            pose=Pose(
+                position=Point(x=x, y=y),
+                orientation=Quaternion(z=sin(yaw / 2), w=cos(yaw / 2)),
+            ),
+        )
+        for (x, y), yaw in zip(points.tolist(), [*directions[:1], *directions])
+    ]
+
+
+class Driver:
+    """
+    Sends a robot along legs, one goal at a time.
+
+    Parameters
+    ----------
+    node : Node
+        Has the action's client.
+    name : str
+        Of the action, which is relative to the node's namespace.
+    grid : Grid
+        Where the cells are.
+    patience : float
+        Seconds without a word from the action server after which it is taken for dead.
+
+    Attributes
+    ----------
+    is_busy : bool
+        Whether a goal is under way.
+    failure : str
+        Why the last goal was not reached; empty if it was.
+
+    """
+
+    def __init__(self, node: Node, name: str, grid: Grid, patience: float) -> None:
+        self.is_busy = False
+        self.failure = ''
+        self._node = node
+        self._grid = grid
+        self._patience = patience
+        kind, self._goal_along = DRIVERS[name]
+        self._client = ActionClient(node, kind, name)
+        self.name = node.resolve_topic_name(name)
+        self._handle: ClientGoalHandle | None = None
+        # Counts the goals, so that what is said of one that is over changes nothing.
+        self._number = 0
+        self._heard = 0.0
+
+    @property
+    def awaited(self) -> str:
+        """Return whom it waits for before it can drive; empty when for nobody."""
+        if self._client.server_is_ready():
+            return ''
+        return f'waiting for the action server {self.name} (parameter driver)'
+
+    def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
+        """
+        Send the robot along a leg; `is_busy` until that is over, however it ends.
+
+        Parameters
+        ----------
+        start : tuple of float
+            Where the robot is, x and y in metres.
+        leg : sequence of int
+            The cells, the one that it is in first.
+        stamp : int
+            The time, in nanoseconds.
+
+        """
+        points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
+        self._number += 1
+        number = self._number
+        self.is_busy, self.failure, self._handle = True, '', None
+        self._heard = time.monotonic()
+        goal = self._goal_along(points, stamp)
+        answer = self._client.send_goal_async(goal, lambda _: self._hear(number))
+        answer.add_done_callback(lambda answer: self._on_answer(number, answer))
+
+    def look(self) -> None:
+        """Notice when the action server is gone or says nothing; to be called again and again."""
+        if not self.is_busy:
+            return
+        if not self._client.server_is_ready():
+            self._end(self._number, f'the action server {self.name} has left the graph')
+        elif (silent := time.monotonic() - self._heard) > self._patience:
+            number = self._number
+            self._end(
+                number,
+                f'the action server {self.name} has said nothing for {silent:.0f} s '
+                '(parameter server_timeout)',
+            )
+            self.cancel()
+
+    def cancel(self) -> None:
+        """Have the robot stop where it is."""
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+        self._number += 1
+        self.is_busy = False
+
+    def _hear(self, number: int) -> None:
+        if number == self._number:
+            self._heard = time.monotonic()
+
+    def _on_answer(self, number: int, answer: Future) -> None:
+        handle = answer.result()
+        if number != self._number:
+            # Given up before it was accepted.
+            if handle.accepted:
+                handle.cancel_goal_async()
+            return
+        self._hear(number)
+        if not handle.accepted:
+            self._end(number, f'the action server {self.name} rejected the goal')
+            return
+        self._handle = handle
+        handle.get_result_async().add_done_callback(lambda result: self._on_result(number, result))
+
+    def _on_result(self, number: int, result: Future) -> None:
+        ended = result.result()
+        error = shown(ended.result.error_msg) if ended.result.error_msg else 'no message'
+        told = f'error code {ended.result.error_code}, {error}'
+        missed = [each.index for each in getattr(ended.result, 'missed_waypoints', ())]
+        if ended.status != GoalStatus.STATUS_SUCCEEDED:
+            how = ENDINGS.get(ended.status, f'left with status {ended.status}')
+            self._end(number, f'the goal of {self.name} was {how}: {told}')
+        elif ended.result.error_code:
+            self._end(number, f'the goal of {self.name} failed: {told}')
+        elif missed:
+            self._end(number, f'waypoints {missed} of the goal of {self.name} were missed')
+        else:
+            self._end(number, '')
+
+    def _end(self, number: int, failure: str) -> None:
+        if number == self._number and self.is_busy:
+            self.is_busy, self.failure = False, failure

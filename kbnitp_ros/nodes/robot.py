@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The agent of a real robot: it drives by Nav2, and reports what its journal says of the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+import os
+from pathlib import Path
+import sys
+import time
+
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.files import in_words
+from kbnitp_ros.messages.deployments import report_message
+from kbnitp_ros.messages.headers import FRAME, SECOND
+from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
+from kbnitp_ros.nodes.driver import Driver
+from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.orders import Orders
+from kbnitp_ros.nodes.shell import run
+from kbnitp_ros.nodes.transforms import Transforms
+from kbnitp_ros.robot import Itinerary, Journal, shortest_way, Step, Trip, Walk
+from kbnitp_ros.robot.walk import distance_to_base
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
+
+# The most bytes of a message with transforms: those of a thousand frames.
+LARGEST_TRANSFORMS = 2**19
+
+
+class RobotNode(FieldNode):
+    """
+    Send one real robot along each path of its agent, by Nav2, and report how that went.
+
+    What it is ordered, where it goes and what it reads is on the disk before anything follows from
+    it, so it can lose its power at any moment. Back in the field it goes home then.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('robot')
+        values = self.values
+        self._agent: str = values['agent']
+        # In a namespace of its own its topics are not once more below its name.
+        prefix = '' if self.get_namespace().endswith(f'/{self._agent}') else f'{self._agent}/'
+        detections = detection_class(values['detection_type'])
+        self._journal = Journal(values['journal'] or self._usual_journal(), self._agent, self.grid)
+        self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
+        self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
+        self._orders = Orders(self, self._agent, prefix, self._journal)
+        self._driver = Driver(self, values['driver'], self.grid, values['server_timeout'])
+        self._transforms = Transforms(FRAME, values['base_frame'])
+        # Where the robot is, in metres; None when that is not known.
+        self._place: tuple[float, float] | None = None
+        # What is wrong by now, by what it is about, and what of it the console was told.
+        self._troubles = {'/tf': 'nothing was heard yet'}
+        self._is_driving = False
+        self._stays_until: int | None = None
+        self._try_again_at = 0.0
+        self._resume()
+        for topic, profile, is_static in (
+            ('/tf', qos.POSES, False),
+            ('/tf_static', qos.LATCHED_POSES, True),
+        ):
+            self.hear_newest(
+                TFMessage,
+                topic,
+                partial(self._on_transforms, is_static),
+                profile,
+                LARGEST_TRANSFORMS,
+            )
+        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, LARGEST)
+        self.create_poll(self._look)
+
+    def _usual_journal(self) -> Path:
+        """Return the file of the journal if the parameter names none."""
+        home = os.environ.get('ROS_HOME', '~/.ros')
+        return Path(home, 'kbnitp_ros', f'{self._agent}.journal')
+
+    def _resume(self) -> None:
+        """Go on from the journal: say again what was said, and be where the robot was."""
+        if self._journal.damage:
+            self.get_logger().warning(self._journal.damage)
+            self.diagnostics.values['journal'] = self._journal.damage
+        for trip in self._journal.trips:
+            if trip.is_home:
+                self._report(trip)
+        self._trip: Trip | None = None
+        if under_way := self._journal.under_way:
+            self._set_out(under_way, ())
+            self.get_logger().warning(
+                f'deployment {self._key(under_way)} was under way when the robot went off, in '
+                f'cell {self._walk.cell}: it goes home'
+            )
+
+    def _set_out(self, trip: Trip, orders: Sequence[int]) -> None:
+        self._trip = trip
+        self._walk = Walk(self.grid, trip.cells[-1], self.values['tf_timeout'])
+        self._itinerary = Itinerary(self.grid, orders, self.values['attempts'])
+        self._is_driving, self._stays_until, self._try_again_at = False, None, 0.0
+
+    def _key(self, trip: Trip) -> DeploymentKey:
+        return DeploymentKey(self._agent, trip.stamp)
+
+    def _on_transforms(self, is_static: bool, message: TFMessage) -> None:
+        try:
+            self._transforms.take(message, static=is_static)
+        except ValueError as error:
+            self.diagnostics.refuse('/tf', error)
+        self._locate()
+
+    def _locate(self) -> None:
+        """See where the robot is, and if it is out which cells it has come to."""
+        try:
+            self._place = self._transforms.position(self.now(), self.values['tf_timeout'])
+        except ValueError as error:
+            self._place = None
+            self._say('/tf', str(error))
+            return
+        entered: list[int] = []
+        if self._trip is not None:
+            try:
+                entered = self._walk.follow(*self._place, self.now() / SECOND)
+            except ValueError as error:
+                self._say('/tf', str(error))
+                return
+        self._say('/tf', '')
+        self._enter(entered)
+
+    def _enter(self, cells: Sequence[int]) -> None:
+        for cell in cells:
+            self._step(cell)
+            self._itinerary.enter(cell)
+
+    def _step(self, cell: int) -> None:
+        """Make a step of the walk; what is read from now on is read there."""
+        assert self._trip is not None
+        self._trip.steps.append(Step(cell, self.now()))
+        self._keep(partial(self._journal.step, self._trip, len(self._trip.steps)))
+
+    def _keep(self, write: Callable[[], None]) -> bool:
+        """Have something on the disk, or say why it is not: it is kept in memory until then."""
+        try:
+            write()
+        except OSError as error:
+            self._say('journal', f'{in_words(error)}: what it lacks is kept in memory')
+            return False
+        self._say('journal', '')
+        return True
+
+    def _say(self, about: str, trouble: str) -> None:
+        """Show what is wrong; empty when nothing is any more."""
+        if trouble and not self._troubles.get(about):
+            self.get_logger().warning(f'{about}: {trouble}')
+        elif not trouble and self._troubles.get(about):
+            self.get_logger().info(f'{about}: all is well')
+        self._troubles[about] = trouble
+        self.diagnostics.warning = '; '.join(filter(None, self._troubles.values()))
+
+    def _on_detection(self, message: object) -> None:
+        try:
+            detection = read_detection(message, self.values)
+            number = self._step_at(detection.stamp)
+        except ValueError as error:
+            self.diagnostics.refuse('detections', error)
+            return
+        if number == 0:
+            return
+        assert self._trip is not None
+        step = self._trip.steps[number - 1]
+        # All that is said in a cell is one reading: whether anything was seen.
+        if step.reading < detection.seen:
+            step.reading = int(detection.seen)
+            self._keep(partial(self._journal.step, self._trip, number))
+
+    def _step_at(self, stamp: int | None) -> int:
+        """
+        Return in which step the robot looked, counted from 1; 0 for none.
+
+        Raises
+        ------
+        ValueError
+            If it was not just now.
+
+        """
+        # Where it is not known, nothing is read: it would count for another cell.
+        if self._trip is None or not self._trip.steps or self._troubles.get('/tf'):
+            return 0
+        assert self._place is not None
+        if stamp is None:
+            return len(self._trip.steps) if self._walk.sees_its_cell(*self._place) else 0
+        age = (self.now() - stamp) / SECOND
+        if abs(age) > self.values['tf_timeout']:
+            raise ValueError(
+                f'header.stamp is {age:.1f} s ago: it may be {self.values["tf_timeout"]} s '
+                '(parameter tf_timeout)'
+            )
+        return sum(step.time <= stamp for step in self._trip.steps)
+
+    def _look(self) -> None:
+        self._locate()
+        self._keep(self._journal.write)
+        self._driver.look()
+        self.diagnostics.waiting = self._orders.waiting
+        self.diagnostics.state = self._wait() if self._trip is None else self._go_on(self._trip)
+
+    def _wait(self) -> str:
+        """Have the robot leave when it can; return what it waits for."""
+        if not self._orders.is_listening:
+            if waiting := self.waiting_for([self._reports]):
+                return waiting
+            self._orders.listen()
+        if awaited := self._orders.awaited or self._namesake() or self._not_ready():
+            return awaited
+        for trip in self._orders.superseded():
+            self.get_logger().warning(
+                f'deployment {self._key(trip)} came while the robot was out: it does not leave'
+            )
+            if not self._begin(trip):
+                return self._no_room
+            self._arrive(trip)
+        trip = self._orders.newest
+        assert trip is not None
+        if not self._begin(trip):
+            return self._no_room
+        self._set_out(trip, trip.orders)
+        self.get_logger().info(f'leaving on {self._key(trip)}: {len(trip.orders) - 1} steps')
+        return self._go_on(trip)
+
+    def _begin(self, trip: Trip) -> bool:
+        """Have a deployment in the journal, and say whether it is."""
+        if not self._keep(partial(self._journal.depart, trip)):
+            return False
+        self._orders.close(trip)
+        return True
+
+    @property
+    def _no_room(self) -> str:
+        return f'waiting for room on the disk: {self._troubles["journal"]}'
+
+    def _namesake(self) -> str:
+        """Return that another node of this name must end first; empty if there is none."""
+        topic = self._reports.topic_name
+        own = self.get_name(), self.get_namespace()
+        known = self.get_publishers_info_by_topic(topic)
+        same = sum((each.node_name, each.node_namespace) == own for each in known)
+        if same <= 1:
+            return ''
+        return (
+            f'waiting for the other {self.get_fully_qualified_name()} to end: {same} robots have '
+            'this name, unless one has just died; each needs a name of its own (parameter agent '
+            'and namespace)'
+        )
+
+    def _not_ready(self) -> str:
+        """Return what keeps the robot from leaving; empty when nothing does."""
+        if self.now() <= 0:
+            return 'waiting for the clock to start'
+        if self._place is None:
+            return f'waiting for TF: {self._troubles["/tf"]}'
+        away, tolerance = (
+            distance_to_base(self.grid, *self._place),
+            self.values['arrival_tolerance'],
+        )
+        if away > tolerance:
+            return (
+                f'waiting for the robot to be at its base, cell {self.grid.base}: it is '
+                f'{away:.1f} m from there, and may be {tolerance} m (parameter arrival_tolerance)'
+            )
+        return self._driver.awaited
+
+    def _go_on(self, trip: Trip) -> str:
+        """Have the robot do what is next; return what it does."""
+        itinerary = self._itinerary
+        goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
+        if self._driver.is_busy:
+            return f'driving {goal}'
+        if self._place is None:
+            return f'waiting for TF: {self._troubles["/tf"]}'
+        if self._is_driving:
+            self._is_driving = False
+            self._end_leg(self._place)
+        if itinerary.heads_home and self._is_at_base(self._place):
+            self._come_home(trip)
+            return f'home from {self._key(trip)}'
+        if itinerary.is_stay and self._walk.cell == itinerary.destination:
+            return self._stay()
+        if time.monotonic() < self._try_again_at:
+            return f'waiting to try again {goal} (parameter retry_delay)'
+        if awaited := self._driver.awaited:
+            return awaited
+        self._driver.drive(self._place, itinerary.next_leg(trip.cells), self.now())
+        self._is_driving = True
+        return f'driving {goal}'
+
+    def _end_leg(self, place: tuple[float, float]) -> None:
+        """Judge how a goal ended."""
+        itinerary, failure = self._itinerary, self._driver.failure
+        if not failure:
+            try:
+                cell = self._walk.cell_at(*place)
+            except ValueError as error:
+                failure = f'{self._driver.name} says that the goal is reached, and {error}'
+            else:
+                is_there = cell == itinerary.destination
+                if is_there and (not itinerary.heads_home or self._is_at_base(place)):
+                    self._enter(self._walk.settle(*place))
+                else:
+                    failure = (
+                        f'{self._driver.name} says that cell {itinerary.destination} is reached, '
+                        f'and the robot is in cell {cell}, at ({place[0]:.2f}, {place[1]:.2f}): '
+                        'its goal tolerance must be below half the side of a cell and at most '
+                        'the parameter arrival_tolerance'
+                    )
+        if not failure:
+            itinerary.succeed()
+            return
+        was_homebound = itinerary.heads_home
+        itinerary.fail()
+        self._try_again_at = time.monotonic() + self.values['retry_delay']
+        then = 'trying again' if itinerary.heads_home == was_homebound else 'going home'
+        self.get_logger().warning(f'{failure}; {then}')
+
+    def _is_at_base(self, place: tuple[float, float]) -> bool:
+        return distance_to_base(self.grid, *place) <= self.values['arrival_tolerance']
+
+    def _stay(self) -> str:
+        """Wait where the robot is, and look again."""
+        now = self.now()
+        if self._stays_until is None:
+            self._stays_until = now + int(self.values['stay_time'] * SECOND)
+            self._step(self._walk.cell)
+        elif now >= self._stays_until:
+            self._stays_until = None
+            self._itinerary.succeed()
+        return f'staying in cell {self._walk.cell}'
+
+    def _come_home(self, trip: Trip) -> None:
+        """End a walk at the base."""
+        for cell in shortest_way(self.grid, self._walk.cell, self.grid.base)[1:]:
+            self._step(cell)
+        self._trip = None
+        self._arrive(trip)
+
+    def _arrive(self, trip: Trip) -> None:
+        self._keep(partial(self._journal.arrive, trip, self.now()))
+        self._report(trip)
+        self.get_logger().info(f'home from {self._key(trip)} after {len(trip.steps)} steps')
+
+    def _report(self, trip: Trip) -> None:
+        observation, now = trip.observation(), self.now()
+        self._reports.publish(report_message(self._key(trip), observation, now))
+        self._readings.publish(readings_marker(self.grid, observation, now))
+
+    def finish(self) -> None:
+        """Have the robot stop, since nobody would see any more where it goes."""
+        self._driver.cancel()
+
+    def close(self) -> None:
+        """Put what is known onto the disk."""
+        self._keep(self._journal.write)
+        self._journal.close()
+        super().close()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the robot; return the exit code."""
+    return run('robot', RobotNode, args, linger=0.15)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real `robot` nodes whose robots a simulator drives in a process of its own."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import groupby
+import json
+from math import hypot
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from builtin_interfaces.msg import Time
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.messages.deployments import path_message, read_report
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import String
+
+SIMULATOR = Path(__file__).with_name('simulator.py')
+
+# 12 m by 12 m with four obstacles; robots keep off the corners of these.
+GRID = Grid(12, 12, blocked=[26, 27, 50, 64], through_corners=False)
+FIELD = {
+    'grid.width': 12,
+    'grid.height': 12,
+    'grid.blocked': sorted(GRID.blocked),
+    'grid.corners': 'avoid',
+    'max_steps': 20,
+}
+TARGETS = [2, 14, 25, 38, 52, 65]
+
+# How near the middle of a cell a robot that is sent there comes, in metres.
+NEAR = 0.35
+
+
+class Fleet:
+    """
+    Robots on a field, with everything they do truly on record.
+
+    Parameters
+    ----------
+    field : Field
+        The domain, and the node of the test.
+    names : sequence of str
+        Of the robots, which all begin in the middle of the base.
+    speed : float
+        Of the robots, in m/s.
+
+    """
+
+    def __init__(self, field, names=('scout_1',), speed=5.0):
+        self.field = field
+        self.names = names
+        self._speed = speed
+        self._talkers = {}
+        self.simulator = None
+
+    def simulate(self, **places):
+        """Start the simulator; robots begin where they were, or at these x and y."""
+        truth = self.truth()
+        known = {name: truth[name][-1] for name in self.names if truth[name]}
+        begin = dict.fromkeys(self.names, (0.5, 0.5)) | known | places
+        config = {
+            'width': GRID.width,
+            'height': GRID.height,
+            'blocked': sorted(GRID.blocked),
+            'robots': {f'/{name}': begin[name] for name in self.names},
+            'targets': TARGETS,
+            'speed': self._speed,
+            'track': str(self._track),
+        }
+        file = self.field.folder / 'simulation.json'
+        file.write_text(json.dumps(config))
+        with self.field.folder.joinpath('simulator.txt').open('ab') as output:
+            self.simulator = subprocess.Popen(
+                [sys.executable, str(SIMULATOR), str(file)], stdout=output, stderr=output
+            )
+        self.field.processes.started[f'simulator {self.simulator.pid}'] = self.simulator
+        self.field._outputs[f'simulator {self.simulator.pid}'] = (
+            self.field.folder / 'simulator.txt'
+        )
+
+    def start(self, name='scout_1', **parameters):
+        """Start a robot node."""
+        given = {
+            **FIELD,
+            'agent': name,
+            'await_nodes': ['test'],
+            'journal': str(self.journal(name)),
+            'retry_delay': 0.1,
+            'stay_time': 0.3,
+            **parameters,
+        }
+        remaps = {'/tf': 'tf', '/tf_static': 'tf_static'}
+        return self.field.start('robot', given, f'/{name}', remaps)
+
+    def journal(self, name):
+        return self.field.folder / f'{name}.journal'
+
+    @property
+    def _track(self):
+        return self.field.folder / 'track.jsonl'
+
+    def truth(self):
+        """Return where each robot was, moment by moment, x and y."""
+        places = defaultdict(list)
+        if self._track.exists():
+            for line in self._track.read_text().splitlines():
+                namespace, x, y = json.loads(line)
+                places[namespace.strip('/')].append((x, y))
+        return places
+
+    def walked(self, name='scout_1', since=0):
+        """Return the cells near whose middle a robot truly was, one after another."""
+        near = []
+        for x, y in self.truth()[name][since:]:
+            if hypot(x % 1 - 0.5, y % 1 - 0.5) < NEAR:
+                near.append(int(y) * GRID.width + int(x))
+        return [cell for cell, _ in groupby(near)]
+
+    def inject(self, what, name='scout_1'):
+        """Have something go wrong with a robot's next goal."""
+        self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
+
+    def send(self, number, cells, name='scout_1'):
+        """Send a robot along a path that is on disk."""
+        key = DeploymentKey(name, number * 10**9)
+        self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(
+            path_message(GRID, cells, key.stamp, 5)
+        )
+        self._talker(Time, f'/{name}/recorded', qos.EVIDENCE).publish(to_stamp(key.stamp))
+        return key
+
+    def _talker(self, kind, topic, profile):
+        if topic not in self._talkers:
+            self._talkers[topic] = self.field.talk(kind, topic, profile)
+        return self._talkers[topic]
+
+    def reports(self, name='scout_1'):
+        return self.field.listen(DeploymentReport, f'/{name}/report')
+
+    def report_of(self, reports, key, patience=60.0):
+        """Wait for the report of a deployment, and return what it says; all there are agree."""
+
+        def found():
+            return [each for each in reports if from_stamp(each.deployment) == key.stamp]
+
+        self.field.until(found, f'report of {key}', patience)
+        said = {read_report(each, key.agent) for each in found()}
+        assert len(said) == 1
+        ((told, report),) = said
+        assert told == key
+        assert report.survived
+        return report
+
+    def end_simulator(self, by=signal.SIGKILL):
+        self.simulator.send_signal(by)
+        self.simulator.wait()
+        del self.field.processes.started[f'simulator {self.simulator.pid}']
+
+
+def moves(cells):
+    """Return the cells of a walk without its stays."""
+    return [cell for cell, _ in groupby(cells)]

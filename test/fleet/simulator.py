@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Robots on differential drives among obstacles, simulated by ir-sim, behind the actions of Nav2.
+
+    python3 simulator.py CONFIG
+
+The configuration is JSON: width, height and blocked of a field of 1 m cells; robots, by namespace,
+the x and y where each begins; targets, the cells where detectors see something; speed in m/s; and
+track, the file that the true positions go to. Each robot has a world of its own with the same
+obstacles, since all leave from one base. Its namespace has tf, tf_static, detections and the three
+actions; and inject, on which a text tells what is to go wrong with the next goal:
+
+    reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
+    die (the action servers go, and their goal), live (they are back)
+"""
+
+from __future__ import annotations
+
+from functools import partial
+import json
+from math import atan2, cos, hypot, pi, sin
+from pathlib import Path
+import signal
+import sys
+import time
+
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+import irsim
+from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
+import numpy as np
+import rclpy
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_msgs.msg import Bool, String
+from tf2_msgs.msg import TFMessage
+
+TICK = 0.02  # seconds
+
+# How near a robot must come to a pose, in metres, and to the last one, as Nav2 has it by default.
+NEAR, GOAL = 0.3, 0.15
+
+# How the frame odom lies in the frame map: somewhere and turned, as after a start.
+ODOM = (3.0, -2.0, 0.7)
+
+WORLD = """
+world: {{width: {width}, height: {height}, step_time: {tick}, sample_time: {tick},
+  collision_mode: stop}}
+robot:
+  - kinematics: {{name: diff}}
+    shape: {{name: circle, radius: 0.15}}
+    state: [{x}, {y}, 0.0]
+    goal: [{x}, {y}, 0.0]
+    vel_max: [{speed}, 12.0]
+    vel_min: [-{speed}, -12.0]
+obstacle:
+{obstacles}
+"""
+
+ACTIONS = {
+    'follow_waypoints': FollowWaypoints,
+    'navigate_through_poses': NavigateThroughPoses,
+    'follow_path': FollowPath,
+}
+
+
+class Goal:
+    """What a robot is driving, and the future of how that ends."""
+
+    def __init__(self, handle, kind, wrong):
+        self.handle = handle
+        self.kind = kind
+        self.wrong = wrong
+        self.begun = time.monotonic()
+        request = handle.request
+        poses = request.path.poses if kind is FollowPath else request.poses
+        self.points = [(each.pose.position.x, each.pose.position.y) for each in poses]
+        self.ended = Future()
+
+
+class Robot:
+    """One robot in a world of its own."""
+
+    def __init__(self, node, namespace, begin, config, folder):
+        self._node = node
+        self._namespace = namespace
+        self._config = config
+        self._speed = config.get('speed', 5.0)
+        self._goal = None
+        self._wrong = ''
+        self._servers = []
+        obstacles = '\n'.join(
+            '  - {shape: {name: rectangle, length: 0.9, width: 0.9}, state: '
+            f'[{cell % config["width"] + 0.5}, {cell // config["width"] + 0.5}, 0.0]}}'
+            for cell in config['blocked']
+        )
+        world = folder / f'{namespace.strip("/").replace("/", "_")}.yaml'
+        size = {name: config[name] for name in ('width', 'height')}
+        world.write_text(
+            WORLD.format(
+                x=begin[0], y=begin[1], speed=self._speed, tick=TICK, obstacles=obstacles, **size
+            )
+        )
+        self._world = irsim.make(str(world), headless=True, log_level='ERROR')
+        self._track = Path(config['track']).open('a')  # noqa: SIM115
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._tf = node.create_publisher(TFMessage, f'{namespace}/tf', 100)
+        self._static = node.create_publisher(TFMessage, f'{namespace}/tf_static', latched)
+        self._detections = node.create_publisher(Bool, f'{namespace}/detections', 10)
+        node.create_subscription(String, f'{namespace}/inject', self._on_inject, 10)
+        self._static.publish(self._transform('base_footprint', 'base_link', 0.0, 0.0, 0.0))
+        self._live()
+
+    def _live(self):
+        self._servers = [
+            ActionServer(
+                self._node,
+                kind,
+                f'{self._namespace}/{name}',
+                partial(self._drive, kind),
+                goal_callback=self._judge,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+            )
+            for name, kind in ACTIONS.items()
+        ]
+
+    def _on_inject(self, message):
+        if message.data == 'die':
+            self._goal = None
+            for server in self._servers:
+                server.destroy()
+            self._servers = []
+        elif message.data == 'live':
+            self._live()
+        else:
+            self._wrong = message.data
+
+    def _judge(self, _):
+        if self._wrong == 'reject':
+            self._wrong = ''
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    async def _drive(self, kind, handle):
+        """Drive a goal; the one before is given up for it, as Nav2 does."""
+        if self._goal is not None:
+            self._end('abort', 'preempted by another goal')
+        goal = self._goal = Goal(handle, kind, self._wrong)
+        self._wrong = ''
+        how, why = await goal.ended
+        result = kind.Result()
+        if how == 'abort':
+            handle.abort()
+            result.error_code, result.error_msg = 101, why
+        elif how == 'cancel':
+            handle.canceled()
+        else:
+            handle.succeed()
+        return result
+
+    def _end(self, how, why=''):
+        goal, self._goal = self._goal, None
+        goal.ended.set_result((how, why))
+
+    @property
+    def place(self):
+        x, y, yaw = np.ravel(self._world.robot.state)[:3].tolist()
+        return x, y, yaw
+
+    def tick(self):
+        """Simulate a moment."""
+        x, y, yaw = self.place
+        linear = turn = 0.0
+        goal = self._goal
+        if goal is not None:
+            if goal.handle.is_cancel_requested:
+                self._end('cancel')
+            elif goal.wrong == 'lie':
+                self._end('succeed')
+            elif goal.wrong == 'abort' and time.monotonic() > goal.begun + 0.25:
+                self._end('abort', 'the controller has had enough')
+            else:
+                linear, turn = self._steer(goal, x, y, yaw)
+        self._world.step(np.array([[linear], [turn]]))
+
+    def _steer(self, goal, x, y, yaw):
+        while goal.points and hypot(goal.points[0][0] - x, goal.points[0][1] - y) < (
+            GOAL if len(goal.points) == 1 or goal.kind is FollowWaypoints else NEAR
+        ):
+            goal.points.pop(0)
+        if not goal.points:
+            if goal.wrong != 'silent':
+                self._end('succeed')
+            return 0.0, 0.0
+        if goal.wrong != 'silent':
+            goal.handle.publish_feedback(goal.kind.Feedback())
+        to_x, to_y = goal.points[0]
+        off = (atan2(to_y - y, to_x - x) - yaw + pi) % (2 * pi) - pi
+        away = hypot(to_x - x, to_y - y)
+        linear = min(self._speed, 4 * away) * max(0.0, cos(off)) ** 8
+        return linear, 8 * off
+
+    def tell(self):
+        """Publish where the robot is and what it sees, and keep the truth."""
+        x, y, yaw = self.place
+        self._track.write(f'{json.dumps([self._namespace, x, y])}\n')
+        self._track.flush()
+        moved_x, moved_y, turned = ODOM
+        dx, dy = x - moved_x, y - moved_y
+        seen_x = dx * cos(turned) + dy * sin(turned)
+        seen_y = dy * cos(turned) - dx * sin(turned)
+        self._tf.publish(self._transform('map', 'odom', *ODOM))
+        self._tf.publish(self._transform('odom', 'base_footprint', seen_x, seen_y, yaw - turned))
+        cell = int(y) * self._config['width'] + int(x)
+        self._detections.publish(Bool(data=cell in self._config['targets']))
+
+    def _transform(self, parent, child, x, y, yaw):
+        transform = TransformStamped(
+            child_frame_id=child,
+            transform=Transform(
+                translation=Vector3(x=x, y=y),
+                rotation=Quaternion(z=sin(yaw / 2), w=cos(yaw / 2)),
+            ),
+        )
+        transform.header.frame_id = parent
+        transform.header.stamp = self._node.get_clock().now().to_msg()
+        return TFMessage(transforms=[transform])
+
+
+def main():
+    path = Path(sys.argv[1])
+    config = json.loads(path.read_text())
+    signals = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: signals.append(received))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('simulator')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    robots = [
+        Robot(node, namespace, begin, config, path.parent)
+        for namespace, begin in config['robots'].items()
+    ]
+    due = time.monotonic()
+    while not signals:
+        for robot in robots:
+            robot.tick()
+            robot.tell()
+        due += TICK
+        # Callbacks until the next moment is due; time that was lost is not made up for.
+        due = max(due, time.monotonic() - TICK)
+        while (left := due - time.monotonic()) > 0:
+            executor.spin_once(timeout_sec=left)
+        executor.spin_once(timeout_sec=0)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    main()
