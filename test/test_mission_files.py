@@ -5,13 +5,16 @@ from contextlib import suppress
 import os
 from pathlib import Path
 import re
+from shutil import which
 import signal
 import subprocess
+from subprocess import DEVNULL
 import sys
 import time
 
-from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.log.bag.reader import LogError, read_log
+from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
@@ -31,7 +34,7 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 
 file, *arguments = sys.argv[1:]
-service = LaunchService()
+service = LaunchService(argv=arguments)
 service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
     PythonLaunchDescriptionSource(file),
     launch_arguments=[argument.split(':=') for argument in arguments],
@@ -78,11 +81,11 @@ def reports_in(log):
         return 0
 
 
-def launched(folder, domain, *arguments, **options):
-    """Start the launch file with these arguments; the paths in them are relative to a folder."""
+def launched(folder, domain, *arguments, launch_file='mission', **options):
+    """Start a launch file with these arguments; the paths in them are relative to a folder."""
     # On a busy machine nodes may need longer to end than launch gives them.
     patience = [f'sig{name}_timeout:=60' for name in ('term', 'kill')]
-    file = ROOT / 'launch' / 'mission.launch.py'
+    file = ROOT / 'launch' / f'{launch_file}.launch.py'
     return subprocess.Popen(
         [sys.executable, '-c', LAUNCH, file, *patience, *arguments],
         cwd=folder,
@@ -98,29 +101,29 @@ def interrupt(mission):
         os.killpg(mission.pid, signal.SIGINT)
 
 
-def run_until_reported(folder, reports, missions):
+def run_until_over(folder, reports, missions):
     """
-    Launch missions, end them as Ctrl-C does when each has so many reports, and check that.
+    Launch missions, and check that each ends by itself when it has so many reports.
 
     The missions are the arguments of the launch file by the names of their logs.
     """
     with free_domain() as domain:
         running = [launched(folder, domain, *arguments) for arguments in missions.values()]
         try:
-            deadline = time.monotonic() + 120
-            while any(reports_in(folder / log) < reports for log in missions):
-                assert time.monotonic() < deadline
-                assert {mission.poll() for mission in running} == {None}
-                time.sleep(0.2)
+            assert {mission.wait(timeout=120) for mission in running} == {0}
         finally:
             for mission in running:
                 interrupt(mission)
-            status = {mission.wait(timeout=120) for mission in running}
-    assert status == {0}
     for log in missions:
-        report = replay(folder / log)
-        assert report.reproduced
-        assert len(report.evidence.reports) == reports
+        assert_is_whole(folder / log, reports)
+
+
+def assert_is_whole(log, reports):
+    """Check that a log is reproduced, and has so many deployments."""
+    report = replay(log)
+    assert report.reproduced
+    assert len(report.evidence.reports) == reports
+    assert not report.not_yet_held
 
 
 @pytest.fixture
@@ -141,9 +144,9 @@ def configured(tmp_path):
 def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path, configured):
     arguments = ['params_file:=short.yaml', 'namespace:=north', 'file:=mission.mcap']
     configured(robots=3)
-    run_until_reported(tmp_path, 3, {'mission.mcap': arguments})
+    run_until_over(tmp_path, 3, {'mission.mcap': arguments})
     configured(robots=5)
-    run_until_reported(tmp_path, 5, {'mission.mcap': [*arguments, 'resume:=mission.mcap']})
+    run_until_over(tmp_path, 5, {'mission.mcap': [*arguments, 'resume:=mission.mcap']})
 
 
 def test_two_teams_are_launched_side_by_side(tmp_path, configured):
@@ -158,7 +161,7 @@ def test_two_teams_are_launched_side_by_side(tmp_path, configured):
         ]
         for team, agents in teams.items()
     }
-    run_until_reported(tmp_path, 6, missions)
+    run_until_over(tmp_path, 6, missions)
     for team, agents in teams.items():
         logged = read_log(tmp_path / f'{team}.mcap', [REPORT, POSES])
         reports = {f'/{team}/scout_{number + 1}/report' for number in range(agents)}
@@ -203,11 +206,95 @@ def test_a_log_is_not_written_over_and_launch_fails(tmp_path, configured):
     assert 'the mission failed: recorder-1 ended with exit code 2' in said
 
 
-@pytest.mark.parametrize('agents', ['0', 'two'])
+def test_a_mission_that_is_over_is_kept_if_wished_and_takes_options(tmp_path, configured):
+    configured(robots=1000)
+    log = tmp_path / 'mission.mcap'
+    arguments = ['params_file:=short.yaml', 'file:=mission.mcap', 'robots:=2', 'max_steps:=4']
+    with free_domain() as domain:
+        mission = launched(tmp_path, domain, *arguments, 'keep_running:=true')
+        try:
+            deadline = time.monotonic() + 120
+            while reports_in(log) < 2:
+                assert time.monotonic() < deadline
+                time.sleep(0.2)
+            time.sleep(1)
+            assert mission.poll() is None
+        finally:
+            interrupt(mission)
+        assert mission.wait(timeout=120) == 0
+    assert_is_whole(log, 2)
+    parameters = read_parameters(log)
+    assert parameters['/planner']['max_steps'] == parameters['/estimator']['max_steps'] == 4
+
+
+def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
+    configured()
+    arguments = ['params_file:=short.yaml', 'file:=mission.mcap', 'robots:=3', 'agents:=ada']
+    with free_domain() as domain, Processes(domain) as robots:
+        base = launched(tmp_path, domain, *arguments, launch_file='base')
+        try:
+            sections = read_sections(tmp_path / 'short.yaml')
+            own = {'agent': 'ada', 'agents': ['ada'], 'recorded': True}
+            robots.start('agent', {**values_for(sections, '/agent'), **own}, output=DEVNULL)
+            assert base.wait(timeout=120) == 0
+        finally:
+            interrupt(base)
+    assert_is_whole(tmp_path / 'mission.mcap', 3)
+
+
+@pytest.mark.skipif(not which('ros2'), reason='ros2 comes with an installation of ROS 2 only')
+@pytest.mark.parametrize(
+    'file, arguments, code, told',
+    [
+        ('mission', ['params_file:=short.yaml', 'robots:=2'], 0, 'process has finished cleanly'),
+        ('mission', ['robot:=2'], 1, 'launch argument robot is unknown: did you mean robots?'),
+        ('base', ['params_file:=none.yaml'], 1, 'none.yaml: No such file or directory'),
+    ],
+)
+def test_ros2_launch_ends_by_itself(tmp_path, configured, file, arguments, code, told):
+    configured()
+    with free_domain() as domain:
+        ended = subprocess.run(
+            ['ros2', 'launch', 'kbnitp_ros', f'{file}.launch.py', *arguments],
+            cwd=tmp_path,
+            env=environment(domain),
+            timeout=120,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+    assert ended.returncode == code
+    assert told in ended.stdout
+
+
+@pytest.mark.parametrize(
+    'argument, told',
+    [
+        ('robots:=-1', 'parameter robots is -1: it must be from 0 to 20000'),
+        ('allocation:=fair', "allocation is 'fair': it must be one of"),
+        ('lose_cost:=1', 'launch argument lose_cost is unknown: did you mean loss_cost?'),
+    ],
+)
+def test_the_launch_file_refuses_options_that_are_none(tmp_path, configured, argument, told):
+    code, said = output_of(tmp_path, argument)
+    assert code == 1
+    assert told in said
+    assert 'process started' not in said
+
+
+def test_an_option_that_the_parameter_file_overrules_is_refused(tmp_path, configured):
+    sections = '/planner: {ros__parameters: {}}\n/**/planner: {ros__parameters: {robots: 5}}\n'
+    (tmp_path / 'late.yaml').write_text(sections)
+    code, said = output_of(tmp_path, 'params_file:=late.yaml', 'robots:=3')
+    assert code == 1
+    assert 'robots:=3 would change nothing' in said
+
+
+@pytest.mark.parametrize('agents', ['0', '-1', 'a b'])
 def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents):
     code, said = output_of(tmp_path, f'agents:={agents}')
     assert code == 1
-    assert f"agents is '{agents}': it must be a whole number, at least 1" in said
+    assert f"agents is '{agents}': it must be a whole number, at least 1, or names" in said
 
 
 def nodes_of(mission):
@@ -235,14 +322,8 @@ def launched_until(folder, domain, condition, *arguments):
 def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
     configured(robots=2)
     for _ in range(2):
-        known = set(tmp_path.glob('runs/*'))
         with free_domain() as domain:
             mission = launched(tmp_path, domain, 'params_file:=short.yaml')
-            deadline = time.monotonic() + 120
-            while not any(reports_in(log) == 2 for log in set(tmp_path.glob('runs/*')) - known):
-                assert time.monotonic() < deadline
-                time.sleep(0.2)
-            interrupt(mission)
             assert mission.wait(timeout=120) == 0
     logs = list(tmp_path.glob('runs/*/mission.mcap'))
     assert [replay(log).reproduced for log in logs] == [True, True]

@@ -447,6 +447,12 @@ TABLE = (
         read_only=False,
     ),
     Parameter(
+        'keep_running',
+        True,
+        'Whether the planner goes on running when the mission is over, and does not end.',
+        ('planner',),
+    ),
+    Parameter(
         'rolling',
         False,
         'Whether a robot leaves whenever its agent is free, and not with all others in rounds.',

@@ -32,6 +32,9 @@ from rclpy.subscription import Subscription
 # A field of which paths reach less than this part is worth a warning.
 MOST = 0.5
 
+# How the state begins of a mission that is over.
+DONE = 'done'
+
 # Why an estimator may never hold all deployments.
 NOT_HEARD_AGAIN = (
     f', and only the last {qos.DEPTH} of each agent are heard again: restart the '
@@ -257,6 +260,8 @@ class PlannerNode(FieldNode):
         reason_to_wait = self._reason_to_wait(newest.deployments)
         if reason_to_wait:
             self.diagnostics.state = reason_to_wait
+            if reason_to_wait.startswith(DONE) and not self.values['keep_running']:
+                self.end()
             return
         agents = self._free_agents()[: self.values['robots'] - self._left]
         stamp = self._next_stamp(newest)
@@ -304,7 +309,7 @@ class PlannerNode(FieldNode):
             return f'{wait} on {self._of_whom("belief", self._peers.estimators)}'
         robots = self.values['robots']
         if held >= robots:
-            return f'done: {held} of {robots} robots deployed'
+            return f'{DONE}: {held} of {robots} robots deployed'
         if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
         self._is_heard = True

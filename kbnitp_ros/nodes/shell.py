@@ -90,6 +90,8 @@ class Shell(Node):
         The parameters by name, kept up to date.
     diagnostics : Diagnostics
         What it has accepted and refused.
+    is_over : bool
+        Whether its work is done, so that its process ends.
 
     """
 
@@ -97,6 +99,7 @@ class Shell(Node):
         super().__init__(name)
         self.values = declare(self, name)
         self.diagnostics = Diagnostics(self)
+        self.is_over = False
         self._publisher_counts: dict[str, int] = {}
         self._author_counts: dict[str, int] = {}
         self._deployments = self.get_logger().get_child(DEPLOYMENTS)
@@ -256,8 +259,13 @@ class Shell(Node):
             executor.remove_node(self)
             executor.shutdown()
 
+    def end(self) -> None:
+        """End the process, with exit code 0, once it is known why."""
+        self.is_over = True
+        self.diagnostics.publish()
+
     def finish(self) -> None:
-        """Do what is left to do after a signal, before the node is closed."""
+        """Do what is left to do, before the node is closed."""
 
     def close(self) -> None:
         """Stay until what was published last has arrived: DDS drops it with the publisher."""
@@ -277,7 +285,7 @@ def run(
     name: str, make: Callable[[], Shell], args: Sequence[str] | None, linger: float = 0.0
 ) -> int:
     """
-    Run a node until SIGINT or SIGTERM and return the exit code of its process.
+    Run a node until SIGINT or SIGTERM, or its end, and return the exit code of its process.
 
     Parameters
     ----------
@@ -294,8 +302,8 @@ def run(
     Returns
     -------
     int
-        0 after a signal; 2 if the node could not start, 1 if it could not go on: then one line on
-        stderr says why, and so does diagnostics.
+        0 after a signal or when its work is done; 2 if the node could not start, 1 if it could not
+        go on: then one line on stderr says why, and so does diagnostics.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
@@ -342,7 +350,7 @@ def _live(node: Shell, executor: Executor, linger: float) -> Exception | None:
     """Run a node until a signal comes, and close it; return what broke, if anything did."""
     broken: Exception | None = None
     try:
-        while not SIGNALS:
+        while not (SIGNALS or node.is_over):
             _spin(node, executor, SPIN)
         end = time.monotonic() + linger
         while time.monotonic() < end:

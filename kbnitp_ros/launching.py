@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files of missions share: arguments, the nodes of the base, and how they end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+import signal
+from typing import Any
+
+from kbnitp_ros.nodes.given import read_sections, values_for
+from kbnitp_ros.nodes.parameters import nearest, parameters_of
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+    Shutdown,
+)
+from launch.conditions import IfCondition
+from launch.substitutions import (
+    EnvironmentVariable,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node, PushROSNamespace
+from launch_ros.substitutions import FindPackageShare
+
+SHARE = FindPackageShare('kbnitp_ros')
+SWITCH = ['true', 'false']
+PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+
+# How processes may end that launch was told to end: one that did not listen yet was killed, and of
+# one that ended while launch was about to signal it, asyncio says 255.
+ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
+
+# The parameters that are arguments as well, of all nodes that have them.
+OPTIONS = (
+    'robots',
+    'max_steps',
+    'planner',
+    'beam_width',
+    'max_visits',
+    'allocation',
+    'loss_cost',
+    'rolling',
+    'step_period',
+    'silent_loss',
+    'return_deadline',
+    'method',
+    'seed',
+    'keep_running',
+)
+
+
+def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
+    """
+    Return the arguments that all launch files of missions take.
+
+    Parameters
+    ----------
+    defaults : str
+        Of those that are also parameters, other than what the parameter file says.
+
+    """
+    return [
+        DeclareLaunchArgument(
+            'namespace', default_value='', description='Namespace of all nodes and topics.'
+        ),
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
+            description='YAML file with the parameters of the nodes.',
+        ),
+        DeclareLaunchArgument(
+            'record',
+            default_value='true',
+            choices=SWITCH,
+            description='Whether to record the mission.',
+        ),
+        DeclareLaunchArgument(
+            'file',
+            default_value='',
+            description='The log to write; empty for the one that the parameters name, or if they '
+            'name none, runs/TIME/mission.mcap.',
+        ),
+        DeclareLaunchArgument(
+            'resume',
+            default_value='',
+            description='Log of a dead mission to go on with; empty for a new mission.',
+        ),
+        DeclareLaunchArgument(
+            'rviz',
+            default_value='false',
+            choices=SWITCH,
+            description='Whether to show the mission in RViz.',
+        ),
+        *(
+            DeclareLaunchArgument(
+                name,
+                default_value=defaults.get(name, ''),
+                description=f'{description_of(name)} Empty for what params_file says.',
+            )
+            for name in OPTIONS
+        ),
+    ]
+
+
+def description_of(name: str) -> str:
+    """Return what a parameter of the planner, or else of the estimator, means."""
+    known = parameters_of('estimator') | parameters_of('planner')
+    return known[name].description
+
+
+def mission_description(
+    arguments: Sequence[DeclareLaunchArgument],
+    nodes: Callable[[Mission], Iterable[Node]],
+) -> LaunchDescription:
+    """
+    Return what a launch file starts.
+
+    Parameters
+    ----------
+    arguments : sequence of DeclareLaunchArgument
+        All that the file takes.
+    nodes : callable
+        Returns the nodes of a mission, once its arguments are known.
+
+    """
+    hear_interrupts_once()
+    # Nodes find each other at once and give memory back, unless the user has a Fast DDS profile of
+    # their own.
+    memory = SetEnvironmentVariable(
+        'RMW_FASTRTPS_USE_QOS_FROM_XML',
+        '1',
+        condition=IfCondition(
+            EqualsSubstitution(EnvironmentVariable(PROFILES, default_value=''), '')
+        ),
+    )
+    discovery = SetEnvironmentVariable(
+        PROFILES,
+        EnvironmentVariable(
+            PROFILES, default_value=PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
+        ),
+    )
+    names = [argument.name for argument in arguments]
+
+    def start(context: LaunchContext) -> list[Node]:
+        check_arguments(context.argv, names)
+        return list(nodes(Mission(context)))
+
+    mission = GroupAction(
+        [PushROSNamespace(LaunchConfiguration('namespace')), OpaqueFunction(function=start)]
+    )
+    return LaunchDescription([*arguments, memory, discovery, mission])
+
+
+def hear_interrupts_once() -> None:
+    """
+    Keep Python from raising KeyboardInterrupt, too, on signals that launch handles by itself.
+
+    It would strike whichever task of launch runs at that moment, such as one that waits for the
+    end of a node, and launch would wait for that task for ever.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda *_: None)
+
+
+def check_arguments(given: Iterable[str], names: Sequence[str]) -> None:
+    """
+    Check that no argument on the command line is a misspelt one, which launch would pass over.
+
+    Others may be those of a launch file that includes this one.
+
+    Raises
+    ------
+    ValueError
+        If one is nearly that of this file.
+
+    """
+    for name in (each.partition(':=')[0] for each in given):
+        if name not in names and (meant := nearest(name, names)):
+            raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
+
+
+class Mission:
+    """
+    A mission as the arguments of a launch file describe it.
+
+    Parameters
+    ----------
+    context : LaunchContext
+        Has the arguments.
+
+    Attributes
+    ----------
+    agents : list of str
+        The agents of the team.
+
+    Raises
+    ------
+    ValueError
+        If the parameter file is none, or an argument is not allowed or would change nothing.
+
+    """
+
+    def __init__(self, context: LaunchContext) -> None:
+        self._context = context
+        self._failures: list[str] = []
+        self._namespace = self.argument('namespace').strip('/')
+        self._sections = read_sections(self.argument('params_file'))
+        self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
+        self.agents = agents_named(self.argument('agents')) or list(
+            self._values('planner').get('agents', parameters_of('planner')['agents'].default)
+        )
+
+    def argument(self, name: str) -> str:
+        """Return an argument as it was given."""
+        return str(LaunchConfiguration(name).perform(self._context))
+
+    def _values(self, node: str) -> dict[str, Any]:
+        """Return what the parameter file says for a node of this mission."""
+        return values_for(self._sections, self._full_name(node))
+
+    def _full_name(self, *names: str) -> str:
+        return '/' + '/'.join(filter(None, [self._namespace, *names]))
+
+    @property
+    def poses(self) -> list[tuple[str, str]]:
+        """Return the remapping of poses: robots of one name in two teams are not the same one."""
+        return [('/tf', self._full_name('tf'))] if self._namespace else []
+
+    def base(self) -> list[Node]:
+        """Return the nodes of the base, and RViz."""
+        view = 'team.rviz' if len(self.agents) > 1 else 'mission.rviz'
+        rviz = Node(
+            package='rviz2',
+            executable='rviz2',
+            arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', view])],
+            remappings=self.poses,
+        )
+        file = self.argument('file')
+        recorder = self.node('recorder', {'file': file} if file else {})
+        return [
+            # First, so that nothing runs yet when it turns out not to be installed.
+            *([rviz] if self.argument('rviz') == 'true' else []),
+            *([recorder] if self.argument('record') == 'true' else []),
+            self.node('estimator', awaits=['planner']),
+            self.node('planner', awaits=['agent', 'estimator']),
+        ]
+
+    def node(
+        self,
+        name: str,
+        own: dict[str, Any] | None = None,
+        *,
+        awaits: Sequence[str] = (),
+        namespace: str = '',
+        ends_mission: bool = True,
+    ) -> Node:
+        """
+        Return a node of the mission.
+
+        Parameters
+        ----------
+        name : str
+            Its name and executable.
+        own : dict, optional
+            Parameters that it alone is given.
+        awaits : sequence of str
+            The roles that it awaits; if there is a recorder, that, too.
+        namespace : str
+            Of its own, below that of the mission.
+        ends_mission : bool
+            Whether the others go on without it.
+
+        """
+        known, record = parameters_of(name), self.argument('record') == 'true'
+        told = {
+            'agents': self.agents,
+            'resume': self.argument('resume'),
+            'recorded': record,
+            'await_nodes': [*awaits, *(['recorder'] if record else [])],
+        } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
+        given = {each: value for each, value in told.items() if each in known} | (own or {})
+        self._check_counts(self._full_name(namespace, name), given)
+
+        def end(event: Any, context: LaunchContext) -> Shutdown | None:
+            """End the mission with this node; with an error if any node has failed by then."""
+            if event.returncode not in (ENDED if context.is_shutdown else (0,)):
+                self._failures.append(
+                    f'{event.process_name} ended with exit code {event.returncode}'
+                )
+            if self._failures and (ends_mission or context.is_shutdown):
+                # Nothing else makes the exit code of launch another one than 0.
+                failures = ', '.join(self._failures)
+                self._failures.clear()
+                raise RuntimeError(f'the mission failed: {failures}; see above what was said')
+            return Shutdown() if ends_mission else None
+
+        return Node(
+            package='kbnitp_ros',
+            executable=name,
+            name=name,
+            namespace=namespace,
+            parameters=[LaunchConfiguration('params_file'), given],
+            remappings=self.poses if name == 'agent' else [],
+            output='screen',
+            on_exit=end,
+        )
+
+    def _check_counts(self, node: str, given: dict[str, Any]) -> None:
+        """Check that ROS, to which sections of a file that come later count more, takes these."""
+        sections = {name: dict(values) for name, values in self._sections.items()}
+        sections.setdefault(node, {}).update(given)
+        taken = values_for(sections, node)
+        for name, value in given.items():
+            if taken[name] != value:
+                raise ValueError(
+                    f'{name}:={value} would change nothing: to ROS, a later section of the '
+                    f'parameter file counts for more; change {name} there'
+                )
+
+
+def agents_named(given: str) -> list[str]:
+    """
+    Return the names of agents that an argument gives: how many, or which; none if it is empty.
+
+    Raises
+    ------
+    ValueError
+        If it gives neither.
+
+    """
+    if given.isdecimal() and int(given):
+        return [f'scout_{number}' for number in range(1, int(given) + 1)]
+    names = given.split(',') if given else []
+    try:
+        return list(parameters_of('planner')['agents'].check(names))
+    except ValueError as error:
+        raise ValueError(
+            f'agents is {given!r}: it must be a whole number, at least 1, or names with commas '
+            'between them'
+        ) from error
