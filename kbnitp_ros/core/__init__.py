@@ -37,6 +37,7 @@ from kbnitp_ros.core.inference import (
 from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
+    count_visits,
     path_information,
     PathFinder,
     Plan,
@@ -81,6 +82,7 @@ __all__ = [
     'World',
     'binary_entropy',
     'brier_score',
+    'count_visits',
     'deployment_order',
     'log_loss',
     'observation_of',

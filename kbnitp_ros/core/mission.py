@@ -19,7 +19,7 @@ from kbnitp_ros.core.field import (
     World,
 )
 from kbnitp_ros.core.inference import ALL_KNOWN, Estimator, Learnt, Unknowns
-from kbnitp_ros.core.planning import Plan, plan_team, team_size
+from kbnitp_ros.core.planning import count_visits, Plan, plan_team, team_size
 import numpy as np
 
 
@@ -130,6 +130,7 @@ def run_mission(
     deployments: list[Deployment] = []
     robots, agents = whole_number('robots', robots, 0), team_size(grid, agents)
     kinds = of_each(agents, kinds)
+    visited = count_visits(grid, [])
     while len(deployments) < robots:
         leaving = kinds[: robots - len(deployments)]
         team = plan_team(
@@ -144,7 +145,9 @@ def run_mission(
             max_visits=max_visits,
             loss_cost=loss_cost,
             kinds=leaving,
+            visited=visited,
         )
+        visited += count_visits(grid, [planned.path for planned in team.plans])
         for planned, kind in zip(team.plans, leaving):
             own = kind.model(truth)
             made = conduct.traverse(world, grid, planned.path, own, rng.spawn(1)[0])

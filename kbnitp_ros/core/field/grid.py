@@ -158,16 +158,31 @@ class Grid:
     @cached_property
     def steps_to_base(self) -> NDArray[np.intp]:
         """Fewest steps from each cell to the base, shape (cells,); `cells` if it is cut off."""
+        steps = self.steps_from(self.base, self.free)
+        steps.flags.writeable = False
+        return steps
+
+    def steps_from(self, cell: int, is_open: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """
+        Return the fewest steps from a cell to each, shape (cells,); `cells` if there is no way.
+
+        Parameters
+        ----------
+        cell : int
+            Where to start.
+        is_open : ndarray of bool, shape (cells,)
+            Which cells may be entered.
+
+        """
         steps = np.full(self.cells, self.cells, dtype=np.intp)
-        frontier = np.array([self.base])
+        frontier = np.array([cell])
         distance = 0
         while frontier.size:
             steps[frontier] = distance
             around = np.unique(self.neighbor_table[frontier])
             around = around[around >= 0]
-            frontier = around[steps[around] == self.cells]
+            frontier = around[is_open[around] & (steps[around] == self.cells)]
             distance += 1
-        steps.flags.writeable = False
         return steps
 
     def in_reach(self, max_steps: int) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@
 from kbnitp_ros.core.planning.allocations import ALLOCATIONS
 from kbnitp_ros.core.planning.information import path_information, team_information
 from kbnitp_ros.core.planning.plan import Plan, plan
-from kbnitp_ros.core.planning.planners import PathFinder, PLANNERS
+from kbnitp_ros.core.planning.planners import count_visits, PathFinder, PLANNERS
 from kbnitp_ros.core.planning.regions import Regions
 from kbnitp_ros.core.planning.team import plan_team, team_size, TeamPlan
 
@@ -15,6 +15,7 @@ __all__ = [
     'Plan',
     'Regions',
     'TeamPlan',
+    'count_visits',
     'path_information',
     'plan',
     'plan_team',

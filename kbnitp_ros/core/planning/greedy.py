@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
-from kbnitp_ros.core.planning.labels import DECIMALS
+from kbnitp_ros.core.planning.found import DECIMALS
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.robot import Robot
 import numpy as np
@@ -44,7 +44,7 @@ class Team:
             objective = objective.given(self.last.after(self.paths[-1]))
         return [
             Team(round(self.worth + found.worth, DECIMALS), (*self.paths, found.path), objective)
-            for found in robot.finder.paths(objective)
+            for found in robot.finder.after(self.paths).paths(objective)
         ]
 
     def visits(self, robots: Sequence[Robot]) -> Hashable:

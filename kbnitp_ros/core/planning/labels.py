@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from math import inf
-from typing import NamedTuple
 
 from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.planning.found import DECIMALS, Found
 from kbnitp_ros.core.planning.gains import Gains
 from kbnitp_ros.core.planning.information_kernels import left_open
 from kbnitp_ros.core.planning.label_kernels import fate_worth, improve, search, take, trace
@@ -16,9 +16,6 @@ from kbnitp_ros.core.planning.reach import Reach
 import numpy as np
 from numpy.typing import NDArray
 
-# Values closer than this many decimals (nats) are ties, so rounding never decides for a path.
-DECIMALS = 9
-
 # As many closed paths are ranked by their exact worth, or `width` if that is more.
 RANKED = 8
 
@@ -27,23 +24,6 @@ EXCHANGED = 2
 
 # The most bytes that a search may take.
 MOST_MEMORY = 1 << 30
-
-
-class Found(NamedTuple):
-    """
-    A closed path that a search found.
-
-    Attributes
-    ----------
-    worth : float
-        The objective, nats, rounded.
-    path : ndarray of int, shape (steps + 1,)
-        The base first and last.
-
-    """
-
-    worth: float
-    path: NDArray[np.intp]
 
 
 def best_paths(

@@ -10,7 +10,7 @@ from kbnitp_ros.core.planning.information import path_information
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.planners import PathFinder
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,7 @@ def plan(
     width: int = 16,
     max_visits: int = 3,
     loss_cost: float = 0.0,
+    visited: ArrayLike = (),
 ) -> Plan:
     """
     Plan the next deployment: a closed path of much information.
@@ -73,18 +74,24 @@ def plan(
     max_steps : int
         The most steps the path may have, at least 1.
     planner : str
-        'relaxed' keeps the best label of each cell and step, 'beam' the best `width`.
+        'relaxed' keeps the best label of each cell and step, 'beam' the best `width`. The others
+        seek no information, and are there to be compared with: 'random' draws a closed walk,
+        'coverage' ploughs the field where earlier paths left off, and 'shortest_unvisited' goes to
+        the nearest cell that was visited least, and on to the next.
     width : int
         Labels the beam keeps for each cell and step, at least 1.
     max_visits : int
         How often the path may enter a cell, at least 1.
     loss_cost : float
         How much information a lost robot is worth, nats, at least 0.
+    visited : array_like of int, shape (cells,), optional
+        How often the paths of earlier deployments entered each cell, for the planners that go by
+        it; never unless given.
 
     Returns
     -------
     Plan
-        The same belief gives the same plan.
+        The same belief, with the same visits, gives the same plan.
 
     Raises
     ------
@@ -93,6 +100,6 @@ def plan(
         cells than the grid.
 
     """
-    finder = PathFinder(grid, planner, max_steps, width, max_visits)
+    finder = PathFinder(grid, planner, max_steps, width, max_visits, np.asarray(visited))
     best = finder.paths(Objective.alone(grid, belief, model, loss_cost))[0]
     return Plan.along(best.path, belief, model)

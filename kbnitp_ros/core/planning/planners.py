@@ -2,39 +2,29 @@
 """
 The planners: how each looks for the path of the next deployment.
 
-A planner takes (grid, objective, max_steps, width, max_visits) and returns closed paths, the best
-first. A new one is one file and one line here; a label search has another among `LABELS`.
+A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
+one is one file and one line here; a label search has another among `LABELS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 from kbnitp_ros.core.field import Grid, whole_number
 from kbnitp_ros.core.planning.fates import MOST_FATES
-from kbnitp_ros.core.planning.labels import best_paths, check_memory, Found
+from kbnitp_ros.core.planning.found import Found
+from kbnitp_ros.core.planning.labels import best_paths, check_memory
 from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.random_walk import check_walk_memory, generator_of, random_walk
 from kbnitp_ros.core.planning.reach import Reach
 from kbnitp_ros.core.planning.readings import check_cameras, most_counted
-
-Planner = Callable[[Grid, Objective, int, int, int], list[Found]]
-
-
-def relaxed(
-    grid: Grid, objective: Objective, max_steps: int, width: int, max_visits: int
-) -> list[Found]:
-    """Keep the single best label of each cell and step, whatever `width`: the paper's planner."""
-    return best_paths(grid, objective, max_steps, 1, max_visits)
+from kbnitp_ros.core.planning.tour import boustrophedon, nearest, Order, tour
+import numpy as np
+from numpy.typing import NDArray
 
 
-PLANNERS: dict[str, Planner] = {'relaxed': relaxed, 'beam': best_paths}
-
-# How many labels the label searches among them keep, of a width that they are given.
-LABELS: dict[str, Callable[[int], int]] = {'relaxed': lambda _: 1, 'beam': lambda width: width}
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathFinder:
     """
     A planner on a grid, with the limits of its paths and of its search; arguments as of `plan`.
@@ -42,7 +32,7 @@ class PathFinder:
     Raises
     ------
     ValueError
-        If the planner is unknown or a number is out of range.
+        If the planner is unknown, a number is out of range or `visited` fits another grid.
 
     """
 
@@ -51,17 +41,22 @@ class PathFinder:
     max_steps: int
     width: int
     max_visits: int
+    visited: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
             raise ValueError(f'planner is {self.planner!r}: known are {", ".join(PLANNERS)}')
         for name in ('max_steps', 'width', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
+        object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
+
+    def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
+        """Return the finder once robots have left on these paths, each of shape (steps + 1,)."""
+        return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
     def paths(self, objective: Objective) -> list[Found]:
         """Return the closed paths found for an objective, at least one, the best first."""
-        planner = PLANNERS[self.planner]
-        return planner(self.grid, objective, self.max_steps, self.width, self.max_visits)
+        return PLANNERS[self.planner](self, objective)
 
     def check_memory(self, robots: int, cameras: int = 1) -> None:
         """
@@ -81,6 +76,8 @@ class PathFinder:
 
         """
         check_cameras(cameras)
+        if self.planner == 'random':
+            check_walk_memory(Reach.of(self.grid, self.max_steps))
         if labels := LABELS.get(self.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
@@ -93,3 +90,77 @@ class PathFinder:
             check_memory(
                 reach, self.max_steps, width, self.max_visits, fates, counts**cameras, further
             )
+
+
+def visits_before(grid: Grid, given: NDArray[np.intp]) -> NDArray[np.intp]:
+    """
+    Return how often earlier paths entered each cell, shape (cells,); nothing given: never.
+
+    Raises
+    ------
+    ValueError
+        If they are not whole numbers from 0, one for each cell.
+
+    """
+    if given.size == 0:
+        return np.zeros(grid.cells, dtype=np.intp)
+    if given.shape != (grid.cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
+        raise ValueError(
+            f'visited has shape {given.shape} and type {given.dtype}: it must have a whole number '
+            f'from 0 for each of the {grid.cells} cells'
+        )
+    return given.astype(np.intp)
+
+
+def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Return how often paths, each of shape (steps + 1,), enter each cell, shape (cells,)."""
+    entered = [path[1:] for path in paths] or [np.empty(0, dtype=np.intp)]
+    return np.bincount(np.concatenate(entered), minlength=grid.cells)
+
+
+def relaxed(finder: PathFinder, objective: Objective) -> list[Found]:
+    """Keep the single best label of each cell and step: the paper's planner."""
+    return best_paths(finder.grid, objective, finder.max_steps, 1, finder.max_visits)
+
+
+def beam(finder: PathFinder, objective: Objective) -> list[Found]:
+    """Keep the best few labels of each cell and step."""
+    return best_paths(finder.grid, objective, finder.max_steps, finder.width, finder.max_visits)
+
+
+def random(finder: PathFinder, objective: Objective) -> list[Found]:
+    """Draw a closed walk, the same again for the same belief and earlier visits."""
+    reach = Reach.of(finder.grid, finder.max_steps)
+    check_walk_memory(reach)
+    rng = generator_of(objective.belief.joint, finder.visited)
+    return [Found.along(random_walk(reach, finder.max_visits, rng), objective)]
+
+
+def coverage(finder: PathFinder, objective: Objective) -> list[Found]:
+    """Plough the field, where earlier paths left off."""
+    return toured(finder, objective, boustrophedon(finder.grid))
+
+
+def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Found]:
+    """Go to the nearest of the cells that were visited least, and on to the next."""
+    return toured(finder, objective, nearest)
+
+
+def toured(finder: PathFinder, objective: Objective, order: Order) -> list[Found]:
+    """Return the tour in an order."""
+    path = tour(finder.grid, finder.max_steps, finder.max_visits, finder.visited, order)
+    return [Found.along(path, objective)]
+
+
+Planner = Callable[[PathFinder, Objective], list[Found]]
+
+PLANNERS: dict[str, Planner] = {
+    'relaxed': relaxed,
+    'beam': beam,
+    'random': random,
+    'coverage': coverage,
+    'shortest_unvisited': shortest_unvisited,
+}
+
+# How many labels the label searches among them keep, of a width that they are given.
+LABELS: dict[str, Callable[[int], int]] = {'relaxed': lambda _: 1, 'beam': lambda width: width}

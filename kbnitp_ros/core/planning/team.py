@@ -15,6 +15,7 @@ from kbnitp_ros.core.planning.planners import PathFinder
 from kbnitp_ros.core.planning.readings import Camera, check_cameras
 from kbnitp_ros.core.planning.regions import Regions
 from kbnitp_ros.core.planning.robot import Robot
+import numpy as np
 from numpy.typing import ArrayLike
 
 
@@ -54,13 +55,14 @@ def plan_team(
     kinds: Sequence[Kind] = (),
     out: Sequence[ArrayLike] = (),
     kinds_out: Sequence[Kind] = (),
+    visited: ArrayLike = (),
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
 
     Parameters
     ----------
-    grid, belief, model, max_steps, planner, width, max_visits, loss_cost
+    grid, belief, model, max_steps, planner, width, max_visits, loss_cost, visited
         As for `plan`; of each robot that has nothing else of its own.
     agents : int
         How many robots, from 1 to the number of free cells.
@@ -95,7 +97,7 @@ def plan_team(
     agents = team_size(grid, agents)
     kinds, kinds_out = of_each(agents, kinds), of_each(len(out), kinds_out)
     check_cameras(len({Camera.of(kind.model(model)) for kind in (*kinds, *kinds_out)}))
-    finder = PathFinder(grid, planner, max_steps, width, max_visits)
+    finder = PathFinder(grid, planner, max_steps, width, max_visits, np.asarray(visited))
     alone = {kind: Robot.of(kind, finder, belief, model, loss_cost) for kind in kinds}
     fates = nobody_sent(belief)
     for path, kind in zip(out, kinds_out):

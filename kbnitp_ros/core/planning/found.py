@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a planner finds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from kbnitp_ros.core.field import log_predicted_survival, Visits
+from kbnitp_ros.core.planning.information import added_information
+from kbnitp_ros.core.planning.objective import Objective
+import numpy as np
+from numpy.typing import NDArray
+
+# Values closer than this many decimals (nats) are ties, so rounding never decides for a path.
+DECIMALS = 9
+
+
+class Found(NamedTuple):
+    """
+    A closed path that a planner found.
+
+    Attributes
+    ----------
+    worth : float
+        The objective, nats, rounded.
+    path : ndarray of int, shape (steps + 1,)
+        The base first and last.
+
+    """
+
+    worth: float
+    path: NDArray[np.intp]
+
+    @classmethod
+    def along(cls, path: NDArray[np.intp], objective: Objective) -> Found:
+        """Return a path, shape (steps + 1,), that was not sought for its worth, with its worth."""
+        belief, model = objective.belief, objective.model
+        visits = Visits.of(path)
+        survival = log_predicted_survival(
+            belief.hazard[visits.cells], visits.counts, model.log_survival
+        )
+        lost = -np.expm1(survival.sum())
+        information = added_information(belief, model, path, objective.fates)
+        return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
