@@ -28,11 +28,11 @@ def lost_likelihood(hazard, model, visits):
     return np.ones((len(hazard), 2))
 """,
     f'{CORE}/planning/new_planner.py': """
-from kbnitp_ros.core.planning.labels import best_paths
+from kbnitp_ros.core.planning.planners import beam
 
 
 def paths(*search):
-    return best_paths(*search)[-1:]
+    return beam(*search)[-1:]
 """,
     f'{CORE}/planning/new_allocation.py': """
 def allocate(finder, objective, agents):

@@ -106,6 +106,7 @@ class PlannerNode(FieldNode):
                 )
             self._paths[key.agent].publish(recorded.message)
             self._out.leave(key, recorded.path)
+            self._rounds.note_path(recorded.path)
             self._out.record(key)
             if recorded.observation is not None:
                 self._out.end(key)
@@ -272,6 +273,7 @@ class PlannerNode(FieldNode):
         mission = self._succession.begin(mission)
         for key, plan in plans.items():
             self._out.leave(key, plan.path)
+            self._rounds.note_path(plan.path)
             message = path_message(self.grid, plan.path, key.stamp, mission)
             self._paths[key.agent].publish(message)
             self.tell_deployment(f'{key} leaves {in_words(self.grid, plan)}')

@@ -8,7 +8,7 @@ from dataclasses import replace
 import time
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_team, SensorModel
+from kbnitp_ros.core import count_visits, DeploymentKey, Grid, Plan, plan_team, SensorModel
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.nodes.parameters import sensor_model_of
@@ -42,6 +42,12 @@ class Rounds:
         self._model = sensor_model_of(values)
         self._logger = logger
         self._is_slow = False
+        # How often the paths of all robots that left enter each cell.
+        self._visited = count_visits(grid, [])
+
+    def note_path(self, path: NDArray[np.intp]) -> None:
+        """Take note of the path of a robot that leaves, shape (steps + 1,)."""
+        self._visited += count_visits(self._grid, [path])
 
     def plan(
         self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
@@ -74,6 +80,7 @@ class Rounds:
             max_visits=self._values['max_visits'],
             loss_cost=self._values['loss_cost'],
             out=out,
+            visited=self._visited,
         )
         longest = max((len(each.path) - 1 for each in team.plans), default=0)
         self._say_if_slow(time.monotonic() - start, self._values['step_period'] * longest)
@@ -102,7 +109,11 @@ class Rounds:
         if len(recorded) >= len(agents):
             return {}
         first = next_name(planned_on.stamp, planned_on.mission)
+        # The round was planned before its own paths were visited.
+        of_round = count_visits(self._grid, list(recorded.values()))
+        self._visited -= of_round
         planned = self.plan(planned_on, agents, [], first)
+        self._visited += of_round
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)

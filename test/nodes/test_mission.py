@@ -123,8 +123,9 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         {**WILFUL, 'seed': 6, 'robots': 25},
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         {**HUGE, 'seed': 8, 'robots': 3},
+        {'planner': 'coverage', 'seed': 9, 'robots': 10},
     ],
-    ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge'],
+    ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge', 'coverage'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'
