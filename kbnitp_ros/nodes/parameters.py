@@ -409,7 +409,8 @@ TABLE = (
     Parameter(
         'planner',
         'beam',
-        'How a path is searched for.',
+        'How a path is searched for; random, coverage and shortest_unvisited seek no '
+        'information, and are there to be compared with.',
         ('planner',),
         choices=tuple(PLANNERS),
         read_only=False,
