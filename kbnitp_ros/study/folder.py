@@ -100,8 +100,9 @@ class Folder:
 
     def _file(self, trial: Trial) -> Path:
         told = vars(trial.team).items()
-        # Without last contacts the names are those of studies that had none.
-        team = '-'.join(str(value) for name, value in told if value or name != 'last_contact')
+        # Without these the names are those of studies that had none.
+        later = ('last_contact', 'planner')
+        team = '-'.join(str(value) for name, value in told if value or name not in later)
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 
 

@@ -20,6 +20,7 @@ from kbnitp_ros.study.loss_cost import (
     loss_cost_markdown,
     summarise_loss_cost,
 )
+from kbnitp_ros.study.planners import planners_markdown, summarise_planners
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
@@ -55,6 +56,9 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     if differ_only_in(results.scenario, 'last_contact'):
         summary['last_contact'] = summarise_contact(results)
         tables.append(contact_markdown(summary['last_contact']))
+    if differ_only_in(results.scenario, 'planner'):
+        summary['planners'] = summarise_planners(results)
+        tables.append(planners_markdown(summary['planners']))
     if LEARNING in results.scenario.methods:
         charts['numbers'] = numbers_chart
         summary['numbers'] = summarise_numbers(results)

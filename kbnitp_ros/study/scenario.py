@@ -41,6 +41,9 @@ DRAWN = 0x4452574E
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
+# A team that says nothing of its planner has that of the section planning.
+ANY_PLANNER = ('', *PLANNERS)
+
 KINDS = {int: 'a whole number', float: 'a number'}
 
 
@@ -88,6 +91,8 @@ class Team:
         What a lost robot is worth, nats, 0 to 1000.
     last_contact : float
         The probability that the base hears, after each step, how far a robot is, 0 to 1.
+    planner : str
+        Of `PLANNERS`; empty for that of the section planning.
 
     """
 
@@ -95,13 +100,15 @@ class Team:
     allocation: Annotated[str, tuple(ALLOCATIONS)] = 'greedy'
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
     last_contact: Probability = 0.0
+    planner: Annotated[str, ANY_PLANNER] = ''
 
     def __str__(self) -> str:
         """Return what tells it from other teams; robots one by one share nothing out."""
         name = 'one by one' if self.agents == 1 else f'{self.agents} {self.allocation}'
         cost = f', loss cost {self.loss_cost:.4g}' if self.loss_cost else ''
         contact = f', last contact {self.last_contact:.4g}' if self.last_contact else ''
-        return name + cost + contact
+        planner = f', {self.planner}' if self.planner else ''
+        return name + cost + contact + planner
 
     def options(self) -> dict[str, Any]:
         """Return what `run_mission` is told of it, by name."""
@@ -110,6 +117,7 @@ class Team:
             'allocation': self.allocation,
             'loss_cost': self.loss_cost,
             'conduct': Conduct(last_contact=self.last_contact),
+            **({'planner': self.planner} if self.planner else {}),
         }
 
 
@@ -259,8 +267,9 @@ class Scenario:
 
     def check_search(self) -> None:
         """Refuse paths that cannot be searched for within the memory allowed."""
-        finder = PathFinder(self.field(), **vars(self.planning))
-        finder.check_memory(max(team.agents for team in self.teams))
+        for team in self.teams:
+            limits = vars(self.planning) | {'planner': team.planner or self.planning.planner}
+            PathFinder(self.field(), **limits).check_memory(team.agents)
 
     def field(self) -> Grid:
         """Return the grid, with cells of 1 m."""

@@ -16,6 +16,7 @@ def test_the_table_is_tidy(results):
         'allocation': 'string',
         'loss_cost': 'double',
         'last_contact': 'double',
+        'planner': 'string',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),
