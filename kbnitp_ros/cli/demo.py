@@ -36,11 +36,16 @@ from kbnitp_ros.nodes.given import read_sections, values_for
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     check_known,
+    check_own,
     check_search,
     estimator_of,
     grid_of,
+    most_steps,
     nearest,
+    own_name,
+    parameter_of,
     parameters_of,
+    value_for,
 )
 from kbnitp_ros.nodes.reach import reach_note
 from kbnitp_ros.nodes.shell import DEPLOYMENTS
@@ -106,6 +111,7 @@ the file of --params.
 EXAMPLES = (
     'python3 -m kbnitp_ros demo --robots 20 --lethality 0.3 --size 7 --seed 3 --out runs/small',
     'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set team:sensor.lethality=0.9',
+    'python3 -m kbnitp_ros demo --agents 2 --set robots.scout_2.sensor.true_positive=0.99',
     'python3 -m kbnitp_ros demo --params config/mission.yaml --set loss_cost=2',
     'python3 -m kbnitp_ros demo --resume runs/small/mission.mcap',
 )
@@ -138,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         complain('demo', error)
         return 2
-    reach = reach_note(grid_of(parameters['planner']), parameters['planner']['max_steps'])
+    reach = reach_note(grid_of(parameters['planner']), most_steps(parameters['planner']))
     if reach:
         say(f'{reach}.')
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
@@ -241,7 +247,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
             given = values_for(sections, f'/{section}')
             if given.get('use_sim_time'):
                 raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
-            values |= {name: table[name].check(given[name]) for name in given if name in table}
+            for name, value in given.items():
+                if parameter := parameter_of(node, name):
+                    values[name] = parameter.check(value)
         parameters[node] = values
     for name, value in given_by_options(options):
         for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
@@ -294,7 +302,7 @@ def set_parameter(parameters: Mapping[str, dict[str, Any]], rule: str) -> None:
     try:
         check_known(name, nodes)
         for each in nodes:
-            if parameter := parameters_of(each).get(name):
+            if parameter := parameter_of(each, name):
                 parameters[each][name] = parameter.read(text)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
@@ -303,13 +311,17 @@ def set_parameter(parameters: Mapping[str, dict[str, Any]], rule: str) -> None:
 def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse parameters that the nodes would refuse, or that would keep them from each other."""
     for one, other in pairwise(('estimator', 'team', 'planner')):
-        for name in parameters[one].keys() & parameters[other].keys():
-            if name.startswith(MAY_DIFFER):
+        ours, theirs = parameters[one], parameters[other]
+        check_own(theirs)
+        for name in sorted({*ours, *theirs}):
+            agent, common = own_name(name) or ('', name)
+            if common.startswith(MAY_DIFFER) or not {common} <= ours.keys() & theirs.keys():
                 continue
-            if parameters[one][name] != parameters[other][name]:
+            value, another = (value_for(values, common, agent) for values in (ours, theirs))
+            if value != another:
                 raise ValueError(
-                    f'{name} is {parameters[one][name]} of {one} and {parameters[other][name]} of '
-                    f'{other}: nodes of one mission must agree'
+                    f'{name} is {value} of {one} and {another} of {other}: nodes of one mission '
+                    'must agree'
                 )
     team, estimator = parameters['team'], parameters['estimator']
     if team['map_topic']:
@@ -380,6 +392,8 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
             name: recorded[f'/{node}'].get(name, parameter.default)
             for name, parameter in known.items()
         }
+        own = {name: value for name, value in recorded[f'/{node}'].items() if own_name(name)}
+        parameters[node] |= own
         if 'resume' in known:
             parameters[node]['resume'] = str(log)
     # What the mission came to is shown beside the truth, which the log may lack so far.

@@ -37,6 +37,7 @@ from kbnitp_ros.core.inference import (
 from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
+    check_team,
     count_visits,
     path_information,
     PathFinder,
@@ -82,6 +83,7 @@ __all__ = [
     'World',
     'binary_entropy',
     'brier_score',
+    'check_team',
     'count_visits',
     'deployment_order',
     'log_loss',

@@ -3,6 +3,6 @@
 
 from kbnitp_ros.files.regular import open_file
 from kbnitp_ros.files.words import in_words
-from kbnitp_ros.files.yaml_text import NotYamlError, parse_yaml, read_yaml
+from kbnitp_ros.files.yaml_text import KeyTwiceError, NotYamlError, parse_yaml, read_yaml
 
-__all__ = ['NotYamlError', 'in_words', 'open_file', 'parse_yaml', 'read_yaml']
+__all__ = ['KeyTwiceError', 'NotYamlError', 'in_words', 'open_file', 'parse_yaml', 'read_yaml']

@@ -45,6 +45,22 @@ class NotYamlError(ValueError):
     """A text that is no YAML, such as one that was cut off."""
 
 
+class KeyTwiceError(ValueError):
+    """
+    A key that stands twice in a mapping.
+
+    Attributes
+    ----------
+    key : str
+        Which.
+
+    """
+
+    def __init__(self, key: str, line: int, before: int) -> None:
+        super().__init__(f'the key {key!r} stands in line {line} and in line {before}')
+        self.key = key
+
+
 def read_yaml(path: str | Path) -> Any:
     """
     Return what stands in a YAML file, as `parse_yaml`.
@@ -72,8 +88,10 @@ def parse_yaml(text: str | bytes) -> Any:
     ------
     NotYamlError
         If it is not YAML.
+    KeyTwiceError
+        If a key stands twice in a mapping; names the lines.
     ValueError
-        If a key stands twice in a mapping, or the text stands for too much; names the line.
+        If the text stands for too much; names the line.
 
     """
     try:
@@ -123,9 +141,7 @@ class Collection:
         if self.is_mapping and self.parts % 2 == 0 and isinstance(event, yaml.ScalarEvent):
             key = event.value
             if key in self.keys:
-                raise ValueError(
-                    f'the key {key!r} stands in line {line} and in line {self.keys[key]}'
-                )
+                raise KeyTwiceError(key, line, self.keys[key])
             self.keys[key] = line
         self.parts += 1
 

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
-from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Observation
+from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Kind, Observation
 from kbnitp_ros.log.bag import read_log, same_types
 from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
@@ -43,7 +45,10 @@ class RecordedDeployment:
 
 
 def read_deployments(
-    log: str | Path, grid: Grid, max_steps: int
+    log: str | Path,
+    grid: Grid,
+    max_steps: int,
+    kinds: Mapping[str, Kind] = MappingProxyType({}),
 ) -> dict[DeploymentKey, RecordedDeployment]:
     """
     Return the deployments on record that the estimator takes, in the order they were made.
@@ -56,6 +61,8 @@ def read_deployments(
         The mission's.
     max_steps : int
         The most steps of a path from now on; those on record may have as many as they had to.
+    kinds : mapping of str to Kind
+        Of the robots of each agent from now on.
 
     Raises
     ------
@@ -66,7 +73,9 @@ def read_deployments(
 
     """
     belief = check_same_field(log, grid)
-    evidence = Evidence(grid, max(max_steps, belief.max_steps if belief else 0))
+    evidence = Evidence(grid, max_steps, kinds)
+    if belief:
+        evidence.allow(belief.max_steps, belief.kinds)
     messages: dict[DeploymentKey, bytes] = {}
     with same_types(log):
         for logged in read_log(log, (PATH, REPORT)):

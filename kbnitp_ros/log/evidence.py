@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
-from kbnitp_ros.core import DeploymentKey, Ending, Grid, Outcome, Register, Report
+from kbnitp_ros.core import DeploymentKey, Ending, Grid, Kind, Outcome, Register, Report
 from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
@@ -120,14 +122,28 @@ class Evidence(Register):
 
     """
 
-    def __init__(self, grid: Grid, max_steps: int) -> None:
-        super().__init__(grid, max_steps)
+    def __init__(
+        self, grid: Grid, max_steps: int, kinds: Mapping[str, Kind] = MappingProxyType({})
+    ) -> None:
+        super().__init__(grid, max_steps, kinds)
+        # The most steps of all robots, and of those that have a number of their own.
+        self._rules = [(max_steps, own_steps(kinds))]
         self.said: list[Reported] = []
         self.reports: dict[DeploymentKey, Report] = {}
         self.refused: list[str] = []
         self._said: set[tuple[DeploymentKey, Ending]] = set()
         self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
         self._misfits: dict[DeploymentKey, str] = {}
+
+    def allow(self, max_steps: int, kinds: Mapping[str, Kind]) -> None:
+        """Take paths that are as long as the estimator of some belief takes them."""
+        if (rules := (max_steps, own_steps(kinds))) not in self._rules:
+            self._rules.append(rules)
+        self.max_steps = max(self.max_steps, max_steps)
+
+    def most_steps(self, key: DeploymentKey) -> int:
+        """Return the most steps that the path of a deployment may have."""
+        return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
     def take(self, logged: LoggedMessage) -> None:
         """Take note of a path or a report, or of why it is refused."""
@@ -187,3 +203,8 @@ class Evidence(Register):
     def without_path(self) -> list[DeploymentKey]:
         """Deployments whose end is on record but not their path."""
         return list(self._waiting)
+
+
+def own_steps(kinds: Mapping[str, Kind]) -> dict[str, int]:
+    """Return the most steps of the robots of agents that have such a number of their own."""
+    return {agent: kind.max_steps for agent, kind in kinds.items() if kind.max_steps is not None}

@@ -121,7 +121,7 @@ def read_history(
             f'{path} has no beliefs on record that can be read: it must have messages of type '
             f'{BELIEF}'
         )
-    history = History(first.grid, Evidence(first.grid, first.max_steps))
+    history = History(first.grid, Evidence(first.grid, first.max_steps, first.kinds))
     truth = {}
     with same_types(path):
         for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, REPORT))):
@@ -175,7 +175,7 @@ def take_belief(history: History, logged: LoggedMessage) -> None:
             f'here: at most {MOST_BYTES / 2**30:.0f} GiB are read'
         )
     history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
-    history.evidence.max_steps = max(history.evidence.max_steps, snapshot.max_steps)
+    history.evidence.allow(snapshot.max_steps, snapshot.kinds)
 
 
 def take_evidence(history: History, logged: LoggedMessage) -> None:

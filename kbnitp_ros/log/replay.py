@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -33,7 +34,13 @@ from kbnitp_ros.log.evidence import (
 )
 from kbnitp_ros.log.trial import TrialLedger
 from kbnitp_ros.log.ways import Head, Ways
-from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps, Snapshot
+from kbnitp_ros.messages.beliefs import (
+    belief_maps,
+    newest_deployment,
+    read_belief_maps,
+    read_kinds,
+    Snapshot,
+)
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import model_belief
@@ -192,7 +199,7 @@ def replay_with(
 ) -> ReplayReport:
     """Do what `replay` does with one version of the method, the last one if None."""
     first = first_belief(path)
-    evidence = Evidence(*((first.grid, first.max_steps) if first else NO_RULES))
+    evidence = Evidence(*((first.grid, first.max_steps, first.kinds) if first else NO_RULES))
     heads: list[Head] = []
     topic = ''
     with same_types(path):
@@ -207,7 +214,9 @@ def replay_with(
                 )
             topic = logged.topic
             heads.append(head_of(logged.message))
-            evidence.max_steps = max(evidence.max_steps, logged.message.max_steps)
+            with suppress(ValueError):
+                own = read_kinds(getattr(logged.message, 'own', ()))
+                evidence.allow(logged.message.max_steps, own)
         if not topic:
             raise LogError(
                 f'{path} has no beliefs on record: it must have messages of type {BELIEF}'
@@ -586,4 +595,4 @@ def started(prior: Snapshot, version: int | None, evidence: Evidence) -> TrialLe
     estimator = Estimator(
         prior.prior, prior.model, prior.method, prior.unknowns, prior.seed, version=version
     )
-    return TrialLedger(prior.grid, prior.max_steps, estimator, evidence)
+    return TrialLedger(prior.grid, prior.max_steps, estimator, evidence, prior.kinds)

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from contextlib import suppress
+from types import MappingProxyType
 
 from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
     Estimator,
     Grid,
+    Kind,
     Ledger,
     Outcome,
     Report,
@@ -28,7 +30,7 @@ class TrialLedger(Ledger):
 
     Parameters
     ----------
-    grid, max_steps, estimator
+    grid, max_steps, estimator, kinds
         As for a `Ledger`.
     evidence : Evidence
         Knows the paths.
@@ -41,9 +43,14 @@ class TrialLedger(Ledger):
     """
 
     def __init__(
-        self, grid: Grid, max_steps: int, estimator: Estimator, evidence: Evidence
+        self,
+        grid: Grid,
+        max_steps: int,
+        estimator: Estimator,
+        evidence: Evidence,
+        kinds: Mapping[str, Kind] = MappingProxyType({}),
     ) -> None:
-        super().__init__(grid, max_steps, estimator)
+        super().__init__(grid, max_steps, estimator, kinds)
         self.known: dict[Hashable, int] = {}
         self._evidence = evidence
         self._on_trial: list[tuple[DeploymentKey, Outcome | None, dict[int, Estimator]]] = []

@@ -10,12 +10,21 @@ message says how it can be computed again from the deployments.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from kbnitp_msgs.msg import BeliefMaps, UnknownNumber
-from kbnitp_ros.core import Belief, Beta, DeploymentKey, Grid, Ledger, SensorModel, Unknowns
+from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
+from kbnitp_ros.core import (
+    Belief,
+    Beta,
+    DeploymentKey,
+    Grid,
+    Kind,
+    Ledger,
+    SensorModel,
+    Unknowns,
+)
 from kbnitp_ros.messages.grids import map_metadata, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,
@@ -48,7 +57,9 @@ class Snapshot:
     max_steps : int
         The most steps of a path.
     model : SensorModel
-        What the estimator believes of robots and sensors by then: what to plan with.
+        What the estimator believes by then of robots like all others: what to plan with.
+    kinds : mapping of str to Kind
+        Of the robots of agents that have something of their own.
     unknowns : Unknowns
         Which numbers of that, and of the prior, it learns.
     method : str
@@ -71,6 +82,7 @@ class Snapshot:
     grid: Grid
     max_steps: int
     model: SensorModel
+    kinds: Mapping[str, Kind]
     unknowns: Unknowns
     method: str
     seed: int
@@ -88,6 +100,7 @@ class Snapshot:
             'max_steps': self.max_steps,
             'method': self.method,
             'model': model,
+            'own': dict(self.kinds),
             'unknowns': unknowns,
             'seed': self.seed,
         }
@@ -128,6 +141,11 @@ def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> Belief
         **asdict(estimator.model),
         unknowns=[UnknownNumber(name=name, **asdict(prior)) for name, prior in unknowns.items()],
         seed=estimator.seed,
+        own=[
+            OwnNumber(agent=agent, name=name, value=float(value))
+            for agent, kind in sorted(ledger.kinds.items())
+            for name, value in kind.own.items()
+        ],
         deployments=len(ledger.deployments),
         agent=newest.agent,
         deployment=to_stamp(newest.stamp),
@@ -175,6 +193,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         model=SensorModel(
             **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
         ),
+        kinds=read_kinds(getattr(message, 'own', ())),
         unknowns=read_unknowns(getattr(message, 'unknowns', ())),
         method=message.method,
         seed=getattr(message, 'seed', 0),
@@ -225,6 +244,32 @@ def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
             )
         priors[number.name] = Beta(number.a, number.b, number.low, number.high)
     return Unknowns(**priors)
+
+
+def read_kinds(numbers: Iterable[Any]) -> dict[str, Kind]:
+    """
+    Return what kbnitp_msgs/OwnNumbers say of the robots of agents, by the agents' names.
+
+    Raises
+    ------
+    ValueError
+        If an agent has no name, there is no such number, one stands twice, or is out of range.
+
+    """
+    own: dict[str, dict[str, Any]] = {}
+    known = [field.name for field in fields(Kind)]
+    for number in numbers:
+        of_agent = own.setdefault(number.agent, {})
+        if not number.agent or number.name not in known or number.name in of_agent:
+            raise ValueError(
+                f'own has {shown(number.name)} of agent {shown(number.agent)}: it must name each '
+                f'once, with its agent, of {", ".join(known)}'
+            )
+        of_agent[number.name] = number.value
+    try:
+        return {agent: Kind(**numbers) for agent, numbers in own.items()}
+    except ValueError as error:
+        raise ValueError(f'own: {error}') from error
 
 
 def newest_deployment(message: Any) -> DeploymentKey | None:

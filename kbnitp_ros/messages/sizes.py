@@ -8,11 +8,13 @@ from kbnitp_ros.core import LONGEST_WALK
 # In bytes: what all but the poses, readings and cells take, names and frames of others included;
 # a pose with the header of its own; a reading; a cell with its joint, its prior, its three views
 # and its number among those that are blocked. A time is 12 bytes with the head of its message.
+# What a hundred agents have of their own, with names of fifty letters, takes 64 KiB.
 REST = 4096
 POSE = 256
 READING = 8
 CELL = 96
 TIME = 12
+OWN = 1 << 16
 
 
 def largest_path(max_steps: int) -> int:
@@ -27,7 +29,7 @@ def largest_report(max_steps: int) -> int:
 
 def largest_belief(cells: int) -> int:
     """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
-    return REST + CELL * cells
+    return REST + OWN + CELL * cells
 
 
 def largest_model() -> int:

@@ -8,6 +8,7 @@ import sys
 
 from kbnitp_ros.log.deployments import read_deployments, read_mission
 from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.parameters import kinds_of
 from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.simulation import SimulatedAgent, Simulation
 
@@ -21,7 +22,8 @@ class AgentNode(FieldNode):
         super().__init__(self.node_name)
         simulation = Simulation(self)
         log = self.values['resume']
-        recorded = read_deployments(log, simulation.grid, self.values['max_steps']) if log else {}
+        rules = simulation.grid, self.values['max_steps'], kinds_of(self.values)
+        recorded = read_deployments(log, *rules) if log else {}
         mission = read_mission(log) if log else None
         self._agents = [
             SimulatedAgent(simulation, name, self.prefix(name), recorded, mission)

@@ -22,7 +22,7 @@ from kbnitp_ros.messages.models import model_belief
 from kbnitp_ros.messages.sizes import largest_path, largest_report
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import agents_of, estimator_of
+from kbnitp_ros.nodes.parameters import agents_of, estimator_of, kinds_of, value_for
 from kbnitp_ros.nodes.shell import run
 from nav_msgs.msg import OccupancyGrid, Path
 
@@ -35,7 +35,8 @@ class EstimatorNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('estimator')
         estimator = estimator_of(self.values, self.grid)
-        self._ledger = Ledger(self.grid, self.values['max_steps'], estimator)
+        kinds = {agent: kind for agent, kind in kinds_of(self.values).items() if kind.own}
+        self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, kinds)
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
         self._mission: int | None = None
@@ -58,14 +59,14 @@ class EstimatorNode(FieldNode):
                 f'{agent}/path',
                 partial(self._on_path, agent),
                 qos.EVIDENCE,
-                largest_path(self.values['max_steps']),
+                largest_path(value_for(self.values, 'max_steps', agent)),
             )
             self.hear(
                 DeploymentReport,
                 f'{agent}/report',
                 partial(self._on_report, agent),
                 qos.EVIDENCE,
-                largest_report(self.values['max_steps']),
+                largest_report(value_for(self.values, 'max_steps', agent)),
             )
         self._started = 0
         self._awaiting = self.create_poll(self._publish_first)
@@ -103,7 +104,7 @@ class EstimatorNode(FieldNode):
     def _on_path(self, agent: str, message: Path) -> None:
         try:
             key, cells = read_path(self._ledger.grid, agent, message)
-            self._ledger.grid.check_path(cells, self.values['max_steps'])
+            self._ledger.grid.check_path(cells, self._ledger.most_steps(key))
             self._join(mission_of_path(message))
             changed = self._ledger.record_path(key, cells)
         except ValueError as error:

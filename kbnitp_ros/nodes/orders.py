@@ -13,6 +13,7 @@ from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.parameters import value_for
 from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.robot import Journal, Trip
 from nav_msgs.msg import Path
@@ -53,6 +54,7 @@ class Orders:
         self._agent = agent
         self._prefix = prefix
         self._journal = journal
+        self._max_steps = value_for(node.values, 'max_steps', agent)
         self._waiting: dict[int, Trip] = {}
         self._recorded = Recent(qos.DEPTH)
         self._last = 0.0
@@ -65,7 +67,7 @@ class Orders:
             f'{self._prefix}path',
             self._on_path,
             qos.EVIDENCE,
-            largest_path(self._node.values['max_steps']),
+            largest_path(self._max_steps),
         )
         if self._node.values['recorded']:
             self._node.hear(Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, TIME)
@@ -73,7 +75,7 @@ class Orders:
     def _on_path(self, message: Path) -> None:
         try:
             key, cells = read_path(self._node.grid, self._agent, message)
-            path = self._node.grid.check_path(cells, self._node.values['max_steps'])
+            path = self._node.grid.check_path(cells, self._max_steps)
             trip = Trip(key.stamp, mission_of_path(message), tuple(path.tolist()))
             self._check_mission(trip.mission)
             known = self._known(trip.stamp)

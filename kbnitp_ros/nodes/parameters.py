@@ -9,7 +9,7 @@ printed by ``python3 -m kbnitp_ros.nodes.parameters``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 import json
 import re
@@ -18,9 +18,11 @@ from typing import Any
 from kbnitp_ros.core import (
     ALLOCATIONS,
     Beta,
+    check_team,
     Conduct,
     Estimator,
     Grid,
+    Kind,
     METHODS,
     PathFinder,
     PLANNERS,
@@ -73,6 +75,8 @@ class Parameter:
         What a text must match, as a regular expression; empty when it need not.
     read_only : bool
         Whether it is fixed once the node runs.
+    per_agent : bool
+        Whether one agent may have another value than the others, as ``robots.AGENT.NAME``.
 
     """
 
@@ -85,6 +89,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     pattern: str = ''
     read_only: bool = True
+    per_agent: bool = False
 
     @property
     def kind(self) -> str:
@@ -283,7 +288,9 @@ TABLE = (
         GRID,
         choices=('auto', 'avoid', 'cut'),
     ),
-    Parameter('max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS)),
+    Parameter(
+        'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS), per_agent=True
+    ),
     Parameter(
         'sensor.lethality',
         0.5,
@@ -291,6 +298,7 @@ TABLE = (
         'parameters of the agent are the truth, those of planner and estimator what they believe.',
         FIELD,
         limits=PROBABILITY,
+        per_agent=True,
     ),
     Parameter(
         'sensor.malfunction',
@@ -298,6 +306,7 @@ TABLE = (
         'Probability that a robot is lost in a step without any hazard.',
         FIELD,
         limits=PROBABILITY,
+        per_agent=True,
     ),
     Parameter(
         'sensor.false_negative',
@@ -305,6 +314,7 @@ TABLE = (
         'Probability that a robot survives a hazard that strikes it.',
         FIELD,
         limits=PROBABILITY,
+        per_agent=True,
     ),
     Parameter(
         'sensor.true_positive',
@@ -312,6 +322,7 @@ TABLE = (
         'Probability that a target is reported where there is one.',
         FIELD,
         limits=PROBABILITY,
+        per_agent=True,
     ),
     Parameter(
         'sensor.false_positive',
@@ -319,6 +330,7 @@ TABLE = (
         'Probability that a target is reported where there is none.',
         FIELD,
         limits=PROBABILITY,
+        per_agent=True,
     ),
     Parameter(
         'prior.hazard',
@@ -446,6 +458,7 @@ TABLE = (
         ('planner',),
         limits=(0.0, 1e9),
         read_only=False,
+        per_agent=True,
     ),
     Parameter(
         'keep_running',
@@ -465,6 +478,7 @@ TABLE = (
         'Seconds a robot takes for a step; 0 for as fast as possible.',
         ('planner', *AGENTS),
         limits=(0.0, 1e6),
+        per_agent=True,
     ),
     Parameter(
         'detour_probability',
@@ -726,6 +740,22 @@ def parameters_of(name: str) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
 
 
+def own_name(name: str) -> tuple[str, str] | None:
+    """Return the agent and the parameter that ``robots.AGENT.NAME`` names; None of other names."""
+    own = re.fullmatch(rf'robots\.({NAME})\.(.+)', name)
+    return (own[1], own[2]) if own else None
+
+
+def parameter_of(node: str, name: str) -> Parameter | None:
+    """Return the parameter of a node that has this name, that of one agent too; None if none."""
+    known = parameters_of(node)
+    own = own_name(name)
+    if own is None:
+        return known.get(name)
+    common = known.get(own[1])
+    return replace(common, name=name) if common and common.per_agent else None
+
+
 def check_known(name: str, nodes: Sequence[str]) -> None:
     """
     Check that a name is one of the parameters of some of these nodes.
@@ -743,14 +773,20 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
         If not; names the parameter meant, or the nodes that have this one.
 
     """
-    known = {parameter.name for node in nodes for parameter in parameters_of(node).values()}
-    if name in known or name.split('.')[0] in ROS_PARAMETERS:
+    if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
         return
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
-    if others := [node for node in NODES if name in parameters_of(node)]:
+    if others := [node for node in NODES if parameter_of(node, name)]:
         raise ValueError(
             f'parameter {name} is unknown to {whose}: it is one of {", ".join(others)}'
         )
+    table = [parameter for node in nodes for parameter in parameters_of(node).values()]
+    known = {parameter.name for parameter in table}
+    if own := own_name(name):
+        agent, meant = own
+        known = {f'robots.{agent}.{each.name}' for each in table if each.per_agent}
+        if meant in {parameter.name for parameter in table}:
+            raise ValueError(f'parameter {name}: all agents have the same {meant}')
     raise ValueError(
         f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
         f'{nodes[0]} --help tells which it has'
@@ -783,10 +819,14 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     values = {parameter.name: parameter.default for parameter in mine.values()}
     # rclpy has no other way to see what was given for names that are not declared.
     for given, override in node._parameter_overrides.items():
-        if given in mine:
-            values[given] = mine[given].check(override.value)
+        if parameter := parameter_of(name, given):
+            mine[given] = parameter
+            values[given] = parameter.check(override.value)
         else:
             check_known(given, NODES)
+    # A real robot knows of no other agents.
+    if 'agents' in values:
+        check_own(values)
     for parameter in mine.values():
         value = values[parameter.name]
         node.declare_parameter(
@@ -811,6 +851,51 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(keep)
     return values
+
+
+def check_own(values: Mapping[str, Any]) -> None:
+    """
+    Check that what agents have of their own is for agents that there are.
+
+    Raises
+    ------
+    ValueError
+        If not; names the agent meant.
+
+    """
+    for name in values:
+        own = own_name(name)
+        if own and own[0] not in values['agents']:
+            agents = values['agents']
+            raise ValueError(
+                f'parameter {name} is for {own[0]}: {nearest(own[0], agents)}the parameter agents '
+                f'names {", ".join(agents)}'
+            )
+
+
+def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
+    """Return the value of a parameter for one agent: its own, or else that of all."""
+    return values.get(f'robots.{agent}.{name}', values[name])
+
+
+def most_steps(values: Mapping[str, Any]) -> int:
+    """Return the most steps that the path of any agent's robot may have."""
+    return max(value_for(values, 'max_steps', agent) for agent in values['agents'])
+
+
+def kind_of(values: Mapping[str, Any], agent: str) -> Kind:
+    """Return what an agent's robots have of their own."""
+    given = {
+        **{each.name: f'sensor.{each.name}' for each in fields(SensorModel)},
+        'max_steps': 'max_steps',
+        'loss_cost': 'loss_cost',
+    }
+    return Kind(**{each: values.get(f'robots.{agent}.{name}') for each, name in given.items()})
+
+
+def kinds_of(values: Mapping[str, Any]) -> dict[str, Kind]:
+    """Return the kinds of the robots of all agents."""
+    return {agent: kind_of(values, agent) for agent in values['agents']}
 
 
 def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
@@ -919,11 +1004,18 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
         If there is no such prior, or what is to be learnt cannot be.
 
     """
+    unknowns = unknowns_of(values)
+    for name in unknowns.priors:
+        if all(getattr(kind, name, None) is not None for kind in kinds_of(values).values()):
+            raise ValueError(
+                f'parameter learn has {name}: the robots of every agent have one of their own, '
+                'which tell nothing of another'
+            )
     return Estimator(
         prior_of(values, grid),
         sensor_model_of(values),
         values['method'],
-        unknowns_of(values),
+        unknowns,
         values['seed'],
     )
 
@@ -978,7 +1070,8 @@ def check_search(values: Mapping[str, Any], grid: Grid) -> None:
 
     """
     limits = (values[name] for name in ('planner', 'max_steps', 'beam_width', 'max_visits'))
-    PathFinder(grid, *limits).check_memory(len(agents_of(values, grid)))
+    kinds = [kind_of(values, agent) for agent in agents_of(values, grid)]
+    check_team(PathFinder(grid, *limits), sensor_model_of(values), kinds)
 
 
 def reference_page() -> str:
@@ -989,6 +1082,10 @@ def reference_page() -> str:
         'Printed by `python3 -m kbnitp_ros.nodes.parameters` from the table that the nodes use.',
         'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
         'says that it can be changed.',
+        '',
+        'Of these an agent may have others than the rest, as `robots.AGENT.NAME`; see',
+        '[maps.md](maps.md#robots-that-differ): '
+        f'{", ".join(dict.fromkeys(f"`{each.name}`" for each in TABLE if each.per_agent))}.',
     ]
     for name in NODES:
         lines += [

@@ -9,7 +9,13 @@ import sys
 
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, observation_of
+from kbnitp_ros.core import (
+    deployment_order,
+    DeploymentKey,
+    Observation,
+    observation_of,
+    ORDINARY,
+)
 from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
@@ -17,7 +23,14 @@ from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
 from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import agents_of, check_search, parameters_of
+from kbnitp_ros.nodes.parameters import (
+    agents_of,
+    check_search,
+    kinds_of,
+    most_steps,
+    parameter_of,
+    value_for,
+)
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.reach import cut_off_note, reach_note
 from kbnitp_ros.nodes.robots_out import RobotsOut
@@ -83,7 +96,7 @@ class PlannerNode(FieldNode):
                 f'{agent}/report',
                 partial(self._on_report, agent),
                 qos.EVIDENCE,
-                largest_report(self.values['max_steps']),
+                largest_report(value_for(self.values, 'max_steps', agent)),
             )
             if self.values['recorded']:
                 self.hear(
@@ -97,7 +110,9 @@ class PlannerNode(FieldNode):
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        deployments = read_deployments(log, self.grid, self.values['max_steps'])
+        deployments = read_deployments(
+            log, self.grid, self.values['max_steps'], kinds_of(self.values)
+        )
         for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
@@ -128,7 +143,7 @@ class PlannerNode(FieldNode):
 
     def _say_what_is_out_of_reach(self) -> None:
         """Say what no path comes to; a warning if that is most of the field."""
-        log, max_steps = self.get_logger(), self.values['max_steps']
+        log, max_steps = self.get_logger(), most_steps(self.values)
         if note := reach_note(self.grid, max_steps):
             (log.warning if reach_note(self.grid, max_steps, MOST) else log.info)(note)
         if note := cut_off_note(self.grid):
@@ -145,12 +160,12 @@ class PlannerNode(FieldNode):
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Refuse fewer robots than have left, and searches that take too much memory."""
-        known = parameters_of('planner')
+        known = {each.name: parameter_of('planner', each.name) for each in changes}
         try:
             given = {
-                each.name: known[each.name].check(each.value)
+                each.name: parameter.check(each.value)
                 for each in changes
-                if each.name in known
+                if (parameter := known[each.name])
             }
             check_search(self.values | given, self.grid)
             refusal = self._too_few(given['robots']) if 'robots' in given else ''
@@ -207,18 +222,22 @@ class PlannerNode(FieldNode):
     def _check_rules(self, snapshot: Snapshot) -> None:
         if snapshot.grid != self.grid:
             raise ValueError(f'it is on {snapshot.grid}: the parameters say {self.grid}')
-        if snapshot.max_steps < self.values['max_steps']:
-            raise ValueError(
-                f'max_steps is {snapshot.max_steps}: the parameter max_steps is '
-                f'{self.values["max_steps"]}, and the estimator would refuse such paths'
-            )
+        for agent in self._agents:
+            own = value_for(self.values, 'max_steps', agent)
+            theirs = snapshot.kinds.get(agent, ORDINARY).max_steps or snapshot.max_steps
+            if theirs < own:
+                raise ValueError(
+                    f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
+                    'the estimator would refuse such paths'
+                )
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, report = read_report(message, agent)
             if key in self._out:
                 # The estimator would refuse it too, and the robot is still out.
-                path, max_steps = self._out[key].path, self.values['max_steps']
+                path = self._out[key].path
+                max_steps = value_for(self.values, 'max_steps', agent)
                 observation_of(report, key, path, self.grid, max_steps)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)

@@ -11,6 +11,7 @@ from typing import Any
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.headers import SECOND
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.parameters import value_for
 from kbnitp_ros.nodes.recent import Recent
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +76,9 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
         return len(self._out)
 
     @property
-    def paths(self) -> list[NDArray[np.intp]]:
-        """Return the paths of robots that are out."""
-        return [robot.path for robot in self._out.values()]
+    def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
+        """Return the paths of robots that are out, by deployment."""
+        return {key: robot.path for key, robot in self._out.items()}
 
     @property
     def agents(self) -> set[str]:
@@ -126,15 +127,15 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
             if self._values['recorded'] and not self.is_recorded(key):
                 continue
             # Robots do not come home sooner because the clock was set back.
-            robot.due = self._due(now, robot) if robot.due is None else robot.due + jump
+            robot.due = self._due(now, key.agent, robot) if robot.due is None else robot.due + jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
             # What came while a plan was made is heard between two looks.
             if was_overdue and robot.is_overdue:
                 overdue[key] = self._out.pop(key).path
         return overdue
 
-    def _due(self, now: int, robot: RobotOut) -> int:
+    def _due(self, now: int, agent: str, robot: RobotOut) -> int:
         """Return when a robot that leaves now is given up, in nanoseconds."""
-        steps = robot.path.size - 1
-        wait = steps * self._values['step_period'] + self._values['return_deadline']
+        steps, period = robot.path.size - 1, value_for(self._values, 'step_period', agent)
+        wait = steps * period + self._values['return_deadline']
         return now + round(wait * SECOND)

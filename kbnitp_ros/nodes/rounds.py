@@ -11,7 +11,7 @@ from typing import Any
 from kbnitp_ros.core import count_visits, DeploymentKey, Grid, Plan, plan_team, SensorModel
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
-from kbnitp_ros.nodes.parameters import sensor_model_of
+from kbnitp_ros.nodes.parameters import kind_of, sensor_model_of, value_for
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -49,9 +49,7 @@ class Rounds:
         """Take note of the path of a robot that leaves, shape (steps + 1,)."""
         self._visited += count_visits(self._grid, [path])
 
-    def plan(
-        self, known: Snapshot, agents: Sequence[str], out: Sequence[NDArray[np.intp]], stamp: int
-    ) -> Plans:
+    def plan(self, known: Snapshot, agents: Sequence[str], out: Paths, stamp: int) -> Plans:
         """
         Return the plans of robots that leave together.
 
@@ -61,7 +59,7 @@ class Rounds:
             The belief to plan on.
         agents : sequence of str
             Whose robots leave.
-        out : sequence of ndarray
+        out : dict
             The paths of those that are out.
         stamp : int
             Names the first of these deployments, in nanoseconds.
@@ -79,11 +77,16 @@ class Rounds:
             width=self._values['beam_width'],
             max_visits=self._values['max_visits'],
             loss_cost=self._values['loss_cost'],
-            out=out,
+            kinds=[kind_of(self._values, agent) for agent in agents],
+            out=list(out.values()),
+            kinds_out=[kind_of(self._values, key.agent) for key in out],
             visited=self._visited,
         )
-        longest = max((len(each.path) - 1 for each in team.plans), default=0)
-        self._say_if_slow(time.monotonic() - start, self._values['step_period'] * longest)
+        away = [
+            value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
+            for agent, planned in zip(agents, team.plans)
+        ]
+        self._say_if_slow(time.monotonic() - start, max(away))
         return {
             DeploymentKey(agent, stamp + number): planned
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
@@ -112,7 +115,7 @@ class Rounds:
         # The round was planned before its own paths were visited.
         of_round = count_visits(self._grid, list(recorded.values()))
         self._visited -= of_round
-        planned = self.plan(planned_on, agents, [], first)
+        planned = self.plan(planned_on, agents, {}, first)
         self._visited += of_round
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(

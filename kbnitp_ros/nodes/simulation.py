@@ -19,7 +19,7 @@ from kbnitp_ros.messages.poses import pose_message
 from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import agents_of, conduct_of, sensor_model_of
+from kbnitp_ros.nodes.parameters import agents_of, conduct_of, kinds_of, sensor_model_of, value_for
 from kbnitp_ros.nodes.recent import Recent
 from kbnitp_ros.nodes.world_file import read_world
 from nav_msgs.msg import OccupancyGrid, Path
@@ -45,7 +45,9 @@ class Simulation:
     def __init__(self, node: FieldNode) -> None:
         self.node = node
         self.grid = node.grid
-        self.model = sensor_model_of(node.values)
+        common = sensor_model_of(node.values)
+        kinds = kinds_of(node.values)
+        self.models = {agent: kind.model(common) for agent, kind in kinds.items()}
         self.conduct = conduct_of(node.values)
         self.agents = agents_of(node.values, self.grid)
         self._seeds = np.random.SeedSequence(node.values['seed'])
@@ -116,6 +118,7 @@ class SimulatedAgent:
         self.name = name
         self._prefix = prefix
         self._mission = mission
+        self._max_steps = value_for(self._node.values, 'max_steps', name)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
         # Those whose robots have not left yet, and the missions of their paths.
         self._waiting: dict[DeploymentKey, int] = {}
@@ -149,7 +152,7 @@ class SimulatedAgent:
             f'{self._prefix}path',
             self._on_path,
             qos.EVIDENCE,
-            largest_path(self._node.values['max_steps']),
+            largest_path(self._max_steps),
         )
         if self._node.values['recorded']:
             self._node.hear(Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, TIME)
@@ -173,7 +176,7 @@ class SimulatedAgent:
         grid = self._simulation.grid
         try:
             key, cells = read_path(grid, self.name, message)
-            path = grid.check_path(cells, self._node.values['max_steps'])
+            path = grid.check_path(cells, self._max_steps)
             mission = mission_of_path(message)
             check_mission(mission, self._mission)
             if self._is_known(key, path):
@@ -218,9 +221,9 @@ class SimulatedAgent:
         robot = self._robots.setdefault(key, len(self._robots))
         rng = simulation.generator(self.name, robot)
         made = simulation.conduct.traverse(
-            simulation.world, simulation.grid, path, simulation.model, rng
+            simulation.world, simulation.grid, path, simulation.models[self.name], rng
         )
-        period = self._node.values['step_period']
+        period = value_for(self._node.values, 'step_period', self.name)
         if period == 0.0:
             self._return(key, made.observation)
             return

@@ -262,7 +262,7 @@ def outcome_of(evidence: Evidence, key: DeploymentKey | None, stamp: int) -> Obs
     if key not in evidence.reports or key not in evidence.paths:
         return None
     report = evidence.report_of(key, stamp)
-    return observation_of(report, key, evidence.path(key), evidence.grid, evidence.max_steps)
+    return observation_of(report, key, evidence.path(key), evidence.grid, evidence.most_steps(key))
 
 
 def sorties_of(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 import signal
 import time
@@ -13,7 +14,7 @@ from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.evidence import PATH, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import key_of_path
-from kbnitp_ros.nodes.parameters import parameters_of, ROS_PARAMETERS
+from kbnitp_ros.nodes.parameters import parameter_of, ROS_PARAMETERS
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
@@ -101,7 +102,7 @@ class Mission:
                 'await_nodes': self._awaited[name],
                 'resume': str(self.log) if self.log.exists() else '',
             }
-            own = {*parameters_of(name), *ROS_PARAMETERS}
+            own = [*filter(partial(parameter_of, name), parameters), *ROS_PARAMETERS]
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(
                     name,

@@ -8,6 +8,7 @@ from kbnitp_ros.nodes.parameters import (
     conduct_of,
     estimator_of,
     grid_of,
+    kinds_of,
     sensor_model_of,
     TABLE,
     unknowns_of,
@@ -85,6 +86,7 @@ def core_mission(parameters):
         unknowns=unknowns_of(values),
         seed=values['seed'],
         conduct=conduct_of(values),
+        kinds=list(kinds_of(values).values()),
     )
 
 
@@ -101,5 +103,6 @@ def folded(parameters, evidence):
             steps, readings = zip(*report.readings)
             walk = [grid.base, *steps]
         known = report.steps_survived
-        estimator.assimilate(Observation(walk, report.survived, readings, known))
+        observation = Observation(walk, report.survived, readings, known)
+        estimator.assimilate(observation, kinds_of(values)[key.agent])
     return estimator.belief

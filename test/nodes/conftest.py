@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import parameters_of, ROS_PARAMETERS
+from kbnitp_ros.nodes.parameters import parameter_of, ROS_PARAMETERS
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -36,8 +36,11 @@ class Field:
 
     def start(self, name, parameters=None, namespace='/', remaps=None):
         """Start a node with those of the parameters that it has, and return its process."""
-        own = {*parameters_of(name), *ROS_PARAMETERS}
-        given = {each: value for each, value in (parameters or {}).items() if each in own}
+        given = {
+            each: value
+            for each, value in (parameters or {}).items()
+            if each in ROS_PARAMETERS or parameter_of(name, each)
+        }
         full_name = f'{namespace.rstrip("/")}/{name}'
         self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'
         if namespace not in self._namespaces:

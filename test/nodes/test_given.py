@@ -73,6 +73,18 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
     [
         ('/**: {', 'it is not YAML'),
         ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
+        (
+            '/**: {ros__parameters: {robots: 20, robots: {scout_1: {max_steps: 9}}}}',
+            "the key 'robots' stands .*named in one, such as robots.scout_1.max_steps",
+        ),
+        (
+            '/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}',
+            "a mapping 'robots', to which ROS gives up.* such as robots.scout_1.max_steps",
+        ),
+        (
+            '/**: {ros__parameters: {robots.scout_1.max_step: 9}}',
+            'did you mean robots.scout_1.max_steps',
+        ),
     ],
 )
 def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
@@ -98,6 +110,33 @@ def test_the_tuples_that_launch_writes_are_lists(tmp_path):
     assert read_sections(written(tmp_path, text)) == {
         '/planner': {'agents': ['a', 'b'], 'grid.blocked': [3]}
     }
+
+
+def test_what_an_agent_has_of_its_own_stands_beside_the_number_of_robots(tmp_path):
+    text = """
+    /**:
+      ros__parameters:
+        robots: 20
+        robots.scout_1.max_steps: 9
+        robots.scout_2:
+          max_steps: 7
+          sensor: {lethality: 0.3}
+    """
+    expected = {
+        'robots': 20,
+        'robots.scout_1.max_steps': 9,
+        'robots.scout_2.max_steps': 7,
+        'robots.scout_2.sensor.lethality': 0.3,
+    }
+    path = written(tmp_path, text)
+    assert read_sections(path) == {'/**': expected}
+    rclpy.init(args=['--ros-args', '--params-file', path])
+    try:
+        node = rclpy.create_node('planner')
+        assert {name: each.value for name, each in node._parameter_overrides.items()} == expected
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 def test_what_all_share_may_be_of_any_node():

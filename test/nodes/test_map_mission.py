@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission on a map with obstacles and prior maps survives the death of all its nodes."""
+"""A mission of two kinds of robots, on a map, survives the death of all its nodes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.maps import read_map
 from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.nodes.parameters import kinds_of
 import numpy as np
 from PIL import Image
 import pytest
-from unbroken import core_mission
+from unbroken import core_mission, with_defaults
 
 NODES = ('recorder', 'estimator', 'team', 'planner')
 AGENTS = ('scout_1', 'scout_2')
@@ -69,6 +70,15 @@ def parameters(tmp_path):
         'detour_probability': 0.05,
         # Long enough for the nodes to die before the mission is over.
         'step_period': 0.02,
+        # A dear one with a good camera, and a cheap blind one that is slow and does not go far.
+        'robots.scout_1.sensor.true_positive': 0.99,
+        'robots.scout_1.sensor.false_positive': 0.01,
+        'robots.scout_1.loss_cost': 0.2,
+        'robots.scout_2.sensor.true_positive': 0.5,
+        'robots.scout_2.sensor.false_positive': 0.5,
+        'robots.scout_2.sensor.malfunction': 0.02,
+        'robots.scout_2.max_steps': 6,
+        'robots.scout_2.step_period': 0.04,
         'recorded': True,
     }
 
@@ -105,9 +115,15 @@ def test_a_mission_on_a_map_goes_on_after_all_its_nodes_were_killed(field, param
     last = read_belief_maps(beliefs[-1])
     assert (last.grid.width, last.grid.height) == (60, 40)
     assert last.belief.joint.tobytes() == expected[-1].belief.joint.tobytes()
+    for agent, kind in kinds_of(with_defaults(parameters)).items():
+        assert last.kinds[agent].sensors == kind.sensors
     report = replay(log)
     assert report.reproduced
     assert report.evidence.refused == []
+    steps = dict.fromkeys(AGENTS, 0)
+    for key in report.evidence.paths:
+        steps[key.agent] = max(steps[key.agent], report.evidence.path(key).size - 1)
+    assert steps['scout_2'] <= 6 < steps['scout_1']
     observations = read_history(log).observations
     assert len(observations) == ROBOTS
     assert any(not each.survived for each in observations)

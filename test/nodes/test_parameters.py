@@ -6,18 +6,22 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 
-from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, Unknowns
+from kbnitp_ros.core import Beta, Grid, Kind, METHODS, PLANNERS, Unknowns
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     declare,
+    estimator_of,
     grid_of,
+    kinds_of,
     LEARN,
+    most_steps,
     NODES,
     parameters_of,
     reference_page,
     sensor_model_of,
     TABLE,
     unknowns_of,
+    value_for,
 )
 import pytest
 import rclpy
@@ -87,6 +91,21 @@ def test_nodes_declare_the_table(make_node, name):
             {'lethality': 0.5},
             'every node: did you mean learn.lethality or sensor.lethality? ',
         ),
+        (
+            {'robots.scout_1.max_step': 9},
+            'every node: did you mean robots.scout_1.max_steps? ',
+        ),
+        (
+            {'robots.scout_1.lethality': 0.5},
+            'every node: did you mean robots.scout_1.sensor.lethality? ',
+        ),
+        ({'robots.scout_1.seed': 3}, 'robots.scout_1.seed: all agents have the same seed'),
+        (
+            {'robots.scuot_1.max_steps': 9},
+            'is for scuot_1: did you mean scout_1? the parameter agents names scout_1',
+        ),
+        ({'robots.scout_1.max_steps': 0}, 'robots.scout_1.max_steps is 0: it must be from 1'),
+        ({'robots.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
     ],
     ids=lambda case: str(case)[:40],
 )
@@ -157,6 +176,49 @@ def test_an_empty_list_from_a_file_is_a_list(make_node):
 def test_parameters_of_other_nodes_and_of_ros_are_passed_over(make_node):
     node = make_node(**{'seed': 3, 'use_sim_time': True, 'qos_overrides./a.publisher.depth': 2})
     assert 'seed' not in declare(node, 'planner')
+
+
+def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
+    given = {
+        'agents': ['scout_1', 'scout_2'],
+        'max_steps': 12,
+        'robots': 20,
+        'robots.scout_2.max_steps': 7,
+        'robots.scout_2.sensor.lethality': 1,
+        'robots.scout_2.loss_cost': 2.0,
+        'robots.scout_2.step_period': 3.0,
+    }
+    node = make_node(**given)
+    values = declare(node, 'planner')
+    assert values['robots'] == 20
+    assert [value_for(values, 'max_steps', agent) for agent in values['agents']] == [12, 7]
+    assert value_for(values, 'step_period', 'scout_2') == 3.0
+    assert most_steps(values) == 12
+    own = Kind(lethality=1.0, max_steps=7, loss_cost=2.0)
+    assert kinds_of(values) == {'scout_1': Kind(), 'scout_2': own}
+    (fixed, free) = node.set_parameters(
+        [
+            Parameter('robots.scout_2.max_steps', value=9),
+            Parameter('robots.scout_2.loss_cost', value=0.5),
+        ]
+    )
+    assert not fixed.successful
+    assert free.successful
+    assert kinds_of(values)['scout_2'].loss_cost == 0.5
+
+
+def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
+    values = declare(make_node(**{'robots.scout_1.loss_cost': 2.0}), 'estimator')
+    assert kinds_of(values) == {'scout_1': Kind()}
+
+
+def test_what_no_robot_shares_cannot_be_learnt():
+    own = {'robots.scout_1.sensor.lethality': 0.3, 'learn': ('lethality',)}
+    values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
+    with pytest.raises(ValueError, match='learn has lethality: the robots of every agent'):
+        estimator_of(values, grid_of(values))
+    two = values | {'agents': ('scout_1', 'scout_2')}
+    assert estimator_of(two, grid_of(two)).unknowns.priors.keys() == {'lethality'}
 
 
 def test_values_follow_changes(make_node):

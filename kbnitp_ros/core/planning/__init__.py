@@ -6,7 +6,7 @@ from kbnitp_ros.core.planning.information import path_information, team_informat
 from kbnitp_ros.core.planning.plan import Plan, plan
 from kbnitp_ros.core.planning.planners import count_visits, PathFinder, PLANNERS
 from kbnitp_ros.core.planning.regions import Regions
-from kbnitp_ros.core.planning.team import plan_team, team_size, TeamPlan
+from kbnitp_ros.core.planning.team import check_team, plan_team, team_size, TeamPlan
 
 __all__ = [
     'ALLOCATIONS',
@@ -15,6 +15,7 @@ __all__ = [
     'Plan',
     'Regions',
     'TeamPlan',
+    'check_team',
     'count_visits',
     'path_information',
     'plan',

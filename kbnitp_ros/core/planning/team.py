@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, Grid, Kind, of_each, SensorModel, whole_number
 from kbnitp_ros.core.planning.allocations import ALLOCATIONS
@@ -109,6 +109,30 @@ def plan_team(
         team_information(belief, model, paths, fates, kinds),
         regions,
     )
+
+
+def check_team(finder: PathFinder, model: SensorModel, kinds: Sequence[Kind]) -> None:
+    """
+    Check that paths for a team can be searched for within the memory allowed, before any is.
+
+    Parameters
+    ----------
+    finder : PathFinder
+        For robots that have no limit of their own.
+    model : SensorModel
+        Of robots that have no sensor of their own.
+    kinds : sequence of Kind
+        Of each robot that may leave or be out.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if it takes more; or if they have too many different cameras.
+
+    """
+    most = max(kind.max_steps or finder.max_steps for kind in kinds)
+    cameras = {Camera.of(kind.model(model)) for kind in kinds}
+    replace(finder, max_steps=most).check_memory(len(kinds), len(cameras))
 
 
 def team_size(grid: Grid, agents: int) -> int:
