@@ -6,18 +6,19 @@ import gzip
 import os
 from pathlib import Path
 import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
 
-from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse, true_numbers
-from kbnitp_ros.core import Belief, Grid, run_mission, SensorModel, Unknowns, World
+from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse, recorded_parameters, true_numbers
+from kbnitp_ros.core import Belief, Grid, Kind, run_mission, SensorModel, Unknowns, World
 from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_recorded
 from kbnitp_ros.log.bag.recorded import RecordedMetadata
 from kbnitp_ros.log.bag.repair import copy
 from kbnitp_ros.log.bag.writer import LogWriter
-from kbnitp_ros.log.evidence import REPORT
+from kbnitp_ros.log.evidence import last_belief, REPORT
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.world_file import read_world
@@ -337,6 +338,18 @@ def test_a_field_larger_than_its_paths_is_said_to_be(tmp_path):
     assert done.stdout.splitlines()[0] == told
 
 
+def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
+    page = (ROOT / 'docs/maps.md').read_text()
+    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.* --set robots\..*) --out ', page)
+    done = run_demo(*shlex.split(line), '--out', tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    log = tmp_path / 'mission.mcap'
+    assert recorded_parameters(log)['planner']['robots.scout_2.max_steps'] == 6
+    belief = last_belief(log)
+    assert belief.kinds == {'scout_2': Kind(max_steps=6)}
+    assert belief.deployments == 6
+
+
 def test_a_mission_on_a_map(tmp_path):
     (tmp_path / 'field.pgm').write_text('P2 4 3 255 254 254 254 254 254 0 0 254 254 254 254 254')
     (tmp_path / 'field.yaml').write_text(
@@ -395,6 +408,9 @@ def reports_in(log):
     (['--set', 'team:robots=3'], 'robots is unknown to the team: it is one of planner'),
     (['--set', 'teem:seed=3'], "'teem' is no node of the demo: did you mean team?"),
     (['--set', 'robots=3.5'], 'robots=3.5: parameter robots is 3.5: it must be a whole number'),
+    (['--set', 'robots.scout_2.max_steps=3'], 'is for scout_2: did you mean scout_1.* agents nam'),
+    (['--set', 'robots.scout_1.steps=3'], 'to every node: did you mean robots.scout_1.max'),
+    (['--set', 'team:robots.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of team'),
     (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),

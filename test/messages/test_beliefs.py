@@ -6,13 +6,14 @@ from math import nan
 
 from hypothesis import given
 from hypothesis import strategies as st
-from kbnitp_msgs.msg import BeliefMaps, UnknownNumber
+from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
 from kbnitp_ros.core import (
     Belief,
     Beta,
     DeploymentKey,
     Estimator,
     Grid,
+    Kind,
     Ledger,
     METHODS,
     Report,
@@ -187,6 +188,39 @@ def unknown(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0):
 def test_bad_unknowns_are_refused(unknowns, error):
     message = belief_maps(ledger_of(), started=0)
     message.unknowns = unknowns
+    with pytest.raises(ValueError, match=error):
+        read_belief_maps(over_the_wire(message))
+
+
+def test_what_agents_have_of_their_own_is_told():
+    kinds = {'b': Kind(lethality=0.1, max_steps=4), 'a': Kind(true_positive=0.75, loss_cost=2.0)}
+    plain = ledger_of()
+    ledger = Ledger(plain.grid, plain.max_steps, plain.estimator, kinds)
+    message = over_the_wire(belief_maps(ledger, started=0))
+    assert [(own.agent, own.name) for own in message.own] == [
+        ('a', 'true_positive'),
+        ('a', 'loss_cost'),
+        ('b', 'lethality'),
+        ('b', 'max_steps'),
+    ]
+    assert read_belief_maps(message).kinds == kinds
+    assert read_belief_maps(message).rules() != read_belief_maps(belief_maps(plain, 0)).rules()
+
+
+@pytest.mark.parametrize(
+    'own, error',
+    [
+        ([('', 'lethality', 0.5)], "own has 'lethality' of agent ''"),
+        ([('a', 'lethalty', 0.5)], "own has 'lethalty' of agent 'a': it must name each once"),
+        ([('a', 'lethality', 0.5)] * 2, "own has 'lethality' of agent 'a': it must name each"),
+        ([('a', 'lethality', nan)], 'own: lethality is nan: it must be a probability'),
+        ([('a', 'max_steps', 2.5)], 'own: max_steps is 2.5: it must be a whole number'),
+        ([('a', 'max_steps', 0.0)], 'own: max_steps is 0.0: it must be a whole number at least 1'),
+    ],
+)
+def test_bad_numbers_of_agents_are_refused(own, error):
+    message = belief_maps(ledger_of(), started=0)
+    message.own = [OwnNumber(agent=agent, name=name, value=value) for agent, name, value in own]
     with pytest.raises(ValueError, match=error):
         read_belief_maps(over_the_wire(message))
 
