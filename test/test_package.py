@@ -33,6 +33,7 @@ PYTHON_PACKAGES = {
     'PIL': ('python3-pil', 'pillow'),
     'playwright': (None, 'playwright'),
     'plotly': (None, 'plotly'),
+    'pyagrum': (None, 'pyagrum'),
     'pyarrow': (None, 'pyarrow'),
     'pytest': ('python3-pytest', 'pytest'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
