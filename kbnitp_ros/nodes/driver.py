@@ -89,7 +89,9 @@ class Driver:
     node : Node
         Has the action's client.
     name : str
-        Of the action, which is relative to the node's namespace.
+        Of the action.
+    namespace : str
+        Where that is; empty for that of the node.
     grid : Grid
         Where the cells are.
     patience : float
@@ -104,15 +106,17 @@ class Driver:
 
     """
 
-    def __init__(self, node: Node, name: str, grid: Grid, patience: float) -> None:
+    def __init__(self, node: Node, name: str, namespace: str, grid: Grid, patience: float) -> None:
         self.is_busy = False
         self.failure = ''
         self._node = node
         self._grid = grid
         self._patience = patience
         kind, self._goal_along = DRIVERS[name]
-        self._client = ActionClient(node, kind, name)
-        self.name = node.resolve_topic_name(name)
+        self.name = node.resolve_topic_name(
+            f'/{namespace.strip("/")}/{name}' if namespace else name
+        )
+        self._client = ActionClient(node, kind, self.name)
         self._handle: ClientGoalHandle | None = None
         # Counts the goals, so that what is said of one that is over changes nothing.
         self._number = 0
@@ -123,7 +127,7 @@ class Driver:
         """Return whom it waits for before it can drive; empty when for nobody."""
         if self._client.server_is_ready():
             return ''
-        return f'waiting for the action server {self.name} (parameter driver)'
+        return f'waiting for the action server {self.name} (parameters driver and nav_namespace)'
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
         """

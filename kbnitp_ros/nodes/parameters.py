@@ -628,6 +628,13 @@ TABLE = (
         choices=('follow_waypoints', 'navigate_through_poses', 'follow_path'),
     ),
     Parameter(
+        'nav_namespace',
+        '',
+        "Namespace of the robot's Nav2, which its actions are in; empty for that of this node.",
+        ('robot',),
+        pattern='(/?[A-Za-z][A-Za-z0-9_]*)*',
+    ),
+    Parameter(
         'base_frame',
         'base_link',
         'Frame of the robot, whose place in the frame map TF tells.',

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import hypot
 import os
 from pathlib import Path
 import sys
@@ -20,11 +21,11 @@ from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
 from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.namesakes import Namesakes
 from kbnitp_ros.nodes.orders import Orders
 from kbnitp_ros.nodes.shell import run
-from kbnitp_ros.nodes.transforms import Transforms
+from kbnitp_ros.nodes.transforms import Place, Transforms
 from kbnitp_ros.robot import Itinerary, Journal, shortest_way, Step, Trip, Walk
-from kbnitp_ros.robot.walk import distance_to_base
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -51,13 +52,18 @@ class RobotNode(FieldNode):
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
         self._orders = Orders(self, self._agent, prefix, self._journal)
-        self._driver = Driver(self, values['driver'], self.grid, values['server_timeout'])
+        self._namesakes = Namesakes(self, self._reports.topic_name)
+        self._driver = Driver(
+            self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
+        )
         self._transforms = Transforms(FRAME, values['base_frame'])
-        # Where the robot is, in metres; None when that is not known.
-        self._place: tuple[float, float] | None = None
+        # None when it is not known.
+        self._place: Place | None = None
         # What is wrong by now, by what it is about, and what of it the console was told.
         self._troubles = {'/tf': 'nothing was heard yet'}
         self._is_driving = False
+        # When the goal that was driven last was seen to have ended, in nanoseconds; 0 before.
+        self._ended_at = 0
         self._stays_until: int | None = None
         self._try_again_at = 0.0
         self._resume()
@@ -100,7 +106,8 @@ class RobotNode(FieldNode):
         self._trip = trip
         self._walk = Walk(self.grid, trip.cells[-1], self.values['tf_timeout'])
         self._itinerary = Itinerary(self.grid, orders, self.values['attempts'])
-        self._is_driving, self._stays_until, self._try_again_at = False, None, 0.0
+        self._is_driving, self._ended_at = False, 0
+        self._stays_until, self._try_again_at = None, 0.0
 
     def _key(self, trip: Trip) -> DeploymentKey:
         return DeploymentKey(self._agent, trip.stamp)
@@ -110,12 +117,11 @@ class RobotNode(FieldNode):
             self._transforms.take(message, static=is_static)
         except ValueError as error:
             self.diagnostics.refuse('/tf', error)
-        self._locate()
 
     def _locate(self) -> None:
         """See where the robot is, and if it is out which cells it has come to."""
         try:
-            self._place = self._transforms.position(self.now(), self.values['tf_timeout'])
+            self._place = self._transforms.place(self.now(), self.values['tf_timeout'])
         except ValueError as error:
             self._place = None
             self._say('/tf', str(error))
@@ -123,7 +129,7 @@ class RobotNode(FieldNode):
         entered: list[int] = []
         if self._trip is not None:
             try:
-                entered = self._walk.follow(*self._place, self.now() / SECOND)
+                entered = self._walk.follow(self._place.x, self._place.y, self.now() / SECOND)
             except ValueError as error:
                 self._say('/tf', str(error))
                 return
@@ -161,6 +167,7 @@ class RobotNode(FieldNode):
         self.diagnostics.warning = '; '.join(filter(None, self._troubles.values()))
 
     def _on_detection(self, message: object) -> None:
+        self._locate()
         try:
             detection = read_detection(message, self.values)
             number = self._step_at(detection.stamp)
@@ -191,7 +198,8 @@ class RobotNode(FieldNode):
             return 0
         assert self._place is not None
         if stamp is None:
-            return len(self._trip.steps) if self._walk.sees_its_cell(*self._place) else 0
+            is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
+            return len(self._trip.steps) if is_well_in else 0
         age = (self.now() - stamp) / SECOND
         if abs(age) > self.values['tf_timeout']:
             raise ValueError(
@@ -213,7 +221,7 @@ class RobotNode(FieldNode):
             if waiting := self.waiting_for([self._reports]):
                 return waiting
             self._orders.listen()
-        if awaited := self._orders.awaited or self._namesake() or self._not_ready():
+        if awaited := self._orders.awaited or self._namesakes.awaited or self._not_ready():
             return awaited
         for trip in self._orders.superseded():
             self.get_logger().warning(
@@ -241,30 +249,13 @@ class RobotNode(FieldNode):
     def _no_room(self) -> str:
         return f'waiting for room on the disk: {self._troubles["journal"]}'
 
-    def _namesake(self) -> str:
-        """Return that another node of this name must end first; empty if there is none."""
-        topic = self._reports.topic_name
-        own = self.get_name(), self.get_namespace()
-        known = self.get_publishers_info_by_topic(topic)
-        same = sum((each.node_name, each.node_namespace) == own for each in known)
-        if same <= 1:
-            return ''
-        return (
-            f'waiting for the other {self.get_fully_qualified_name()} to end: {same} robots have '
-            'this name, unless one has just died; each needs a name of its own (parameter agent '
-            'and namespace)'
-        )
-
     def _not_ready(self) -> str:
         """Return what keeps the robot from leaving; empty when nothing does."""
         if self.now() <= 0:
             return 'waiting for the clock to start'
         if self._place is None:
             return f'waiting for TF: {self._troubles["/tf"]}'
-        away, tolerance = (
-            distance_to_base(self.grid, *self._place),
-            self.values['arrival_tolerance'],
-        )
+        away, tolerance = self._distance(self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
                 f'waiting for the robot to be at its base, cell {self.grid.base}: it is '
@@ -281,7 +272,12 @@ class RobotNode(FieldNode):
         if self._place is None:
             return f'waiting for TF: {self._troubles["/tf"]}'
         if self._is_driving:
-            self._is_driving = False
+            # TF may lag behind what drives the robot.
+            self._ended_at = self._ended_at or self.now()
+            is_behind = self._place.stamp < self._ended_at
+            if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
+                return f'waiting for TF to tell where the robot is after driving {goal}'
+            self._is_driving, self._ended_at = False, 0
             self._end_leg(self._place)
         if itinerary.heads_home and self._is_at_base(self._place):
             self._come_home(trip)
@@ -292,26 +288,27 @@ class RobotNode(FieldNode):
             return f'waiting to try again {goal} (parameter retry_delay)'
         if awaited := self._driver.awaited:
             return awaited
-        self._driver.drive(self._place, itinerary.next_leg(trip.cells), self.now())
+        start = self._place.x, self._place.y
+        self._driver.drive(start, itinerary.next_leg(trip.cells), self.now())
         self._is_driving = True
         return f'driving {goal}'
 
-    def _end_leg(self, place: tuple[float, float]) -> None:
+    def _end_leg(self, place: Place) -> None:
         """Judge how a goal ended."""
         itinerary, failure = self._itinerary, self._driver.failure
         if not failure:
             try:
-                cell = self._walk.cell_at(*place)
+                cell = self._walk.cell_at(place.x, place.y)
             except ValueError as error:
                 failure = f'{self._driver.name} says that the goal is reached, and {error}'
             else:
                 is_there = cell == itinerary.destination
                 if is_there and (not itinerary.heads_home or self._is_at_base(place)):
-                    self._enter(self._walk.settle(*place))
+                    self._enter(self._walk.settle(place.x, place.y))
                 else:
                     failure = (
                         f'{self._driver.name} says that cell {itinerary.destination} is reached, '
-                        f'and the robot is in cell {cell}, at ({place[0]:.2f}, {place[1]:.2f}): '
+                        f'and the robot is in cell {cell}, at ({place.x:.2f}, {place.y:.2f}): '
                         'its goal tolerance must be below half the side of a cell and at most '
                         'the parameter arrival_tolerance'
                     )
@@ -324,8 +321,13 @@ class RobotNode(FieldNode):
         then = 'trying again' if itinerary.heads_home == was_homebound else 'going home'
         self.get_logger().warning(f'{failure}; {then}')
 
-    def _is_at_base(self, place: tuple[float, float]) -> bool:
-        return distance_to_base(self.grid, *place) <= self.values['arrival_tolerance']
+    def _distance(self, place: Place) -> float:
+        """Return how far a place is from the middle of the base, in metres."""
+        ((x, y),) = self.grid.centers([self.grid.base]).tolist()
+        return hypot(place.x - x, place.y - y)
+
+    def _is_at_base(self, place: Place) -> bool:
+        return self._distance(place) <= self.values['arrival_tolerance']
 
     def _stay(self) -> str:
         """Wait where the robot is, and look again."""

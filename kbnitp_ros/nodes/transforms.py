@@ -41,6 +41,24 @@ class Link(NamedTuple):
     stamp: int | None
 
 
+class Place(NamedTuple):
+    """
+    Where a robot was.
+
+    Attributes
+    ----------
+    x, y : float
+        In metres.
+    stamp : int
+        When, in nanoseconds: the time of the oldest of what it is made of.
+
+    """
+
+    x: float
+    y: float
+    stamp: int
+
+
 class Transforms:
     """
     The newest place of each frame in the one above it.
@@ -86,9 +104,9 @@ class Transforms:
             stamp = None if static else from_stamp(transform.header.stamp)
             self._links[child] = Link(parent, translation, rotation / length, stamp)
 
-    def position(self, now: int, oldest: float) -> tuple[float, float]:
+    def place(self, now: int, oldest: float) -> Place:
         """
-        Return where the frame is, x and y in metres.
+        Return where the frame is.
 
         Parameters
         ----------
@@ -103,7 +121,7 @@ class Transforms:
             If it is not known, or only of longer ago.
 
         """
-        place, frame = np.zeros(3), self._of
+        place, frame, stamp = np.zeros(3), self._of, now
         passed = set()
         while frame != self._frame:
             link = self._links.get(frame)
@@ -113,14 +131,15 @@ class Transforms:
                     f'{frame!r} is'
                 )
             passed.add(frame)
-            if link.stamp is not None and now - link.stamp > oldest * SECOND:
+            told = now if link.stamp is None else link.stamp
+            if now - told > oldest * SECOND:
                 raise ValueError(
                     f'the last transform from {link.parent!r} to {frame!r} is of more than '
                     f'{oldest} s ago (parameter tf_timeout)'
                 )
             place = link.translation + rotated(place, link.rotation)
-            frame = link.parent
-        return float(place[0]), float(place[1])
+            frame, stamp = link.parent, min(stamp, told)
+        return Place(float(place[0]), float(place[1]), stamp)
 
 
 def rotated(vector: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from math import hypot
-
 from kbnitp_ros.core import Grid
 from kbnitp_ros.robot.way import shortest_way
 import numpy as np
@@ -108,9 +106,3 @@ class Walk:
         if cell in self.grid.blocked:
             raise ValueError(f'point ({x}, {y}) is in cell {cell}, which is blocked')
         return cell
-
-
-def distance_to_base(grid: Grid, x: float, y: float) -> float:
-    """Return how far a position is from the middle of the base, in metres."""
-    ((base_x, base_y),) = grid.centers([grid.base]).tolist()
-    return hypot(x - base_x, y - base_y)

@@ -11,7 +11,9 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 
+from action_msgs.srv import CancelGoal
 from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import DeploymentKey, Grid
@@ -35,7 +37,7 @@ FIELD = {
 TARGETS = [2, 14, 25, 38, 52, 65]
 
 # How near the middle of a cell a robot that is sent there comes, in metres.
-NEAR = 0.35
+NEAR = 0.25
 
 
 class Fleet:
@@ -52,6 +54,8 @@ class Fleet:
         Of the robots, in m/s.
 
     """
+
+    SOURCES = Path(__file__).parent
 
     def __init__(self, field, names=('scout_1',), speed=5.0):
         self.field = field
@@ -115,17 +119,47 @@ class Fleet:
                 places[namespace.strip('/')].append((x, y))
         return places
 
-    def walked(self, name='scout_1', since=0):
-        """Return the cells near whose middle a robot truly was, one after another."""
-        near = []
-        for x, y in self.truth()[name][since:]:
-            if hypot(x % 1 - 0.5, y % 1 - 0.5) < NEAR:
-                near.append(int(y) * GRID.width + int(x))
-        return [cell for cell, _ in groupby(near)]
+    def walked(self, name='scout_1', since=0, near=NEAR):
+        """Return the cells that a robot truly was so near the middle of, one after another."""
+        cells = [
+            int(y) * GRID.width + int(x)
+            for x, y in self.truth()[name][since:]
+            if hypot(x % 1 - 0.5, y % 1 - 0.5) < near
+        ]
+        return moves(cells)
+
+    def see_that_it_is_true(self, report, since=0, name='scout_1'):
+        """
+        Compare a report with where the simulator drove a robot, and with what is there.
+
+        A robot was in every cell that it reports, and it reports every cell that it was well in.
+        """
+        cells = [GRID.base, *(cell for cell, _ in report.readings)]
+        GRID.check_path(cells)
+        assert is_within(moves(cells), self.walked(name, since, near=1.0))
+        assert is_within(self.walked(name, since), moves(cells))
+        # Its last moments at the base may be too short to look.
+        for cell, reading in report.readings[:-1]:
+            assert reading in (cell in TARGETS, -1), (cell, report)
+        return cells
 
     def inject(self, what, name='scout_1'):
-        """Have something go wrong with a robot's next goal."""
+        """Have something go wrong with a robot's next goal, or go on as it should."""
         self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
+
+    def wait(self, seconds):
+        """Handle messages for some time."""
+        end = time.monotonic() + seconds
+        self.field.until(lambda: time.monotonic() > end, 'moment', seconds + 60)
+
+    def cancel_all(self, action, name='scout_1'):
+        """Cancel the goals of an action, as anybody may."""
+        client = self.field.node.create_client(CancelGoal, f'/{name}/{action}/_action/cancel_goal')
+        self.field.until(client.service_is_ready, 'service to cancel goals')
+        answer = client.call_async(CancelGoal.Request())
+        self.field.until(answer.done, 'answer')
+        self.field.node.destroy_client(client)
+        return len(answer.result().goals_canceling)
 
     def send(self, number, cells, name='scout_1'):
         """Send a robot along a path that is on disk."""
@@ -140,6 +174,9 @@ class Fleet:
         if topic not in self._talkers:
             self._talkers[topic] = self.field.talk(kind, topic, profile)
         return self._talkers[topic]
+
+    def state(self, name='scout_1'):
+        return self.field.state(f'/{name}/robot')
 
     def reports(self, name='scout_1'):
         return self.field.listen(DeploymentReport, f'/{name}/report')
@@ -162,6 +199,12 @@ class Fleet:
         self.simulator.send_signal(by)
         self.simulator.wait()
         del self.field.processes.started[f'simulator {self.simulator.pid}']
+
+
+def is_within(few, many):
+    """Say whether some cells come in others, in their order."""
+    rest = iter(many)
+    return all(cell in rest for cell in few)
 
 
 def moves(cells):

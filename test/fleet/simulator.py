@@ -12,6 +12,8 @@ actions; and inject, on which a text tells what is to go wrong with the next goa
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
     die (the action servers go, and their goal), live (they are back)
+
+With an exclamation mark, such as reject!, with all goals until another text comes.
 """
 
 from __future__ import annotations
@@ -33,14 +35,13 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
 TICK = 0.02  # seconds
 
 # How near a robot must come to a pose, in metres, and to the last one, as Nav2 has it by default.
-NEAR, GOAL = 0.3, 0.15
+NEAR, GOAL = 0.2, 0.15
 
 # How the frame odom lies in the frame map: somewhere and turned, as after a start.
 ODOM = (3.0, -2.0, 0.7)
@@ -67,7 +68,7 @@ ACTIONS = {
 
 
 class Goal:
-    """What a robot is driving, and the future of how that ends."""
+    """What a robot is driving."""
 
     def __init__(self, handle, kind, wrong):
         self.handle = handle
@@ -77,7 +78,6 @@ class Goal:
         request = handle.request
         poses = request.path.poses if kind is FollowPath else request.poses
         self.points = [(each.pose.position.x, each.pose.position.y) for each in poses]
-        self.ended = Future()
 
 
 class Robot:
@@ -119,8 +119,10 @@ class Robot:
                 self._node,
                 kind,
                 f'{self._namespace}/{name}',
-                partial(self._drive, kind),
+                # Goals are executed by `_end`, each with a function of its own.
+                print,
                 goal_callback=self._judge,
+                handle_accepted_callback=partial(self._take, kind),
                 cancel_callback=lambda _: CancelResponse.ACCEPT,
             )
             for name, kind in ACTIONS.items()
@@ -133,36 +135,47 @@ class Robot:
                 server.destroy()
             self._servers = []
         elif message.data == 'live':
-            self._live()
+            self._wrong = ''
+            if not self._servers:
+                self._live()
         else:
             self._wrong = message.data
 
-    def _judge(self, _):
-        if self._wrong == 'reject':
+    def _take_wrong(self):
+        """Return what is to go wrong with this goal."""
+        wrong = self._wrong
+        if not wrong.endswith('!'):
             self._wrong = ''
+        return wrong.removesuffix('!')
+
+    def _judge(self, _):
+        if self._wrong.startswith('reject'):
+            self._take_wrong()
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
-    async def _drive(self, kind, handle):
-        """Drive a goal; the one before is given up for it, as Nav2 does."""
+    def _take(self, kind, handle):
+        """Drive a goal from now on; the one before is given up for it, as Nav2 does."""
         if self._goal is not None:
             self._end('abort', 'preempted by another goal')
-        goal = self._goal = Goal(handle, kind, self._wrong)
-        self._wrong = ''
-        how, why = await goal.ended
-        result = kind.Result()
-        if how == 'abort':
-            handle.abort()
-            result.error_code, result.error_msg = 101, why
-        elif how == 'cancel':
-            handle.canceled()
-        else:
-            handle.succeed()
-        return result
+        self._goal = Goal(handle, kind, self._take_wrong())
 
     def _end(self, how, why=''):
+        """Say how a goal ended: to rclpy it is executed only now, all at once."""
         goal, self._goal = self._goal, None
-        goal.ended.set_result((how, why))
+
+        def execute(handle):
+            result = goal.kind.Result()
+            if how == 'abort':
+                handle.abort()
+                result.error_code, result.error_msg = 101, why
+            elif how == 'cancel':
+                handle.canceled()
+            else:
+                handle.succeed()
+            return result
+
+        goal.handle.execute(execute)
 
     @property
     def place(self):
@@ -199,8 +212,8 @@ class Robot:
         to_x, to_y = goal.points[0]
         off = (atan2(to_y - y, to_x - x) - yaw + pi) % (2 * pi) - pi
         away = hypot(to_x - x, to_y - y)
-        linear = min(self._speed, 4 * away) * max(0.0, cos(off)) ** 8
-        return linear, 8 * off
+        linear = min(self._speed, 8 * away) * max(0.0, cos(off)) ** 8
+        return linear, 12 * off
 
     def tell(self):
         """Publish where the robot is and what it sees, and keep the truth."""

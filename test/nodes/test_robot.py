@@ -3,18 +3,14 @@
 
 from __future__ import annotations
 
-from fleet import Fleet, GRID, moves, TARGETS
+from itertools import count
+
+from extent import FULL
+from fleet import Fleet, moves, TARGETS
+import numpy as np
 import pytest
 
 ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
-
-
-def see_that_it_is_true(fleet, report, since=0, name='scout_1'):
-    """Compare a report with where the simulator drove the robot, and with what is there."""
-    cells = [GRID.base, *(cell for cell, _ in report.readings)]
-    assert moves(cells) == fleet.walked(name, since)
-    for cell, reading in report.readings[:-1]:
-        assert reading == (cell in TARGETS), (cell, report)
 
 
 @pytest.mark.parametrize('driver', ['follow_waypoints', 'navigate_through_poses', 'follow_path'])
@@ -26,4 +22,96 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
     key = fleet.send(1, ROUND)
     report = fleet.report_of(reports, key)
     assert [cell for cell, _ in report.readings] == ROUND[1:]
-    see_that_it_is_true(fleet, report)
+    fleet.see_that_it_is_true(report)
+    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
+
+
+# How often each failure is injected.
+ROUNDS = 20 if FULL else 1
+
+
+def fail(fleet, how, driver, when):
+    """Have a failure strike a robot that is to leave, or has left some time ago, in seconds."""
+    if how in ('reject', 'abort', 'silent', 'lie'):
+        fleet.inject(how)
+        return
+    fleet.field.until(lambda: 'driving' in fleet.state(), 'robot under way')
+    fleet.wait(when)
+    if how == 'cancel':
+        fleet.cancel_all(driver)
+    else:
+        fleet.inject('die')
+        fleet.field.until(lambda: 'waiting for the action server' in fleet.state(), 'wait')
+        fleet.inject('live')
+
+
+@pytest.mark.parametrize(
+    'driver, failures',
+    [
+        ('follow_waypoints', ['reject', 'abort', 'cancel']),
+        ('follow_path', ['silent', 'lie', 'die']),
+        *(
+            pytest.param(
+                driver,
+                ['reject', 'abort', 'cancel', 'silent', 'lie', 'die'],
+                marks=pytest.mark.full,
+            )
+            for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
+        ),
+    ],
+)
+def test_a_failure_is_tried_again_and_the_walk_is_reported_as_it_was(field, driver, failures):
+    rng = np.random.default_rng(len(failures))
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(driver=driver, server_timeout=0.5)
+    numbers = count(1)
+    for how in failures:
+        for _ in range(ROUNDS):
+            field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
+            since = len(fleet.truth()['scout_1'])
+            orders = [0, 1, 2, 1, 0]
+            if how in ('reject', 'abort', 'silent', 'lie'):
+                fail(fleet, how, driver, 0)
+                key = fleet.send(next(numbers), orders)
+            else:
+                key = fleet.send(next(numbers), orders)
+                fail(fleet, how, driver, rng.uniform(0, 0.3))
+            report = fleet.report_of(reports, key)
+            fleet.see_that_it_is_true(report, since)
+            assert moves([0, *(cell for cell, _ in report.readings)]) == orders, how
+
+
+def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(attempts=2)
+    key = fleet.send(1, [0, 1, 2, 3, 16, 15, 14, 13, 0])
+    field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
+    fleet.inject('reject!')
+    fleet.cancel_all('follow_waypoints')
+    field.until(lambda: 'going home' in field.said('/scout_1/robot'), 'end of its orders')
+    fleet.inject('live')
+    report = fleet.report_of(reports, key)
+    fleet.see_that_it_is_true(report)
+    cells = [cell for cell, _ in report.readings]
+    assert cells in ([1, 0], [1, 2, 1, 0], [1, 2, 3, 2, 1, 0])
+    said = field.said('/scout_1/robot')
+    assert 'the goal of /scout_1/follow_waypoints was cancelled' in said
+    assert 'rejected the goal; going home' in said
+
+
+def test_a_robot_waits_for_what_drives_it_and_says_so(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.start()
+    key = fleet.send(1, [0, 1, 0])
+    field.until(lambda: 'waiting for TF' in fleet.state(), 'wait for TF')
+    assert "nobody tells where 'base_link' is" in fleet.state()
+    fleet.simulate(scout_1=(5.5, 5.5))
+    field.until(lambda: 'to be at its base, cell 0: it is 7.1 m' in fleet.state(), 'wait for it')
+    fleet.end_simulator()
+    fleet.simulate(scout_1=(0.5, 0.5))
+    fleet.report_of(reports, key)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot that loses its power, in the field or at home, and what it had not synced with it."""
+
+from __future__ import annotations
+
+import subprocess
+
+from extent import FULL
+from fleet import Fleet
+import numpy as np
+import pytest
+
+ORDERS = [0, 1, 2, 3, 16, 15, 14, 13, 0]
+
+# How often the power is cut.
+CUTS = 100 if FULL else 2
+
+
+@pytest.fixture
+def synced(tmp_path, monkeypatch):
+    """Have processes that are started keep how much of each journal is on the disk."""
+    library = tmp_path / 'keep_synced.so'
+    source = Fleet.SOURCES / 'keep_synced.c'
+    subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
+    monkeypatch.setenv('LD_PRELOAD', str(library))
+
+
+def cut_power(fleet, rng):
+    """Cut the power of a robot: it is off, it stands, and what was not synced is gone."""
+    fleet.field.kill('/scout_1/robot')
+    fleet.inject('die')
+    fleet.inject('live')
+    journal = fleet.journal('scout_1')
+    content = journal.read_bytes()
+    synced = int(journal.with_name(f'{journal.name}.synced').read_text())
+    assert synced <= len(content)
+    # Of what was written and not synced, any part may be there, and blocks of zeros.
+    end = int(rng.integers(synced, len(content) + 1))
+    journal.write_bytes(content[:end] + bytes(int(rng.integers(0, 20))))
+
+
+@pytest.mark.usefixtures('synced')
+def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
+    field = request.getfixturevalue('field')
+    rng = np.random.default_rng(5)
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+
+    fleet.start()
+    where = {'in the field': 0, 'at home': 0}
+    for number in range(1, CUTS + 1):
+        since = len(fleet.truth()['scout_1'])
+        key = fleet.send(number, ORDERS)
+        field.until(lambda: 'driving' in fleet.state(), 'robot under way')
+        fleet.wait(rng.uniform(0, 4.5))
+        is_home = any(each.deployment.sec == number for each in reports)
+        cut_power(fleet, rng)
+        fleet.start()
+        report = fleet.report_of(reports, key)
+        fleet.see_that_it_is_true(report, since)
+        where['at home' if is_home else 'in the field'] += 1
+        field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
+    print(where)
+    # Each start says again what all before it said, in the same words: `report_of` sees to that.
+    for number in range(1, CUTS + 1):
+        told = {str(each.readings) for each in reports if each.deployment.sec == number}
+        assert len(told) == 1
+    assert where['in the field'] >= CUTS // 3
+    assert 'it goes home' in field.said('/scout_1/robot')
