@@ -101,8 +101,12 @@ class Folder:
     def _file(self, trial: Trial) -> Path:
         told = vars(trial.team).items()
         # Without these the names are those of studies that had none.
-        later = ('last_contact', 'planner')
-        team = '-'.join(str(value) for name, value in told if value or name not in later)
+        later = ('last_contact', 'planner', 'survey', 'trusted')
+        team = '-'.join(
+            f'{name if name in later[2:] else ""}{value}'
+            for name, value in told
+            if value or name not in later
+        )
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 
 

@@ -70,8 +70,9 @@ class Results:
         -------
         pyarrow.Table
             Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
-            ``agents``, ``allocation``, ``loss_cost``, ``last_contact``, ``planner`` and
-            `MEASURES`, by lethality, method, team, trial and deployment in the scenario's order.
+            ``agents``, ``allocation``, ``loss_cost``, ``last_contact``, ``planner``, ``survey``,
+            ``trusted`` and `MEASURES`, by lethality, method, team, trial and deployment in the
+            scenario's order.
 
         """
         trials = trials_of(self.scenario)
@@ -87,6 +88,8 @@ class Results:
             'loss_cost': np.repeat([trial.team.loss_cost for trial in trials], rows),
             'last_contact': np.repeat([trial.team.last_contact for trial in trials], rows),
             'planner': np.repeat([trial.team.planner for trial in trials], rows),
+            'survey': np.repeat([trial.team.survey for trial in trials], rows),
+            'trusted': np.repeat([trial.team.trusted for trial in trials], rows),
             **dict(zip(MEASURES, measures.T)),
         }
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())

@@ -93,6 +93,11 @@ class Team:
         The probability that the base hears, after each step, how far a robot is, 0 to 1.
     planner : str
         Of `PLANNERS`; empty for that of the section planning.
+    survey : float
+        The part of the cells of which a map of hazards, known before the first robot, is right, 0
+        to 1; 0 for no map.
+    trusted : float
+        The part of which it is believed to be, 0 to 1; 0 for as many as it is.
 
     """
 
@@ -101,6 +106,8 @@ class Team:
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
     last_contact: Probability = 0.0
     planner: Annotated[str, ANY_PLANNER] = ''
+    survey: Probability = 0.0
+    trusted: Probability = 0.0
 
     def __str__(self) -> str:
         """Return what tells it from other teams; robots one by one share nothing out."""
@@ -108,7 +115,9 @@ class Team:
         cost = f', loss cost {self.loss_cost:.4g}' if self.loss_cost else ''
         contact = f', last contact {self.last_contact:.4g}' if self.last_contact else ''
         planner = f', {self.planner}' if self.planner else ''
-        return name + cost + contact + planner
+        known = f', map {self.survey:.4g}' if self.survey else ''
+        trusted = f' trusted as {self.trusted:.4g}' if self.trusted else ''
+        return name + cost + contact + planner + known + trusted
 
     def options(self) -> dict[str, Any]:
         """Return what `run_mission` is told of it, by name."""

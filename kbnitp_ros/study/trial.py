@@ -16,6 +16,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenario, Team
+from kbnitp_ros.study.survey import surveyed
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
@@ -126,6 +127,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     method = SAMPLED if learns else trial.method
     unknowns = scenario.learn.unknowns() if learns else Unknowns()
     prior, model = scenario.belief(truth), scenario.model(told)
+    prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
     mission = run_mission(
         grid,
         prior,

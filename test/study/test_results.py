@@ -17,6 +17,8 @@ def test_the_table_is_tidy(results):
         'loss_cost': 'double',
         'last_contact': 'double',
         'planner': 'string',
+        'survey': 'double',
+        'trusted': 'double',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),

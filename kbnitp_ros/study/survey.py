@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map of hazards that is known before the first robot leaves."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core import Belief, World
+from kbnitp_ros.study.scenario import Team
+import numpy as np
+
+# Key of the generators of maps, which no world and no robot has.
+MAPPED = 0x4D415053
+
+
+def surveyed(prior: Belief, world: World, team: Team, seed: int, trial: int) -> Belief:
+    """
+    Return the prior given the map that a team has of a world.
+
+    The map says of each cell whether it has a hazard. In cells drawn at random it is wrong, the
+    same for all teams but for how many they are, and it is taken for right as often as the team
+    trusts it.
+
+    Parameters
+    ----------
+    prior : Belief
+        Without the map.
+    world : World
+        What it is of.
+    team : Team
+        How often it is right, and how often it is trusted to be.
+    seed, trial : int
+        Of the study, and of the world in it.
+
+    """
+    if not team.survey:
+        return prior
+    drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)
+    told = world.hazard ^ (drawn >= team.survey)
+    trusted = team.trusted or team.survey
+    likelihood = np.where(told[:, None] == [False, True], trusted, 1.0 - trusted)
+    joint = prior.joint * likelihood[:, :, None]
+    return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))

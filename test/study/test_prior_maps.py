@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Maps of hazards known beforehand are compared with none, in the same worlds."""
+
+from dataclasses import replace
+import json
+
+from kbnitp_ros.core import Belief, Grid, World
+from kbnitp_ros.study.prior_maps import compares_maps, maps_markdown, summarise_maps
+from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.survey import surveyed
+from kbnitp_ros.study.trial import run_trial, trials_of
+import numpy as np
+import pytest
+
+TEAMS = (Team(), Team(survey=0.9), Team(survey=0.5, trusted=0.8))
+GRID = Grid(40, 40)
+WORLD = World.random(GRID, np.random.default_rng(3), 0.15, 0.8, 0.1)
+PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
+
+
+@pytest.fixture(scope='module')
+def compared(scenario):
+    """Return the results of missions with three maps."""
+    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
+    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+
+
+def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
+    cells = np.arange(1, GRID.cells)
+    for survey, trusted in ((0.7, 0.0), (0.9, 0.0), (0.5, 0.8)):
+        belief = surveyed(PRIOR, WORLD, Team(survey=survey, trusted=trusted), 1, 2)
+        told = belief.hazard[cells] > 0.15
+        assert (told == WORLD.hazard[cells]).mean() == pytest.approx(survey, abs=0.04)
+        odds = (trusted or survey) / (1 - (trusted or survey))
+        expected = np.where(told, odds, 1 / odds) * 0.15 / 0.85
+        assert belief.hazard[cells] == pytest.approx(expected / (1 + expected))
+        assert belief.kappa == pytest.approx(PRIOR.kappa)
+        assert belief.hazard[0] == 0.0
+    assert surveyed(PRIOR, WORLD, Team(), 1, 2) is PRIOR
+
+
+def test_a_better_map_is_wrong_only_where_a_poorer_one_is():
+    wrong = [
+        (surveyed(PRIOR, WORLD, Team(survey=survey), 1, 2).hazard > 0.15) != WORLD.hazard
+        for survey in (0.7, 0.9)
+    ]
+    assert (wrong[0] | ~wrong[1])[1:].all()
+
+
+def test_each_is_compared_with_none(compared):
+    summary = summarise_maps(compared)
+    assert [(row['survey'], row['trusted']) for row in summary['rows']] == [(0.9, 0.9), (0.5, 0.8)]
+    assert summary['robots'] == [0, 4]
+
+    def log_loss(team):
+        measures = ('hazard_log_loss', 'target_log_loss')
+        return compared.series(0.9, 'kappa_bnitp', *measures, team=team)
+
+    for row, team in zip(summary['rows'], TEAMS[1:]):
+        worth = (log_loss(TEAMS[0]) - log_loss(team)).mean(axis=0)
+        assert row['worth'][0]['mean'] == pytest.approx(worth[0], abs=1e-6)
+        assert row['worth'][-1]['mean'] == pytest.approx(worth[-1], abs=1e-6)
+    # A right map tells something at once, and one that is trusted in vain costs.
+    assert summary['rows'][0]['worth'][0]['mean'] > 0.0 > summary['rows'][1]['worth'][0]['mean']
+
+
+def test_the_report_has_a_table_of_it(compared, tmp_path):
+    write_report(compared, tmp_path)
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    told = maps_markdown(summary['prior_maps'])
+    assert (tmp_path / 'summary.md').read_text().endswith(told)
+    for row, line in zip(summary['prior_maps']['rows'], told.splitlines()[4:], strict=True):
+        cells = line.strip('| ').split(' | ')
+        assert cells[2:4] == [f'{row["survey"]:g}', f'{row["trusted"]:g}']
+    assert not {'loss_cost', 'teams', 'planners'} & summary.keys()
+
+
+def test_only_teams_that_differ_in_maps_alone_are_compared(scenario):
+    assert compares_maps(replace(scenario, teams=TEAMS))
+    assert not compares_maps(replace(scenario, teams=(Team(), Team(survey=0.9, agents=2))))
+    assert not compares_maps(replace(scenario, teams=(Team(),)))
