@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has accepted, refused and waits for, on the topic diagnostics."""
+"""What a node has accepted, refused and waits for, on the topic /diagnostics."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
+
+TOPIC = '/diagnostics'
 
 PERIOD = 1.0  # seconds
 
@@ -55,7 +57,8 @@ class Diagnostics:
         self._failure = ''
         self._told = 0
         self._node = node
-        self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', qos.DIAGNOSTICS)
+        # Its name is fixed, wherever the node is: tools know no other.
+        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
         # Diagnostics go on when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._publish_all, clock=steady)

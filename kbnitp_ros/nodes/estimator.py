@@ -23,6 +23,7 @@ from kbnitp_ros.messages.sizes import largest_path, largest_report
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.parameters import agents_of, estimator_of, kinds_of, value_for
+from kbnitp_ros.nodes.progress import ProgressTeller
 from kbnitp_ros.nodes.shell import run
 from nav_msgs.msg import OccupancyGrid, Path
 
@@ -52,8 +53,10 @@ class EstimatorNode(FieldNode):
             if estimator.unknowns.priors
             else None
         )
+        agents = agents_of(self.values, self.grid)
+        self._progress = ProgressTeller(self, agents)
         self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
-        for agent in agents_of(self.values, self.grid):
+        for agent in agents:
             self.hear(
                 Path,
                 f'{agent}/path',
@@ -156,6 +159,8 @@ class EstimatorNode(FieldNode):
             if changed:
                 self._publish(self._ledger)
                 self._tell_ending(key)
+            else:
+                self._progress.tell_out(self._ledger.out)
             self._say_what_is_held()
 
     def _tell_ending(self, key: DeploymentKey) -> None:
@@ -179,6 +184,7 @@ class EstimatorNode(FieldNode):
             publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))
         if self._model is not None:
             self._model.publish(model_belief(ledger, stamp))
+        self._progress.take(ledger, stamp)
         self._say_how_sure(ledger.estimator)
 
     def _say_how_sure(self, estimator: Estimator) -> None:

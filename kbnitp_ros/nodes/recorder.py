@@ -29,6 +29,7 @@ from kbnitp_ros.messages.sizes import (
     largest_report,
 )
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
 from kbnitp_ros.nodes.parameters import MOST_CELLS, MOST_STEPS
 from kbnitp_ros.nodes.shell import run, Shell
@@ -43,7 +44,7 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
 
 # Recorded from outside the mission's namespace, and left out inside it.
-SHARED = ('/clock', '/tf', '/tf_static')
+SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
 EVIDENCE = (PATH, REPORT)
@@ -54,9 +55,16 @@ AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to pub
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
 AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
+PROGRESS = 'kbnitp_msgs/msg/Progress'
+
 # Of the topics of a mission, and of those under the name of an agent: nobody who was first to
 # publish something else there keeps them from being recorded.
-TYPES = {'belief': BELIEF, 'model': MODEL, **{f'belief/{name}': GRID for name in VIEWS}}
+TYPES = {
+    'belief': BELIEF,
+    'model': MODEL,
+    'progress': PROGRESS,
+    **{f'belief/{name}': GRID for name in VIEWS},
+}
 AGENT_TYPES = {'path': PATH, 'report': REPORT, 'recorded': 'builtin_interfaces/msg/Time'}
 
 # The most bytes of a message of what a log is read for.
@@ -256,6 +264,8 @@ class RecorderNode(Shell):
         if not topic.is_new(info['source_timestamp'], data):
             return
         try:
+            if not self._is_told_by_us(topic, data):
+                return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
             self.diagnostics.refuse(topic.name, error)
@@ -263,6 +273,13 @@ class RecorderNode(Shell):
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()
+
+    def _is_told_by_us(self, topic: Topic, data: bytes) -> bool:
+        """Return whether diagnostics, which all missions tell on one topic, are of this one."""
+        if topic.name != DIAGNOSTICS or self._namespace == '/':
+            return True
+        status = deserialize_message(data, message_class(topic.type_name)).status
+        return any(each.name.startswith(self._namespace) for each in status)
 
     def _check(self, topic: Topic, data: bytes) -> None:
         """

@@ -65,7 +65,8 @@ class Forger:
 
     def _publisher(self, kind, topic, profile=qos.EVIDENCE):
         if topic not in self._publishers:
-            publisher = self._node.create_publisher(kind, f'{self._namespace}/{topic}', profile)
+            name = topic if topic.startswith('/') else f'{self._namespace}/{topic}'
+            publisher = self._node.create_publisher(kind, name, profile)
             self._publishers[topic] = publisher
             self._mission.wait(1.0)
         return self._publishers[topic]
@@ -228,7 +229,7 @@ class Forger:
             'belief/hazard': (OccupancyGrid, qos.LATCHED),
             'belief/target': (OccupancyGrid, qos.LATCHED),
             'belief/kappa': (OccupancyGrid, qos.LATCHED),
-            'diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
+            '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
         }
         publishers = [self._publisher(kind, name, how) for name, (kind, how) in topics.items()]
         count = round(1000 * scale)

@@ -81,9 +81,10 @@ class Onlooker:
                 )
         for kind, topic, callback, profile in (
             (BeliefMaps, 'belief', self._on_belief, qos.LATCHED),
-            (DiagnosticArray, 'diagnostics', self._on_diagnostics, qos.DIAGNOSTICS),
+            (DiagnosticArray, '/diagnostics', self._on_diagnostics, qos.DIAGNOSTICS),
         ):
-            node.create_subscription(kind, f'{namespace}/{topic}', callback, profile)
+            name = topic if topic.startswith('/') else f'{namespace}/{topic}'
+            node.create_subscription(kind, name, callback, profile)
 
     def _on_path(self, agent, message):
         self.evidence.take_path(DeploymentKey(agent, from_stamp(message.header.stamp)), message)

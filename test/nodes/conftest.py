@@ -32,7 +32,9 @@ class Field:
         self._outputs = {}
         self._diagnosed = {}
         self._diagnosed_at = {}
-        self._namespaces = set()
+        node.create_subscription(
+            DiagnosticArray, '/diagnostics', self._keep_diagnostics, qos.DIAGNOSTICS
+        )
 
     def start(self, name, parameters=None, namespace='/', remaps=None):
         """Start a node with those of the parameters that it has, and return its process."""
@@ -43,14 +45,6 @@ class Field:
         }
         full_name = f'{namespace.rstrip("/")}/{name}'
         self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'
-        if namespace not in self._namespaces:
-            self._namespaces.add(namespace)
-            self.node.create_subscription(
-                DiagnosticArray,
-                f'{namespace.rstrip("/")}/diagnostics',
-                self._keep_diagnostics,
-                qos.DIAGNOSTICS,
-            )
         with self._outputs[full_name].open('ab') as output:
             return self.processes.start(
                 name, given, namespace=namespace, remaps=remaps, output=output

@@ -143,7 +143,11 @@ def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     for name in MAPS:
         assert len(recorded[f'/m/belief/{name}']) == len(beliefs)
     assert '/m/scout_1/readings' in recorded
-    assert '/m/diagnostics' in recorded
+    assert '/diagnostics' in recorded
+    progress = recorded['/m/progress']
+    assert [message.deployments for message in progress if not message.out] == list(
+        range(len(beliefs))
+    )
     assert not any('truth' in topic or '/test' in topic for topic in recorded)
     report = replay(log)
     assert report.finished
@@ -190,7 +194,11 @@ def test_missions_in_two_namespaces_do_not_meet(field):
     field.processes.stop()
     for namespace in missions:
         log = field.folder / f'{namespace[1:]}.mcap'
-        assert all(logged.topic.startswith(f'{namespace}/') for logged in read_log(log))
+        for logged in read_log(log):
+            told_by = [logged.topic]
+            if logged.topic == '/diagnostics':
+                told_by = [status.name for status in logged.message.status]
+            assert all(name.startswith(f'{namespace}/') for name in told_by)
         assert replay(log).reproduced
 
 

@@ -99,7 +99,7 @@ def test_only_the_mission_and_what_all_share_is_recorded(field):
         field.node.create_publisher(String, topic, qos.LATCHED).publish(String())
     field.until(lambda: field.count('/m/recorder', 'accepted') > 4, 'messages')
     field.processes.stop()
-    assert set(recorded(log)) == {*topics[:4], '/m/diagnostics'}
+    assert set(recorded(log)) == {*topics[:4], '/diagnostics'}
 
 
 def test_without_a_namespace_everything_but_the_logs_of_ros_is_recorded(field):

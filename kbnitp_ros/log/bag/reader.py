@@ -98,7 +98,10 @@ def read_log(path: str | Path, types: Collection[str] | None = None) -> Iterator
 
 def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
     """
-    Return the records of named values that a log has, by their names, of each the last one.
+    Return the records of named values that a log has, by their names.
+
+    Of several of one name in a file each changes what those before it say. Of several files the
+    last one that has it counts: each has all that it needs.
 
     Raises
     ------
@@ -106,11 +109,14 @@ def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
         As for `read_log`.
 
     """
-    return {
-        item.name: item.values
-        for item in read_recorded(path)
-        if isinstance(item, RecordedMetadata)
-    }
+    records: dict[str, dict[str, str]] = {}
+    for part in parts_of(path):
+        own: dict[str, dict[str, str]] = {}
+        for item in read_part(part):
+            if isinstance(item, RecordedMetadata):
+                own[item.name] = {**own.get(item.name, {}), **item.values}
+        records |= own
+    return records
 
 
 def is_finished(path: str | Path) -> bool:

@@ -172,10 +172,19 @@ class LogWriter:
         )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of named values into this file and all later ones, or replace it there."""
-        self._metadata[name] = dict(values)
+        """
+        Put a record of named values into this file and all later ones, or change it there.
+
+        Of a record that is in the file already, only what is new or another value now is written:
+        some tools warn of each name that stands in two records.
+        """
+        known = self._metadata.get(name, {})
+        new = {key: value for key, value in values.items() if known.get(key) != value}
+        if name in self._metadata and not new:
+            return
+        self._metadata[name] = {**known, **values}
         try:
-            self._open_part().add_metadata(name, values)
+            self._open_part().add_metadata(name, new)
         except OSError:
             self._abandon()
             raise

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the message means that tells how a mission stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+
+from kbnitp_msgs.msg import Progress
+from kbnitp_ros.core import (
+    Belief,
+    binary_entropy,
+    Ledger,
+    log_loss,
+    path_information,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.messages.headers import header
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """
+    What was believed at one time.
+
+    Attributes
+    ----------
+    deployments : int
+        How many the belief holds.
+    belief : Belief
+        Given those.
+    model : SensorModel
+        What robots and sensors were believed to be like.
+
+    """
+
+    deployments: int
+    belief: Belief
+    model: SensorModel
+
+    @classmethod
+    def by(cls, ledger: Ledger) -> Held:
+        """Return what a ledger holds now."""
+        return cls(len(ledger.deployments), ledger.belief, ledger.estimator.model)
+
+
+def progress_message(
+    ledger: Ledger, before: Held | None, world: World | None, stamp: int
+) -> Progress:
+    """
+    Return the message of how a mission stands.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        The deployments so far.
+    before : Held or None
+        What was believed before the last report; None if nothing was.
+    world : World or None
+        The truth, if it is known.
+    stamp : int
+        Of the belief that it goes with, in nanoseconds.
+
+    """
+    belief = ledger.belief
+    return Progress(
+        header=header(stamp),
+        deployments=len(ledger.deployments),
+        lost=ledger.lost,
+        out=ledger.out,
+        hazard_entropy=float(binary_entropy(belief.hazard).sum()),
+        target_entropy=float(binary_entropy(belief.target).sum()),
+        joint_entropy=belief.joint_entropy(),
+        information_expected=expected(ledger, before),
+        information_gained=(
+            before.belief.joint_entropy() - belief.joint_entropy() if before else nan
+        ),
+        hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
+        target_log_loss=log_loss(belief.target, world.target) if world else nan,
+    )
+
+
+def expected(ledger: Ledger, before: Held | None) -> float:
+    """Return what the report taken in last was expected to bring, in nats; NaN if unknown."""
+    if before is None or ledger.newest is None:
+        return nan
+    if len(ledger.deployments) != before.deployments + 1:
+        return nan
+    return path_information(before.belief, before.model, ledger.path(ledger.newest))
