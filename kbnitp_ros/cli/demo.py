@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 import re
 import shlex
+import shutil
 import signal
 import sys
 from typing import Any
@@ -20,13 +21,13 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.cli.report import report
 from kbnitp_ros.core import Belief, DeploymentKey
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import PATH
-from kbnitp_ros.log.history import History, read_history
-from kbnitp_ros.log.naming import new_log
+from kbnitp_ros.log.naming import NAME, new_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
@@ -50,8 +51,7 @@ from kbnitp_ros.nodes.parameters import (
 from kbnitp_ros.nodes.reach import reach_note
 from kbnitp_ros.nodes.shell import DEPLOYMENTS
 from kbnitp_ros.nodes.world_file import read_world
-from kbnitp_ros.study.figures import mission_maps, mission_progress, Number
-import numpy as np
+from kbnitp_ros.report import check_is_free
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -98,8 +98,8 @@ MAY_DIFFER = ('sensor.', 'await_nodes')
 
 DESCRIPTION = """
 Run a whole mission with real nodes, each a process of its own: deploy the robots, record the
-mission, compute every belief of the recording again and draw what became known. Or go on with a
-mission that died.
+mission, compute every belief of the recording again and report what became known. Or go on with
+a mission that died.
 
 The lethality is hidden from estimator and planner, which learn it, unless another method is named
 or --set learn=[].
@@ -140,6 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parameters = chosen_parameters(options)
             log = free_log(options.out)
             check_is_new(log)
+            check_is_free(report_folder(log))
             parameters['recorder']['file'] = str(log)
     except (ValueError, OSError) as error:
         complain('demo', error)
@@ -489,25 +490,26 @@ class Observer(Node):
 
 
 def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) -> int:
-    """Replay the log, draw the figures, say what became known; return the exit code."""
-    report = replay(log)
-    history = read_history(log)
-    assert history.world is not None, 'the agent was told to publish the truth'
-    maps, progress = log.with_name('maps.png'), log.with_name('progress.png')
-    observations = history.observations
-    numbers = numbers_learnt(history, true_numbers(parameters))
-    belief, world = history.beliefs[-1], history.world
-    mission_maps(maps, history.grid, belief, world, observations, numbers, note)
-    mission_progress(progress, history.beliefs, world, observations)
-    first, last = history.beliefs[0].entropy(), history.beliefs[-1].entropy()
-    say(*lines(report))
-    say(f'entropy {first:.1f} -> {last:.1f} nats')
-    for name, number in numbers.items():
-        low, _, middle, _, high = number.quantiles[-1]
-        truth = '' if number.truth is None else f'; it is {number.truth:.3g}'
-        say(f'{name} learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}{truth}')
-    say(*(f'wrote {path}' for path in (log, maps, progress)))
-    return 0 if report.reproduced else 1
+    """Replay the log, report it, say what became known; return the exit code."""
+    reproduction = replay(log)
+    truth = true_numbers(parameters)
+    folder = report_folder(log)
+    # A mission that is gone on with may have ended before.
+    shutil.rmtree(folder, ignore_errors=True)
+    say(*lines(reproduction))
+    say(f'wrote {log}')
+    first, *_, last = report(log, folder, note, truth).moments
+    say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
+    for name, known in last.learnt.items():
+        low, _, middle, _, high = known.quantiles
+        is_known = f'; it is {truth[name]:.3g}' if name in truth else ''
+        say(f'{name} learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}{is_known}')
+    return 0 if reproduction.reproduced else 1
+
+
+def report_folder(log: Path) -> Path:
+    """Return where the report of a log goes, beside it."""
+    return log.with_name('report' if log.name == NAME else f'{log.stem}_report')
 
 
 def true_numbers(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -525,13 +527,3 @@ def true_numbers(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float
         for name in ('hazard_density', 'kappa', 'target_background'):
             numbers[name] = team[f'world.{name}']
     return numbers
-
-
-def numbers_learnt(history: History, truth: Mapping[str, float]) -> dict[str, Number]:
-    """Return how the mission came to know the numbers that it learnt."""
-    names = history.learnt[-1] if history.learnt else ()
-    quantiles = {
-        name: [known[name].quantiles for known in history.learnt if name in known]
-        for name in names
-    }
-    return {name: Number(np.array(each), truth.get(name)) for name, each in quantiles.items()}

@@ -11,7 +11,7 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.bag import log_size, LogError
 from kbnitp_ros.nodes.command_line import command_parser
-from kbnitp_ros.report import check_is_free, curves_of, PARTS, read_mission, write_report
+from kbnitp_ros.report import check_is_free, curves_of, Mission, PARTS, read_mission, write_report
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -65,9 +65,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def report(
     log: Path, folder: Path, note: str = '', truth: Mapping[str, float] | None = None
-) -> None:
+) -> Mission:
     """
     Write the report of a log and say so, with progress bars on a terminal.
+
+    Returns
+    -------
+    Mission
+        What the log tells.
 
     Raises
     ------
@@ -85,3 +90,4 @@ def report(
     for each in (*mission.notes, left_out):
         if each:
             say(each)
+    return mission

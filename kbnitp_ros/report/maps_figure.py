@@ -128,7 +128,8 @@ def draw_field(axes: Axes, grid: Grid) -> None:
     axes.plot(x, y, 's', color='white', markeredgecolor='black', zorder=5)
     axes.set_xlabel('x (m)')
     axes.set_ylabel('y (m)')
-    axes.locator_params(nbins=5)
+    axes.locator_params(nbins=3)
+    axes.tick_params(labelsize='small')
 
 
 def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Path:

@@ -81,7 +81,7 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert '/belief: 13 of 13 reproduced' in done.stdout
     for name in ('maps.png', 'progress.png'):
-        assert (out / name).read_bytes().startswith(b'\x89PNG')
+        assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
 
     grid, model = Grid(5, 4), SensorModel(0.3)
     rng = np.random.default_rng(3)
@@ -304,7 +304,7 @@ def test_a_demo_learns_the_lethality_and_shows_it(tmp_path):
     low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles
     told = f'lethality learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}; it is 0.9'
     assert told in done.stdout.splitlines()
-    assert (tmp_path / 'maps.png').read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
     # Nobody but the robots was told.
     assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
 

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everybody can read the figures: lines differ for every colour vision, no texts overlap."""
+
+from itertools import combinations
+
+from colorspacious import cspace_convert, deltaE
+from kbnitp_ros.core import Unknowns
+from kbnitp_ros.figures import save, SERIES
+from kbnitp_ros.report import curves_of, read_mission
+from kbnitp_ros.report.maps_figure import maps_figure
+from kbnitp_ros.report.progress_figure import draw_number, progress_figure
+from legible import check_lines, check_texts
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+import mission_log
+from missions import single
+import numpy as np
+from PIL import Image
+import pytest
+
+
+@pytest.fixture(scope='module', params=[True, False], ids=['truth', 'no truth'])
+def mission(request, tmp_path_factory):
+    log = tmp_path_factory.mktemp('figures') / 'mission.mcap'
+    return read_mission(single(log, 12, with_truth=request.param))
+
+
+def test_a_missions_figures_are_legible(mission, tmp_path):
+    curves = curves_of(mission)
+    for figure in (maps_figure(mission), progress_figure(mission, curves)):
+        check_texts(figure)
+        check_lines(figure)
+
+
+def test_cells_that_nobody_visited_are_hatched(mission):
+    figure = maps_figure(mission)
+    unvisited = (~mission.visited() & mission.grid.free).sum()
+    assert unvisited
+    for axes in figure.axes:
+        if 'believed' in axes.get_title():
+            (hatched,) = (patch for patch in axes.patches if patch.get_hatch())
+            corners = hatched.get_path().vertices
+            assert len(corners) == 5 * unvisited
+
+
+def test_every_path_is_drawn(mission):
+    figure = maps_figure(mission)
+    titles = {axes.get_title(): axes for axes in figure.axes}
+    drawn = sum(
+        len(collection.get_segments())
+        for title, axes in titles.items()
+        if title.endswith(('returned', 'lost'))
+        for collection in axes.collections
+        if collection.get_alpha()
+    )
+    assert drawn == len(mission.ended) == 12
+
+
+def test_figures_are_at_300_dots_per_inch_with_letters_embedded(tmp_path):
+    figure = Figure(figsize=(2, 1))
+    figure.subplots().set_title('a title')
+    png, svg, pdf = save(figure, tmp_path / 'figure.png', 'png', 'svg', 'pdf')
+    assert Image.open(png).size == (600, 300)
+    assert '<text' not in svg.read_text()
+    assert b'/FontFile2' in pdf.read_bytes()
+
+
+@pytest.mark.parametrize('truth', [0.45, None])
+def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
+    quantiles = np.sort(np.random.default_rng(0).random((4, 5)), axis=1)
+    axes = Figure().subplots()
+    draw_number(axes, 'lethality', quantiles, truth)
+    median, *others = axes.lines
+    assert median.get_xdata().tolist() == [0, 1, 2, 3]
+    assert median.get_ydata().tolist() == quantiles[:, 2].tolist()
+    assert [line.get_ydata()[0] for line in others] == ([] if truth is None else [truth])
+    assert axes.get_ylim() == (0, 1)
+    outer, inner = (band.get_paths()[0].get_extents() for band in axes.collections)
+    assert (outer.y0, outer.y1) == (quantiles[:, 0].min(), quantiles[:, 4].max())
+    assert (inner.y0, inner.y1) == (quantiles[:, 1].min(), quantiles[:, 3].max())
+
+
+def test_no_two_styles_look_the_same():
+    for one, other in combinations(SERIES, 2):
+        assert one.dash != other.dash
+        assert one.plotly_dash != other.plotly_dash
+        assert one.marker != other.marker
+
+
+def test_texts_that_overlap_and_lines_that_are_alike_are_found():
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([0, 1], color='#d55e00')
+    axes.plot([1, 0], color='#009e73', linestyle='--')
+    check_lines(figure)
+    axes.plot([1, 1], color='#d65f01')
+    with pytest.raises(AssertionError, match='look alike'):
+        check_lines(figure)
+    axes.text(0.5, 0.5, 'one text')
+    axes.text(0.52, 0.5, 'another')
+    with pytest.raises(AssertionError, match='one text.*another'):
+        check_texts(figure)
+
+
+def test_colour_vision_is_simulated():
+    """The red and the green that gave the check its name are nearly one for who sees no red."""
+    red, green = to_rgb('#a05050'), to_rgb('#707050')
+    space = {'name': 'sRGB1+CVD', 'cvd_type': 'deuteranomaly', 'severity': 100}
+    seen = [cspace_convert(colour, space, 'sRGB1') for colour in (red, green)]
+    assert deltaE(*seen, input_space='sRGB1') < deltaE(red, green, input_space='sRGB1') / 2
+
+
+def test_a_learnt_number_has_a_panel(tmp_path):
+    whole = mission_log.mission(
+        3, method='kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))
+    )
+    learnt = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
+    figure = progress_figure(learnt, curves_of(learnt), {'lethality': 0.6})
+    assert 'lethality' in [axes.get_ylabel() for axes in figure.axes]
+    check_texts(figure)
+    check_lines(figure)
