@@ -87,4 +87,7 @@ def expected(ledger: Ledger, before: Held | None) -> float:
         return nan
     if len(ledger.deployments) != before.deployments + 1:
         return nan
-    return path_information(before.belief, before.model, ledger.path(ledger.newest))
+    agent, model = ledger.newest.agent, before.model
+    if agent in ledger.kinds:
+        model = ledger.kinds[agent].model(model)
+    return path_information(before.belief, model, ledger.path(ledger.newest))

@@ -97,8 +97,8 @@ def expected_at(mission: Mission, place: int) -> float:
     moment = mission.moments[place]
     if place == 0 or moment.sortie is None or moment.is_late or moment.is_after_gap:
         return nan
-    before = mission.moments[place - 1]
-    return path_information(before.belief, before.model, mission.sorties[moment.sortie].path)
+    before, sortie = mission.moments[place - 1], mission.sorties[moment.sortie]
+    return path_information(before.belief, before.model_of(sortie.key.agent), sortie.path)
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:

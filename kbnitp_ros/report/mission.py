@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
@@ -14,6 +14,7 @@ from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
     Grid,
+    Kind,
     Observation,
     observation_of,
     SensorModel,
@@ -42,6 +43,8 @@ class Moment:
         As it is on record.
     model : SensorModel
         What robots and sensors were believed to be like.
+    kinds : mapping of str to Kind
+        What the robots of agents have of their own.
     held : int
         How many deployments the belief holds.
     time : int
@@ -61,6 +64,7 @@ class Moment:
 
     belief: Belief
     model: SensorModel
+    kinds: Mapping[str, Kind]
     held: int
     time: int
     sortie: int | None = None
@@ -68,6 +72,10 @@ class Moment:
     is_late: bool = False
     is_after_gap: bool = False
     learnt: dict[str, Known] = field(default_factory=dict)
+
+    def model_of(self, agent: str) -> SensorModel:
+        """Return what the robots of an agent were believed to be like."""
+        return self.kinds[agent].model(self.model) if agent in self.kinds else self.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +250,7 @@ def moments_of(
             Moment(
                 said.belief,
                 said.model,
+                said.kinds,
                 said.deployments,
                 heard.time,
                 place.get(said.newest) if said.newest else None,
