@@ -113,9 +113,8 @@ class Driver:
         self._grid = grid
         self._patience = patience
         kind, self._goal_along = DRIVERS[name]
-        self.name = node.resolve_topic_name(
-            f'/{namespace.strip("/")}/{name}' if namespace else name
-        )
+        above = f'/{namespace.strip("/")}'.rstrip('/')
+        self.name = node.resolve_topic_name(f'{above}/{name}' if namespace else name)
         self._client = ActionClient(node, kind, self.name)
         self._handle: ClientGoalHandle | None = None
         # Counts the goals, so that what is said of one that is over changes nothing.

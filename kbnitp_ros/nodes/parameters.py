@@ -630,9 +630,10 @@ TABLE = (
     Parameter(
         'nav_namespace',
         '',
-        "Namespace of the robot's Nav2, which its actions are in; empty for that of this node.",
+        "Namespace of the robot's Nav2, which its actions are in; / for none, empty for that of "
+        'this node.',
         ('robot',),
-        pattern='(/?[A-Za-z][A-Za-z0-9_]*)*',
+        pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
     ),
     Parameter(
         'base_frame',

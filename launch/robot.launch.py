@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launch the agent of one real robot, on its own computer."""
+
+from kbnitp_ros.launching import PROFILES, SHARE
+from kbnitp_ros.nodes.given import read_sections
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import (
+    EnvironmentVariable,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node
+
+# Arguments that are also parameters, empty for what the file of parameters says.
+OPTIONS = {
+    'journal': "File on the robot's own disk that keeps its orders, its way and its readings.",
+    'driver': 'Action of Nav2: follow_waypoints, navigate_through_poses or follow_path.',
+    'base_frame': 'Frame of the robot, whose place in the frame map TF tells.',
+}
+
+
+def generate_launch_description():
+    arguments = [
+        DeclareLaunchArgument(
+            'agent', default_value='scout_1', description='Name of the agent that this robot is.'
+        ),
+        DeclareLaunchArgument(
+            'namespace', default_value='', description='Namespace of the mission, as at its base.'
+        ),
+        DeclareLaunchArgument(
+            'nav_namespace',
+            default_value='',
+            description="Namespace of the robot's Nav2: of its actions, tf, tf_static and "
+            'detections; / for none, empty for that of the agent.',
+        ),
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
+            description='YAML file with the parameters, the same as at the base.',
+        ),
+        *(
+            DeclareLaunchArgument(
+                name, default_value='', description=f'{text} Empty for what params_file says.'
+            )
+            for name, text in OPTIONS.items()
+        ),
+    ]
+    is_unset = EqualsSubstitution(EnvironmentVariable(PROFILES, default_value=''), '')
+    profile = PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
+    return LaunchDescription(
+        [
+            *arguments,
+            SetEnvironmentVariable(
+                'RMW_FASTRTPS_USE_QOS_FROM_XML', '1', condition=IfCondition(is_unset)
+            ),
+            SetEnvironmentVariable(PROFILES, EnvironmentVariable(PROFILES, default_value=profile)),
+            OpaqueFunction(function=robot),
+        ]
+    )
+
+
+def robot(context):
+    """Return the node, whose topics depend on the namespaces."""
+    given = {
+        name: LaunchConfiguration(name).perform(context)
+        for name in ('agent', 'namespace', 'nav_namespace', 'params_file', *OPTIONS)
+    }
+    read_sections(given['params_file'])
+    own = f'/{given["namespace"].strip("/")}/{given["agent"]}'.replace('//', '/')
+    nav = given['nav_namespace'] or own
+    below = f'/{nav.strip("/")}'.rstrip('/')
+    parameters = {'agent': given['agent'], 'nav_namespace': nav}
+    parameters |= {name: given[name] for name in OPTIONS if given[name]}
+    return [
+        Node(
+            package='kbnitp_ros',
+            executable='robot',
+            name='robot',
+            namespace=own,
+            parameters=[given['params_file'], parameters],
+            remappings=[
+                ('/tf', f'{below}/tf'),
+                ('/tf_static', f'{below}/tf_static'),
+                ('detections', f'{below}/detections'),
+            ],
+            output='screen',
+            on_exit=Shutdown(),
+        )
+    ]
