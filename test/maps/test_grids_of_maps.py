@@ -3,7 +3,7 @@
 
 from itertools import pairwise
 
-from kbnitp_ros.core import Belief, plan, SensorModel
+from kbnitp_ros.core import Belief, Conduct, plan, run_mission, SensorModel, World
 from kbnitp_ros.maps import Map, MapError
 import numpy as np
 import pytest
@@ -30,20 +30,24 @@ def touched_pixels(field, points):
     return np.concatenate(values)
 
 
+def random_grid(rng, connectivity, unknown_blocks):
+    """Draw a map and the grid of it around a base that is free."""
+    side = rng.choice([0.25, 0.5, 0.6, 0.75, 1.0])
+    while True:
+        field = random_map(rng)
+        place = rng.uniform(0, 1, 2) * field.data.shape[::-1] * field.resolution + field.origin
+        try:
+            return field, field.grid(side, tuple(place), connectivity, unknown_blocks)
+        except MapError:
+            continue
+
+
 @pytest.mark.parametrize('seed', range(200))
 @pytest.mark.parametrize('connectivity', [4, 8])
 def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     rng = np.random.default_rng(seed)
     unknown_blocks = bool(rng.integers(2))
-    side = rng.choice([0.25, 0.5, 0.6, 0.75, 1.0])
-    free = None
-    while free is None:
-        field = random_map(rng)
-        place = rng.uniform(0, 1, 2) * field.data.shape[::-1] * field.resolution + field.origin
-        try:
-            free = field.grid(side, tuple(place), connectivity, unknown_blocks)
-        except MapError:
-            continue
+    field, free = random_grid(rng, connectivity, unknown_blocks)
     cell, walk = free.base, [free.base]
     for _ in range(60):
         cell = int(rng.choice(free.neighbors(cell)))
@@ -51,6 +55,30 @@ def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     touched = touched_pixels(field, free.centers(walk))
     assert not (touched == 100).any()
     assert not (unknown_blocks and (touched == -1).any())
+
+
+@pytest.mark.parametrize('seed', range(200))
+def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
+    """Neither by its orders nor by the detours that it makes."""
+    rng = np.random.default_rng(seed)
+    field, grid = random_grid(rng, int(rng.choice([4, 8])), True)
+    world = World.random(grid, rng, 0.1, 0.8, 0.3)
+    made = run_mission(
+        grid,
+        Belief.prior(grid, 0.1, 0.35, 0.8),
+        SensorModel(0.3, malfunction=0.01),
+        world,
+        4,
+        rng,
+        max_steps=14,
+        planner='relaxed',
+        agents=min(2, int(grid.free.sum())),
+        conduct=Conduct(detour=0.3, early_return=0.05),
+    )
+    for deployment in made:
+        for path in (deployment.plan.path, deployment.observation.path):
+            assert (touched_pixels(field, grid.centers(path)) < 100).all()
+            assert (touched_pixels(field, grid.centers(path)) >= 0).all()
 
 
 def test_a_plan_keeps_clear_of_a_wall():
