@@ -17,7 +17,7 @@ WORKERS ?= logical
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
-  $(wildcard msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
+  $(wildcard kbnitp_ros/report/assets/* foxglove/*.json msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
 
 # They say what they fetch, of which tools/step.sh shows some.
 PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off
@@ -65,10 +65,11 @@ clean:
 	tools/step.sh 'Installing requirements.txt into .venv' $(PIP) --requirement requirements.txt
 	touch $@
 
-.venv/.dev: requirements-dev.txt test/log/package-lock.json .venv/.run
+.venv/.dev: requirements-dev.txt test/log/package-lock.json test/report/package-lock.json .venv/.run
 	tools/step.sh 'Installing requirements-dev.txt into .venv' $(PIP) --requirement requirements-dev.txt
 	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
 	tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
+	tools/step.sh 'Installing test/report/package-lock.json with npm' $(NPM) --prefix test/report
 	touch $@
 
 .venv/.benchmarks: requirements-benchmarks.txt .venv/.run

@@ -42,7 +42,8 @@ def map_plot(grid: Grid, name: str, values: NDArray[np.float64] | None = None) -
     half = grid.resolution / 2
     image = np.full(grid.cells, np.nan) if values is None else np.where(grid.free, values, np.nan)
     cells = graph_objects.Heatmap(
-        z=image.reshape(grid.height, grid.width),
+        # As rows, which whoever reads the page back can read as well.
+        z=np.where(np.isnan(image), None, image).reshape(grid.height, grid.width).tolist(),
         x0=left + half,
         dx=grid.resolution,
         y0=bottom + half,

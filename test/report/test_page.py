@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a mission in a real browser: what it shows is what is in the log, for everybody."""
+
+from pathlib import Path
+import shutil
+
+from kbnitp_ros.report import curves_of, read_mission
+from kbnitp_ros.report.page import page_of
+from missions import single, team
+import numpy as np
+from playwright.sync_api import sync_playwright
+import pytest
+
+BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
+AXE = Path(__file__).parent / 'node_modules/axe-core/axe.min.js'
+NAMES = ('hazard', 'target', 'kappa')
+
+pytestmark = pytest.mark.skipif(
+    BROWSER is None, reason=f'no browser is installed: apt install {BROWSERS[0]}'
+)
+
+
+@pytest.fixture(scope='module')
+def browser():
+    with sync_playwright() as playwright:
+        # Root has no sandbox, as in most containers.
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope='module')
+def shown(tmp_path_factory):
+    """Return a mission of 30 robots and the file of its page."""
+    folder = tmp_path_factory.mktemp('page')
+    mission = read_mission(single(folder / 'mission.mcap', 30))
+    page = folder / 'report.html'
+    page.write_text(page_of(mission, curves_of(mission))[0])
+    return mission, page
+
+
+@pytest.fixture
+def opened(browser, shown):
+    """Return what opens the page without a network; nothing may be said on the console."""
+    said, contexts = [], []
+
+    def open_page(width=1600, height=1000, scheme='light', file=shown[1]):
+        context = browser.new_context(
+            viewport={'width': width, 'height': height}, color_scheme=scheme, offline=True
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on('console', lambda message: said.append(message.text))
+        page.on('pageerror', lambda error: said.append(str(error)))
+        page.on('request', lambda request: said.append(request.url) if is_sent(request) else None)
+        page.goto(file.as_uri())
+        page.wait_for_selector('html[data-ready]', state='attached')
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert said == []
+
+
+def is_sent(request):
+    """Return whether a request asks for anything but the file, what is in it or made of it."""
+    return not request.url.startswith(('file:', 'data:', 'blob:'))
+
+
+def drawn(page, name):
+    """Return the values of a map as they are drawn, shape (cells,); NaN where it is blocked."""
+    rows = page.evaluate(f'document.getElementById("{name}").data[0].z')
+    return np.array(rows, dtype=float).ravel()
+
+
+def move(page, moment):
+    """Move the slider as a user of the keyboard or a mouse does."""
+    page.evaluate(
+        """moment => {
+            const slider = document.getElementById('moment');
+            slider.value = moment;
+            slider.dispatchEvent(new Event('input'));
+        }""",
+        int(moment),
+    )
+    assert page.evaluate('document.documentElement.dataset.moment') == str(moment)
+
+
+def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
+    mission, _ = shown
+    page = opened()
+    chosen = np.random.default_rng(0).choice(len(mission.moments), 20, replace=False)
+    for moment in chosen:
+        move(page, moment)
+        for name in NAMES:
+            believed = getattr(mission.moments[moment].belief, name)
+            levels = np.where(mission.grid.free, np.rint(255 * believed), np.nan)
+            assert np.array_equal(np.rint(255 * drawn(page, name)), levels, equal_nan=True)
+    for name in ('hazard', 'target'):
+        truth = getattr(mission.world, name)[mission.grid.free]
+        assert np.array_equal(drawn(page, f'true-{name}')[mission.grid.free], truth)
+
+
+def test_the_slider_moves_by_keys_and_the_page_plays(opened, shown):
+    mission, _ = shown
+    page = opened()
+    last = len(mission.moments) - 1
+    slider = page.locator('#moment')
+    assert slider.input_value() == str(last)
+    slider.focus()
+    page.keyboard.press('ArrowLeft')
+    assert slider.input_value() == str(last - 1)
+    told = page.locator('#told').inner_text()
+    assert told.startswith(f'{last - 1} of 30 deployments taken in')
+    assert slider.get_attribute('aria-valuetext') == told
+    page.keyboard.press('Home')
+    assert page.locator('#told').inner_text() == 'Before the first deployment.'
+    page.get_by_role('button', name='Play').click()
+    page.wait_for_function('document.documentElement.dataset.moment >= 3')
+    page.get_by_role('button', name='Pause').click()
+    page.get_by_role('button', name='One report on').click()
+    assert int(slider.input_value()) > 3
+
+
+def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
+    mission, _ = shown
+    page = opened()
+    for place, moment in enumerate(mission.moments[1:8], start=1):
+        move(page, place)
+        traces = page.evaluate('document.getElementById("hazard").data.map(each => each.x)')
+        centers = mission.grid.centers(moment.outcome.path)
+        assert traces[3][:-1] == pytest.approx(centers[:, 0].tolist())
+        read = [] if moment.outcome.readings is None else moment.outcome.readings.tolist()
+        assert sum(each is not None for each in traces[4]) == read.count(1)
+        assert sum(each is not None for each in traces[5]) == read.count(0)
+
+
+def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, shown):
+    mission, _ = shown
+    page = opened()
+    page.locator('#hazard').scroll_into_view_if_needed()
+    box = page.locator('#hazard .plot-container .nsewdrag').bounding_box()
+    width, height = mission.grid.width, mission.grid.height
+    column, row = 1, 2
+    page.mouse.move(
+        box['x'] + (column + 0.5) / width * box['width'],
+        box['y'] + (height - row - 0.5) / height * box['height'],
+    )
+    cell = row * width + column
+    page.wait_for_function(f'document.getElementById("row").value === "{row}"')
+    assert page.locator('#column').input_value() == str(column)
+    hazard = mission.moments[-1].belief.hazard[cell]
+    assert f'hazard {np.rint(255 * hazard) / 255:.3f}' in page.locator('#cell').inner_text()
+    history = page.evaluate('document.getElementById("cell-plot").data[0].y')
+    expected = [each.belief.hazard[cell] for each in mission.moments]
+    assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
+    assert page.locator('#hazard .hoverlayer').text_content()
+    page.locator('#column').fill('0')
+    page.locator('#column').press('Enter')
+    page.wait_for_function(
+        'document.getElementById("cell-plot").data[1].y[0] !== undefined'
+        ' && document.getElementById("column").value === "0"'
+    )
+
+
+def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
+    mission, _ = shown
+    page = opened()
+    heading = page.locator('#deployments th button', has_text='steps')
+    cells = page.locator('#deployments tbody tr td:nth-child(4)')
+    unsorted = [int(text) for text in cells.all_inner_texts()]
+    heading.click()
+    assert [int(text) for text in cells.all_inner_texts()] == sorted(unsorted)
+    heading.click()
+    assert [int(text) for text in cells.all_inner_texts()] == sorted(unsorted, reverse=True)
+    sorting = page.locator('#deployments th:nth-child(4)').get_attribute('aria-sort')
+    assert sorting == 'descending'
+    for number in (3, 17):
+        page.locator(f'#deployment-{number} button').click()
+        moment = page.evaluate('document.documentElement.dataset.moment')
+        assert moment == str(mission.sorties[number].moment)
+        assert page.locator('#deployments tr[aria-current]').get_attribute('id') == (
+            f'deployment-{number}'
+        )
+
+
+@pytest.mark.parametrize('width', [400, 1600])
+def test_nothing_flows_over(opened, width):
+    page = opened(width)
+    assert page.evaluate('document.documentElement.scrollWidth') == width
+
+
+def test_it_can_be_printed_on_a4(opened):
+    page = opened(794, 1123)
+    page.emulate_media(media='print')
+    assert page.evaluate('document.documentElement.scrollWidth') == 794
+    assert not page.locator('#play').is_visible()
+    assert page.locator('#deployments').is_visible()
+
+
+def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
+    def paper(page):
+        colour = page.evaluate('getComputedStyle(document.body).backgroundColor')
+        return [int(each) for each in colour.removeprefix('rgb(').removesuffix(')').split(',')]
+
+    page = opened(scheme='dark')
+    assert max(paper(page)) < 60
+    letters = page.evaluate('document.getElementById("hazard").layout.font.color')
+    assert letters == '#ececec'
+    page.get_by_role('button', name='Light').click()
+    assert min(paper(page)) > 200
+    assert page.evaluate('document.getElementById("hazard").layout.font.color') == '#1b1b1b'
+
+
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
+def test_everybody_can_use_it(opened, scheme):
+    if not AXE.exists():
+        pytest.skip(f'axe-core is not installed: npm ci --prefix {AXE.parents[2]}')
+    page = opened(scheme=scheme)
+    page.add_script_tag(content=AXE.read_text())
+    found = page.evaluate('axe.run()')['violations']
+    serious = [
+        (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
+        for each in found
+        if each['impact'] in ('serious', 'critical')
+    ]
+    assert serious == []
+
+
+def test_a_team_shows_who_is_out(opened, tmp_path):
+    log, _ = team(tmp_path / 'mission.mcap')
+    mission = read_mission(log)
+    file = tmp_path / 'report.html'
+    file.write_text(page_of(mission, curves_of(mission))[0])
+    page = opened(file=file)
+    move(page, 1)
+    facts = page.locator('#deployment').inner_text()
+    assert 'scout_8 (no. 8)' in facts
+    late = next(place for place, each in enumerate(mission.moments) if each.is_late)
+    move(page, late)
+    assert 'returned after it had been given up' in page.locator('#told').inner_text()
