@@ -16,6 +16,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
         (f'share/{package_name}/config', glob('config/*')),
+        (f'share/{package_name}/foxglove', glob('foxglove/*.json')),
         (f'share/{package_name}/launch', glob('launch/*.launch.py')),
         (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
         (f'share/{package_name}/scenarios', glob('scenarios/*.yaml')),

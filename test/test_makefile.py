@@ -23,7 +23,8 @@ def tree(tmp_path):
     for name in ('Makefile', 'requirements-dev.txt', 'tools'):
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, tmp_path / name)
-    for name in ('test/log/package-lock.json', '.venv/.run', '.venv/bin/pip', 'bin/npm'):
+    locks = [f'test/{name}/package-lock.json' for name in ('log', 'report')]
+    for name in (*locks, '.venv/.run', '.venv/bin/pip', 'bin/npm'):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     # Newer than what it is made of.
@@ -58,8 +59,8 @@ def test_progress_is_shown_in_few_lines(tree):
     assert complaints == ''
     for what in ('requirements-dev.txt into .venv', 'test/log/package-lock.json with npm'):
         assert f'Installing {what} ...\n' in told
-    assert told.count('s: fetching part 2') >= 2
-    assert told.count('done in') == 2
+    assert told.count('s: fetching part 2') >= 3
+    assert told.count('done in') == 3
     assert (tree / '.venv/.dev').exists()
 
 

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 # name, the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
 PYTHON_PACKAGES = {
     'colorspacious': (None, 'colorspacious'),
+    'foxglove': (None, 'foxglove-sdk'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'irsim': (None, 'ir-sim'),
     'joblib': ('python3-joblib', 'joblib'),
@@ -132,7 +133,7 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
     share = Path(get_package_share_directory('kbnitp_ros'))
     files = [
         path.relative_to(ROOT)
-        for folder in ('config', 'launch', 'rviz', 'scenarios')
+        for folder in ('config', 'foxglove', 'launch', 'rviz', 'scenarios')
         for path in ROOT.joinpath(folder).glob('*.*')
     ]
     assert files

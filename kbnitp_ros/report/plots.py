@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import isnan
+
 from kbnitp_ros.core import Grid
 from kbnitp_ros.figures import LOST, MAPS, RETURNED, SERIES
 from kbnitp_ros.report.curves import Curves
@@ -41,9 +43,10 @@ def map_plot(grid: Grid, name: str, values: NDArray[np.float64] | None = None) -
     left, right, bottom, top = extent(grid)
     half = grid.resolution / 2
     image = np.full(grid.cells, np.nan) if values is None else np.where(grid.free, values, np.nan)
+    image = image.reshape(grid.height, grid.width)
     cells = graph_objects.Heatmap(
         # As rows, which whoever reads the page back can read as well.
-        z=np.where(np.isnan(image), None, image).reshape(grid.height, grid.width).tolist(),
+        z=[[None if isnan(value) else value for value in row] for row in image.tolist()],
         x0=left + half,
         dx=grid.resolution,
         y0=bottom + half,
