@@ -50,6 +50,7 @@ OPTIONS = (
     'return_deadline',
     'method',
     'seed',
+    'approval',
     'keep_running',
 )
 

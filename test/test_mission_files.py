@@ -64,7 +64,7 @@ def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
         'belief/hazard': 'Map',
         'belief/target': 'Map',
         'belief/kappa': 'Map',
-        **{f'{scout}/path': 'Path' for scout in scouts},
+        **{f'{scout}/{name}': 'Path' for scout in scouts for name in ('path', 'proposal')},
         **{f'{scout}/readings': 'Marker' for scout in scouts},
     }
     for display in topics.values():

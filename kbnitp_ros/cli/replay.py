@@ -94,6 +94,8 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'method {report.method or "not on record"}'
         f'{f", version {report.version}" if is_earlier else ""}'
     )
+    for decision in report.decisions:
+        yield f'the operator {decision}, at {decision.when}'
     missed = Counter(each.topic for each in (*report.mismatches, *report.undecided))
     for topic, compared in sorted(report.compared.items()):
         yield f'{topic}: {compared - missed[topic]} of {compared} reproduced'

@@ -22,11 +22,13 @@ from kbnitp_msgs.msg import ModelBelief
 from kbnitp_ros.core import DeploymentKey, Ending, Estimator, Grid, METHODS, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import content, Difference, differences
+from kbnitp_ros.log.decisions import Decisions, is_decision, OPERATOR
 from kbnitp_ros.log.evidence import (
     BELIEF,
     Evidence,
     first_belief,
     GRID,
+    LONGEST,
     MODEL,
     PATH,
     REPORT,
@@ -41,6 +43,7 @@ from kbnitp_ros.messages.beliefs import (
     read_kinds,
     Snapshot,
 )
+from kbnitp_ros.messages.decisions import Decision, read_decision
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import model_belief
@@ -130,6 +133,8 @@ class ReplayReport:
         Whether the log ends as its writer ends it.
     work : int
         How many deployments were taken in and reports looked at.
+    decisions : list of Decision
+        What the operator decided, in the order on record.
 
     """
 
@@ -143,6 +148,7 @@ class ReplayReport:
     not_yet_held: list[DeploymentKey]
     finished: bool
     work: int
+    decisions: list[Decision]
 
     @property
     def reproduced(self) -> bool:
@@ -201,9 +207,13 @@ def replay_with(
     first = first_belief(path)
     evidence = Evidence(*((first.grid, first.max_steps, first.kinds) if first else NO_RULES))
     heads: list[Head] = []
+    decisions = Decisions()
     topic = ''
     with same_types(path):
-        for logged in progress(read_log(path, (BELIEF, PATH, REPORT))):
+        for logged in progress(read_log(path, (BELIEF, PATH, REPORT, OPERATOR))):
+            if logged.type_name == OPERATOR:
+                take_decision(logged, decisions, evidence)
+                continue
             if logged.type_name != BELIEF:
                 evidence.take(logged)
                 continue
@@ -236,7 +246,17 @@ def replay_with(
         not_yet_held=fold.not_yet_held,
         finished=is_finished(path),
         work=fold.work,
+        decisions=list(decisions.taken.values()),
     )
+
+
+def take_decision(logged: LoggedMessage, decisions: Decisions, evidence: Evidence) -> None:
+    """Take note of what the operator decided, or of why it is refused."""
+    if is_decision(logged):
+        try:
+            decisions.take(read_decision(evidence.grid, logged.message))
+        except ValueError as error:
+            evidence.refused.append(f'{logged.topic}: {error}'[:LONGEST])
 
 
 def head_of(belief: Any) -> Head:

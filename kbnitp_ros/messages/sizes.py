@@ -27,6 +27,11 @@ def largest_report(max_steps: int) -> int:
     return REST + READING * LONGEST_WALK * max_steps
 
 
+def largest_decision(robots: int, max_steps: int) -> int:
+    """Return the most bytes of a kbnitp_msgs/OperatorAction on the paths of so many robots."""
+    return REST + robots * largest_path(max_steps)
+
+
 def largest_belief(cells: int) -> int:
     """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
     return REST + OWN + CELL * cells

@@ -17,7 +17,7 @@ from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.task import Task
+from rclpy.task import Future, Task
 from rclpy.timer import Timer
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities, Waitable
@@ -212,10 +212,14 @@ def handle_subscription(subscription: Subscription) -> None:
 
 
 def handle_service(service: Service) -> None:
-    """Answer what a service was asked."""
+    """Answer what a service was asked, at once or when the callback's future is done."""
     taken = take(
         service.handle, lambda handle: handle.service_take_request(service.srv_type.Request)
     )
     if taken is not None and taken[1] is not None:
         request, header = taken
-        service.send_response(call(service.callback, request, service.srv_type.Response()), header)
+        answer = call(service.callback, request, service.srv_type.Response())
+        if isinstance(answer, Future):
+            answer.add_done_callback(lambda done: service.send_response(done.result(), header))
+        else:
+            service.send_response(answer, header)

@@ -203,6 +203,8 @@ LONGEST_SIDE = 1000
 MOST_AGENTS = 100
 MOST_CELLS = LONGEST_SIDE**2
 NAME = '[A-Za-z][A-Za-z0-9_]*'
+# The topic of what the operator decides.
+OPERATOR = 'operator'
 AGENTS = ('agent', 'team')
 FIELD = ('planner', *AGENTS, 'estimator')
 GRID = (*FIELD, 'robot')
@@ -459,6 +461,14 @@ TABLE = (
         limits=(0.0, 1e9),
         read_only=False,
         per_agent=True,
+    ),
+    Parameter(
+        'approval',
+        False,
+        'Whether robots leave only when the operator has approved of their paths, shown on '
+        'AGENT/proposal, by the service approve.',
+        ('planner',),
+        read_only=False,
     ),
     Parameter(
         'keep_running',
@@ -1053,6 +1063,11 @@ def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     if not agents or len(set(agents)) < len(agents):
         raise ValueError(
             f'parameter agents is {list(agents)}: it must be one or more names, no two alike'
+        )
+    if OPERATOR in agents:
+        raise ValueError(
+            f'parameter agents is {list(agents)}: {OPERATOR} is no name for an agent, since a '
+            'topic of the planner is called so'
         )
     if len(agents) > MOST_AGENTS:
         raise ValueError(

@@ -20,8 +20,6 @@ class Peers:
         The planner.
     agents : sequence of str
         Those of the team.
-    own_reports : bool
-        Whether the planner itself publishes reports for them.
 
     Attributes
     ----------
@@ -30,11 +28,10 @@ class Peers:
 
     """
 
-    def __init__(self, node: Shell, agents: Sequence[str], *, own_reports: bool) -> None:
+    def __init__(self, node: Shell, agents: Sequence[str]) -> None:
         self.estimators = 0
         self._node = node
         self._agents = agents
-        self._own = int(own_reports)
         self._answering: dict[str, int] = {}
         self._unknown_agents: set[str] = set()
 
@@ -45,7 +42,9 @@ class Peers:
     def look_for_agents(self) -> None:
         """Notice which agents somebody answers for, and who answers for one that is taken."""
         for agent in self._agents:
-            answering = self._node.count_authors(f'{agent}/report', REPORT) - self._own
+            # The planner itself reports robots that are given up.
+            answering = self._node.count_authors(f'{agent}/report', REPORT) - 1
+            answering = max(answering, 0)
             before = self._answering.get(agent, 0)
             self._answering[agent] = answering
             if answering > max(before, 1):

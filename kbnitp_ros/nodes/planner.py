@@ -16,13 +16,16 @@ from kbnitp_ros.core import (
     observation_of,
     ORDINARY,
 )
+from kbnitp_ros.log.decisions import read_decisions
 from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.decisions import Action, Decision
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
 from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.field import FieldNode
+from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.parameters import (
     agents_of,
     check_search,
@@ -32,6 +35,7 @@ from kbnitp_ros.nodes.parameters import (
     value_for,
 )
 from kbnitp_ros.nodes.peers import Peers
+from kbnitp_ros.nodes.proposals import Proposals
 from kbnitp_ros.nodes.reach import cut_off_note, reach_note
 from kbnitp_ros.nodes.robots_out import RobotsOut
 from kbnitp_ros.nodes.rounds import in_words, Plans, Rounds
@@ -70,12 +74,13 @@ class PlannerNode(FieldNode):
         self._losses = {
             agent: self.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in self._agents
-            if self.values['silent_loss']
         }
         self._succession = Succession()
         self._rounds = Rounds(self.grid, self.values, self.get_logger())
-        self._peers = Peers(self, self._agents, own_reports=self.values['silent_loss'])
+        self._peers = Peers(self, self._agents)
         self._out = RobotsOut(self.values)
+        self._proposals = Proposals(self, self.grid, self._agents)
+        self._operator = Operator(self, self.grid, self._out, self._proposals, self._act)
         # How many robots that have left only the belief knows of.
         self._left_unknown = 0
         # How many deployments the belief heard last holds, and whether it was told that an
@@ -113,6 +118,9 @@ class PlannerNode(FieldNode):
         deployments = read_deployments(
             log, self.grid, self.values['max_steps'], kinds_of(self.values)
         )
+        for decision, message in read_decisions(log, self.grid):
+            self._operator.restore(decision, message)
+        given_up = self._operator.decisions.given_up
         for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
@@ -125,20 +133,27 @@ class PlannerNode(FieldNode):
             self._out.record(key)
             if recorded.observation is not None:
                 self._out.end(key)
-                if key.agent in self._losses and not recorded.observation.survived:
+                is_own = self.values['silent_loss'] or key in given_up
+                if is_own and not recorded.observation.survived:
                     # Said by the planner before this one.
                     again = report_message(key, recorded.observation, recorded.reported)
                     self._losses[key.agent].publish(again)
             if key.stamp <= LAST_COUNTED_ON:
                 self._last_stamp = key.stamp
+        for key, steps_survived in given_up.items():
+            if key in self._out:
+                self._give_up(key, steps_survived)
         self._succession.mission = read_mission(log)
         # Of one robot, or where each leaves by itself, no part can be missing.
         if len(self._agents) == 1 or self.values['rolling']:
             return
+        if self._operator.decisions.is_paused or self._operator.decisions.is_ended:
+            return
         if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
             recorded_paths = {key: deployments[key].path for key in keys}
-            missing = self._rounds.missing(planned_on, self._agents, recorded_paths)
+            refused = self._operator.decisions.refused(planned_on.deployments)
+            missing = self._rounds.missing(planned_on, self._agents, recorded_paths, refused)
             self._send(missing, planned_on.mission)
 
     def _say_what_is_out_of_reach(self) -> None:
@@ -266,26 +281,64 @@ class PlannerNode(FieldNode):
         """Report robots lost that should have been back for long."""
         if not self.values['silent_loss']:
             return
-        now = self.now()
-        for key, path in self._out.take_overdue(now).items():
-            lost = Observation(path, False)
-            self._losses[key.agent].publish(report_message(key, lost, now))
+        for key in self._out.overdue(self.now()):
+            self._give_up(key)
+
+    def _give_up(self, key: DeploymentKey, steps_survived: int = 0) -> None:
+        """Report a robot lost that is out."""
+        lost = Observation(self._out[key].path, False, steps_survived=steps_survived)
+        self._losses[key.agent].publish(report_message(key, lost, self.now()))
+        self._out.end(key)
+
+    def _act(self, decision: Decision) -> None:
+        """Do what the operator has decided."""
+        if decision.action == Action.GIVE_UP:
+            for key in decision.paths:
+                if key in self._out:
+                    self._give_up(key, decision.steps_survived)
+        self._deploy()
 
     def _deploy(self) -> None:
         """Send the next robots, unless something must come first."""
         newest = self._succession.newest
-        if newest is None:
-            self.diagnostics.state = self._waiting_for_belief()
+        if decision := self._operator.awaited:
+            self.diagnostics.state = decision
             return
-        reason_to_wait = self._reason_to_wait(newest.deployments)
-        if reason_to_wait:
+        if reason_to_wait := self._reason_to_wait(newest.deployments if newest else None):
             self.diagnostics.state = reason_to_wait
+            self._proposals.withdraw()
             if reason_to_wait.startswith(DONE) and not self.values['keep_running']:
                 self.end()
             return
-        agents = self._free_agents()[: self.values['robots'] - self._left]
+        assert newest is not None
+        plans = self._next_plans(newest)
+        if self.values['approval'] and not self._are_approved(plans):
+            self.diagnostics.state = self._waiting_for_approval()
+            return
+        self._proposals.withdraw()
+        self._send(plans, newest.mission)
+
+    def _next_plans(self, newest: Snapshot) -> Plans:
+        """Return the plans of the robots to leave next; those that are proposed if they are it."""
+        agents = self._free_agents()[: self._robots - self._left]
+        refused = self._operator.decisions.refused(self._out.left)
+        situation = newest.stamp, newest.deployments, agents, len(refused)
+        if self._proposals.are_for(situation):
+            return self._proposals.plans
         stamp = self._next_stamp(newest)
-        self._send(self._rounds.plan(newest, agents, self._out.paths, stamp), newest.mission)
+        plans = self._rounds.plan(newest, agents, self._out.paths, stamp, refused)
+        if self.values['approval'] and not self._are_approved(plans):
+            self._proposals.show(plans, situation)
+        return plans
+
+    def _are_approved(self, plans: Plans) -> bool:
+        paths = {key: plan.path for key, plan in plans.items()}
+        return self._operator.decisions.is_approved(self._out.left, paths)
+
+    @property
+    def _robots(self) -> int:
+        """How many robots are to be deployed."""
+        return self._left if self._operator.decisions.is_ended else self.values['robots']
 
     def _send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
@@ -316,8 +369,19 @@ class PlannerNode(FieldNode):
         held = -1 if newest.newest is None else newest.newest.stamp
         return next_name(newest.stamp, newest.mission, held, self._last_stamp)
 
-    def _reason_to_wait(self, held: int) -> str:
-        """Return what must come before the next deployment; empty when nothing."""
+    def _reason_to_wait(self, held: int | None) -> str:
+        """
+        Return what must come before the next deployment; empty when nothing.
+
+        Parameters
+        ----------
+        held : int or None
+            How many deployments the newest belief holds; None if there is none.
+
+        """
+        if held is None and (self._left or not self._operator.decisions.is_ended):
+            return self._waiting_for_belief()
+        held = held or 0
         # An agent that has left the graph does not keep the others from their next round.
         awaited = [key for key in self._out if self._peers.is_present(key.agent)]
         if awaited and not self.values['rolling']:
@@ -328,15 +392,18 @@ class PlannerNode(FieldNode):
             if self._held < reported and self._out.forgotten:
                 return f'{wait}; the last one holds {self._held}{NOT_HEARD_AGAIN}'
             return f'{wait} on {self._of_whom("belief", self._peers.estimators)}'
-        robots = self.values['robots']
-        if held >= robots:
-            return f'{DONE}: {held} of {robots} robots deployed'
+        if held >= self._robots:
+            by_operator = ', ended by the operator' * self._operator.decisions.is_ended
+            return f'{DONE}: {held} of {self.values["robots"]} robots deployed{by_operator}'
         if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
             return waiting
         self._is_heard = True
-        if self._left >= robots:
+        if self._left >= self._robots:
             out = some(self._out)
             return f'waiting for robots that are out: {out}; no more leave (parameter robots)'
+        if self._operator.decisions.is_paused:
+            pause = self.resolve_service_name('pause')
+            return f'waiting for the operator to end the pause by the service {pause}'
         return '' if self._free_agents() else self._waiting_for_agent()
 
     def _of_whom(self, topic: str, publishers: int) -> str:
@@ -349,6 +416,15 @@ class PlannerNode(FieldNode):
         if not self._peers.estimators:
             return f'{wait}: start an estimator'
         return f'{wait}: its estimator waits for those that its parameter await_nodes names'
+
+    def _waiting_for_approval(self) -> str:
+        topics = [
+            self.resolve_topic_name(f'{key.agent}/proposal') for key in self._proposals.plans
+        ]
+        return (
+            f'waiting for the operator to approve of {some(topics)} by the service '
+            f'{self.resolve_service_name("approve")} (parameter approval)'
+        )
 
     def _waiting_for_report(self, key: DeploymentKey) -> str:
         """Return that a robot which is out is waited for, and what ends that."""

@@ -13,17 +13,20 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from kbnitp_ros.log.bag import check_texts, LogWriter, qos_profiles_yaml
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
+from kbnitp_ros.log.decisions import OPERATOR
 from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.log.naming import new_log
 from kbnitp_ros.log.replay import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.decisions import read_decision_name
 from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
 from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.sizes import (
     check_size,
     largest_belief,
+    largest_decision,
     largest_model,
     largest_path,
     largest_report,
@@ -31,7 +34,7 @@ from kbnitp_ros.messages.sizes import (
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
-from kbnitp_ros.nodes.parameters import MOST_CELLS, MOST_STEPS
+from kbnitp_ros.nodes.parameters import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.nodes.shell import run, Shell
 from kbnitp_ros.nodes.succession import Succession
 from kbnitp_ros.nodes.topic import message_class, time_received, Topic
@@ -47,7 +50,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-EVIDENCE = (PATH, REPORT)
+EVIDENCE = (PATH, REPORT, OPERATOR)
 
 # Without whom there is no mission.
 AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to publish belief'}
@@ -62,10 +65,16 @@ PROGRESS = 'kbnitp_msgs/msg/Progress'
 TYPES = {
     'belief': BELIEF,
     'model': MODEL,
+    'operator': OPERATOR,
     'progress': PROGRESS,
     **{f'belief/{name}': GRID for name in VIEWS},
 }
-AGENT_TYPES = {'path': PATH, 'report': REPORT, 'recorded': 'builtin_interfaces/msg/Time'}
+AGENT_TYPES = {
+    'path': PATH,
+    'proposal': PATH,
+    'report': REPORT,
+    'recorded': 'builtin_interfaces/msg/Time',
+}
 
 # The most bytes of a message of what a log is read for.
 LARGEST = {
@@ -74,6 +83,7 @@ LARGEST = {
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
     MODEL: largest_model(),
+    OPERATOR: largest_decision(MOST_AGENTS, MOST_STEPS),
 }
 
 # How often what is no evidence is put onto the disk, in seconds.
@@ -212,11 +222,17 @@ class RecorderNode(Shell):
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = Topic(name, type_name)
-        if type_name == PATH and name.endswith('/path'):
-            recorded = f'{name.removesuffix("path")}recorded'
+        if recorded := self._recorded_topic(name, type_name):
             topic.recorded = self.create_publisher(Time, recorded, qos.EVIDENCE)
         self.diagnostics.state = self._state()
         return topic
+
+    def _recorded_topic(self, name: str, type_name: str) -> str:
+        """Return where is told which messages of a topic are on the disk; empty if nowhere."""
+        if type_name == PATH and name.endswith('/path'):
+            return f'{name.removesuffix("path")}recorded'
+        is_operator = type_name == OPERATOR and name == self.resolve_topic_name('operator')
+        return f'{name}/recorded' if is_operator else ''
 
     def _state(self) -> str:
         """Return what is recorded, and whom it waits for."""
@@ -296,7 +312,11 @@ class RecorderNode(Shell):
         check_size(data, LARGEST[topic.type_name])
         message = deserialize_message(data, message_class(topic.type_name))
         check_texts(topic.type_name, data)
-        if topic.recorded:
+        if topic.type_name == OPERATOR:
+            stamp = read_decision_name(message)
+            if topic.recorded:
+                topic.untold.append(stamp)
+        elif topic.recorded:
             stamp = read_path_name(message)
             self._succession.hear(mission_of_path(message))
             topic.untold.append(stamp)

@@ -109,9 +109,9 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
         self._out.pop(key, None)
         self._recorded.discard(key)
 
-    def take_overdue(self, now: int) -> dict[DeploymentKey, NDArray[np.intp]]:
+    def overdue(self, now: int) -> list[DeploymentKey]:
         """
-        Return the paths of robots that should have been back for long: they are out no longer.
+        Return the robots that should have been back for long.
 
         Parameters
         ----------
@@ -121,8 +121,8 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
         """
         jump, self._time = min(0, now - self._time), now
         if now <= 0:
-            return {}
-        overdue = {}
+            return []
+        overdue = []
         for key, robot in list(self._out.items()):
             if self._values['recorded'] and not self.is_recorded(key):
                 continue
@@ -131,7 +131,7 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
             # What came while a plan was made is heard between two looks.
             if was_overdue and robot.is_overdue:
-                overdue[key] = self._out.pop(key).path
+                overdue.append(key)
         return overdue
 
     def _due(self, now: int, agent: str, robot: RobotOut) -> int:

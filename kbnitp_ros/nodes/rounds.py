@@ -8,7 +8,15 @@ from dataclasses import replace
 import time
 from typing import Any
 
-from kbnitp_ros.core import count_visits, DeploymentKey, Grid, Plan, plan_team, SensorModel
+from kbnitp_ros.core import (
+    count_visits,
+    DeploymentKey,
+    Grid,
+    kept_off,
+    Plan,
+    plan_team,
+    SensorModel,
+)
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.nodes.parameters import kind_of, sensor_model_of, value_for
@@ -49,7 +57,14 @@ class Rounds:
         """Take note of the path of a robot that leaves, shape (steps + 1,)."""
         self._visited += count_visits(self._grid, [path])
 
-    def plan(self, known: Snapshot, agents: Sequence[str], out: Paths, stamp: int) -> Plans:
+    def plan(
+        self,
+        known: Snapshot,
+        agents: Sequence[str],
+        out: Paths,
+        stamp: int,
+        refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+    ) -> Plans:
         """
         Return the plans of robots that leave together.
 
@@ -63,9 +78,12 @@ class Rounds:
             The paths of those that are out.
         stamp : int
             Names the first of these deployments, in nanoseconds.
+        refused : sequence of sequence of ndarray
+            The paths of each round that was refused in place of this one.
 
         """
         start = time.monotonic()
+        most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         team = plan_team(
             self._grid,
             known.belief,
@@ -81,6 +99,7 @@ class Rounds:
             out=list(out.values()),
             kinds_out=[kind_of(self._values, key.agent) for key in out],
             visited=self._visited,
+            keep_off=kept_off(self._grid, most_steps, len(agents), refused),
         )
         away = [
             value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
@@ -92,7 +111,13 @@ class Rounds:
             for number, (agent, planned) in enumerate(zip(agents, team.plans))
         }
 
-    def missing(self, planned_on: Snapshot, agents: Sequence[str], recorded: Paths) -> Plans:
+    def missing(
+        self,
+        planned_on: Snapshot,
+        agents: Sequence[str],
+        recorded: Paths,
+        refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+    ) -> Plans:
         """
         Return the plans of a round that died with the mission before their paths were on record.
 
@@ -106,6 +131,8 @@ class Rounds:
             Those of the team.
         recorded : dict
             The paths of the round that are on record.
+        refused : sequence of sequence of ndarray
+            As of `plan`.
 
         """
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
@@ -115,7 +142,7 @@ class Rounds:
         # The round was planned before its own paths were visited.
         of_round = count_visits(self._grid, list(recorded.values()))
         self._visited -= of_round
-        planned = self.plan(planned_on, agents, {}, first)
+        planned = self.plan(planned_on, agents, {}, first, refused)
         self._visited += of_round
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(

@@ -38,9 +38,9 @@ class Topic:
     recent : Recent
         Which messages came last: time sent and hash of the bytes.
     recorded : Publisher, optional
-        For the paths of an agent: tells which are on the disk.
+        For the paths of an agent and what the operator decides: tells which are on the disk.
     untold : list of int
-        Stamps of the paths that are written and not told to be on the disk yet, in nanoseconds.
+        Stamps of those that are written and not told to be on the disk yet, in nanoseconds.
 
     """
 

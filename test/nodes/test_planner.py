@@ -132,14 +132,14 @@ def test_an_estimator_that_starts_over_is_waited_for(field):
 
 
 def test_the_first_path_waits_for_its_readers(field):
-    mission = Mission(field, {'await_nodes': ['test', 'estimator']})
+    mission = Mission(field, {'await_nodes': ['test', 'onlooker']})
     mission.show_belief()
-    mission.until_state('waiting for estimator to listen to /scout_1/path')
+    mission.until_state('waiting for onlooker to listen to /scout_1/path')
     assert not mission.paths
-    estimator = rclpy.create_node('estimator', context=field.node.context)
-    estimator.create_subscription(Path, '/scout_1/path', lambda _: None, qos.EVIDENCE)
+    onlooker = rclpy.create_node('onlooker', context=field.node.context)
+    onlooker.create_subscription(Path, '/scout_1/path', lambda _: None, qos.EVIDENCE)
     mission.until_sent(0)
-    estimator.destroy_node()
+    onlooker.destroy_node()
 
 
 def test_bad_beliefs_are_refused_and_counted(field):

@@ -116,8 +116,8 @@ def complaints(said):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 def test_a_signal_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
-    # A team would answer for the agent as well.
-    names = [name for name in NODES if name != 'team']
+    # A team and a robot would answer for the agent as well.
+    names = [name for name in NODES if name not in ('team', 'robot')]
     nodes = {name: field.start(name, {'file': str(log)}) for name in names}
     for name in names:
         field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')

@@ -5,6 +5,7 @@ from kbnitp_ros.core.planning.allocations import ALLOCATIONS
 from kbnitp_ros.core.planning.information import path_information, team_information
 from kbnitp_ros.core.planning.plan import Plan, plan
 from kbnitp_ros.core.planning.planners import count_visits, PathFinder, PLANNERS
+from kbnitp_ros.core.planning.refused import kept_off
 from kbnitp_ros.core.planning.regions import Regions
 from kbnitp_ros.core.planning.team import check_team, plan_team, team_size, TeamPlan
 
@@ -17,6 +18,7 @@ __all__ = [
     'TeamPlan',
     'check_team',
     'count_visits',
+    'kept_off',
     'path_information',
     'plan',
     'plan_team',

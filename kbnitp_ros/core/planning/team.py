@@ -13,10 +13,11 @@ from kbnitp_ros.core.planning.information import team_information
 from kbnitp_ros.core.planning.plan import Plan
 from kbnitp_ros.core.planning.planners import PathFinder
 from kbnitp_ros.core.planning.readings import Camera, check_cameras
+from kbnitp_ros.core.planning.refused import without
 from kbnitp_ros.core.planning.regions import Regions
 from kbnitp_ros.core.planning.robot import Robot
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,7 @@ def plan_team(
     out: Sequence[ArrayLike] = (),
     kinds_out: Sequence[Kind] = (),
     visited: ArrayLike = (),
+    keep_off: Sequence[int] | NDArray[np.intp] = (),
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -78,6 +80,8 @@ def plan_team(
         what is added to them.
     kinds_out : sequence of Kind
         Of each of those; empty if all are alike.
+    keep_off : sequence of int
+        Cells that none of the robots enters, besides those that are blocked.
 
     Returns
     -------
@@ -94,10 +98,11 @@ def plan_team(
     """
     if allocation not in ALLOCATIONS:
         raise ValueError(f'allocation is {allocation!r}: known are {", ".join(ALLOCATIONS)}')
-    agents = team_size(grid, agents)
+    in_use = without(grid, keep_off) if len(keep_off) else grid
+    agents = team_size(in_use, agents)
     kinds, kinds_out = of_each(agents, kinds), of_each(len(out), kinds_out)
     check_cameras(len({Camera.of(kind.model(model)) for kind in (*kinds, *kinds_out)}))
-    finder = PathFinder(grid, planner, max_steps, width, max_visits, np.asarray(visited))
+    finder = PathFinder(in_use, planner, max_steps, width, max_visits, np.asarray(visited))
     alone = {kind: Robot.of(kind, finder, belief, model, loss_cost) for kind in kinds}
     fates = nobody_sent(belief)
     for path, kind in zip(out, kinds_out):

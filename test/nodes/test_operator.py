@@ -1,0 +1,395 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an operator decides, by real services, and what becomes of it in any crash."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from shutil import which
+import subprocess
+
+from documented import ROOT
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction
+from kbnitp_msgs.srv import GiveUp
+from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.log.bag.reader import read_log
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.decisions import Action, read_decision
+from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path
+import pytest
+from samples import changed
+from std_srvs.srv import SetBool, Trigger
+import yaml
+
+GRID = Grid(5, 5)
+PARAMETERS = {
+    'grid.width': 5,
+    'grid.height': 5,
+    'max_steps': 8,
+    'prior.hazard': 0.1,
+    'robots': 4,
+    'recorded': True,
+}
+NODES = ('recorder', 'estimator', 'planner')
+AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
+
+SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
+
+
+class Base:
+    """Planner, estimator and recorder, and the test in place of agents and operator."""
+
+    def __init__(self, field, agents=('scout_1',), **parameters):
+        self.field = field
+        self.log = field.folder / 'mission.mcap'
+        self.parameters = {**PARAMETERS, 'agents': list(agents), **parameters}
+        self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
+        self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}
+        self.heard = {each: field.listen(DeploymentReport, f'/{each}/report') for each in agents}
+        self.actions = field.listen(OperatorAction, '/operator')
+        self.beliefs = field.listen(BeliefMaps, '/belief')
+        self.reports = {
+            each: field.node.create_publisher(DeploymentReport, f'/{each}/report', qos.EVIDENCE)
+            for each in agents
+        }
+        # Such as are known to a planner that starts: a new one would find that which was killed.
+        self.clients = {
+            name: field.node.create_client(kind, f'/{name}') for name, kind in SERVICES.items()
+        }
+        self.start(file=str(self.log))
+
+    def start(self, **own):
+        for node in NODES:
+            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            self.field.start(node, {**self.parameters, **awaited, **own})
+
+    def crash(self):
+        """Kill all nodes at once, and go on with what is on disk."""
+        for node in NODES:
+            self.field.processes.started[f'/{node}'].kill()
+        for node in NODES:
+            self.field.kill(f'/{node}')
+        for messages in self.proposals.values():
+            messages.clear()
+        self.start(resume=str(self.log))
+
+    def call(self, service, **request):
+        """Return the answer of a service."""
+        client = self.clients[service]
+        self.field.until(client.service_is_ready, f'service {service}')
+        future = client.call_async(SERVICES[service].Request(**request))
+        self.field.until(future.done, f'answer of {service}')
+        return future.result()
+
+    def do(self, service, **request):
+        """Have something done, and return what the planner says to it."""
+        answer = self.call(service, **request)
+        assert answer.success, answer.message
+        return answer.message
+
+    def refused(self, service, **request):
+        """Return why something is not done."""
+        answer = self.call(service, **request)
+        assert not answer.success
+        return answer.message
+
+    def proposed(self, agent='scout_1'):
+        """Wait until a path is proposed, and return its cells."""
+        shown = self.proposals[agent]
+        self.field.until(lambda: shown and shown[-1].poses, f'proposal for {agent}')
+        return read_path(GRID, agent, shown[-1])[1].tolist()
+
+    def sent(self, agent='scout_1'):
+        """Return the ways of the robots of an agent that have left."""
+        ways = dict(read_path(GRID, agent, path) for path in self.paths[agent])
+        return [ways[key].tolist() for key in sorted(ways)]
+
+    def until_sent(self, number, agent='scout_1'):
+        self.field.until(lambda: len(self.sent(agent)) == number, f'path {number}')
+
+    def until_state(self, words):
+        self.field.until(lambda: words in self.field.state('/planner'), words)
+
+    def until_held(self, number):
+        self.field.until(
+            lambda: self.beliefs and self.beliefs[-1].deployments == number, f'belief in {number}'
+        )
+
+    def come_back(self, agent='scout_1'):
+        """Report that the newest robot of an agent is back."""
+        key, cells = read_path(GRID, agent, self.paths[agent][-1])
+        home = Observation(cells, True, [False] * (len(cells) - 1))
+        self.reports[agent].publish(report_message(key, home, key.stamp + 1))
+
+    def replayed(self):
+        """End all nodes and return what a replay of the log says, which must be bit-exact."""
+        for name, code in self.field.processes.stop(60).items():
+            assert code == 0, self.field.said(name)
+        report = replay(self.log)
+        assert report.reproduced
+        assert not report.evidence.refused
+        return report
+
+
+def test_a_paused_mission_sends_nobody(field):
+    base = Base(field)
+    base.until_sent(1)
+    assert base.do('pause', data=True) == 'the operator paused the mission'
+    assert base.do('pause', data=True) == 'the mission is paused already'
+    base.come_back()
+    base.until_held(1)
+    base.until_state('waiting for the operator to end the pause by the service /pause')
+    assert len(base.sent()) == 1
+    base.do('pause', data=False)
+    assert base.do('pause', data=False) == 'the mission is not paused already'
+    base.until_sent(2)
+    report = base.replayed()
+    assert [each.action for each in report.decisions] == [Action.PAUSE, Action.RESUME]
+    assert [each.robots_left for each in report.decisions] == [1, 1]
+    told = [line for line in lines(report) if line.startswith('the operator')]
+    assert told == [
+        f'the operator {what}, at {each.when}'
+        for what, each in zip(('paused the mission', 'ended the pause'), report.decisions)
+    ]
+
+
+def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field):
+    base = Base(field, ['scout_1', 'scout_2'], approval=True)
+    ways = [[base.proposed(agent) for agent in base.paths]]
+    base.until_state(
+        'waiting for the operator to approve of /scout_1/proposal, /scout_2/proposal by the '
+        'service /approve (parameter approval)'
+    )
+    for _ in range(2):
+        told = base.do('approve', data=False)
+        assert told.startswith('the operator refused the paths of scout_1 at')
+        field.until(
+            lambda: [base.proposed(agent) for agent in base.paths] not in ways, 'another plan'
+        )
+        ways.append([base.proposed(agent) for agent in base.paths])
+    assert not any(base.sent(agent) for agent in base.paths)
+    base.do('approve', data=True)
+    for agent in base.paths:
+        base.until_sent(1, agent)
+    assert [base.sent(agent)[0] for agent in base.paths] == ways[-1]
+    field.until(lambda: not base.proposals['scout_1'][-1].poses, 'proposal withdrawn')
+    assert base.refused('approve', data=True) == 'nothing is proposed'
+    for agent in base.paths:
+        base.come_back(agent)
+    # Refusals are of one round.
+    base.until_held(2)
+    base.proposed()
+    report = base.replayed()
+    assert [each.action.name for each in report.decisions] == ['REFUSE', 'REFUSE', 'APPROVE']
+    for decision, way in zip(report.decisions, ways):
+        assert [path.tolist() for path in decision.paths.values()] == way
+        assert [key.agent for key in decision.paths] == ['scout_1', 'scout_2']
+
+
+def test_a_robot_that_is_known_lost_is_given_up(field):
+    base = Base(field)
+    assert base.refused('give_up', agent='scout_9') in (
+        "no robot of 'scout_9' is out: none is",
+        "no robot of 'scout_9' is out: scout_1 is",
+    )
+    base.until_sent(1)
+    base.until_state('however long that takes')
+    many = base.refused('give_up', agent='scout_1', steps_survived=100)
+    assert 'steps_survived is 100' in many
+    told = base.do('give_up', agent='scout_1', steps_survived=1)
+    assert 'gave up scout_1 at' in told
+    assert told.endswith(', heard of last after step 1')
+    base.until_held(1)
+    base.until_sent(2)
+    (loss,) = base.heard['scout_1']
+    assert (loss.survived, loss.steps_survived) == (False, 1)
+    report = base.replayed()
+    assert [each.action for each in report.decisions] == [Action.GIVE_UP]
+    assert report.evidence.survived == 0
+
+
+def test_an_ended_mission_is_over_when_its_robots_are_home(field):
+    base = Base(field)
+    base.until_sent(1)
+    assert base.do('end_mission') == 'the operator ended the mission'
+    for service, request in (('end_mission', {}), ('pause', {'data': True})):
+        assert base.refused(service, **request) == 'the mission has been ended already'
+    assert 'waiting for' in field.state('/planner')
+    base.come_back()
+    base.until_state('done: 1 of 4 robots deployed, ended by the operator')
+    assert len(base.sent()) == 1
+    assert [each.action for each in base.replayed().decisions] == [Action.END]
+
+
+def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
+    parameters = {**PARAMETERS, 'recorded': False, 'keep_running': False}
+    planner = field.start('planner', parameters)
+    client = field.node.create_client(Trigger, '/end_mission')
+    field.until(client.service_is_ready, 'service')
+    client.call_async(Trigger.Request())
+    assert planner.wait(60) == 0
+
+
+def test_nothing_is_decided_before_it_is_on_disk(field):
+    base = Base(field)
+    base.until_sent(1)
+    field.kill('/recorder')
+    client = field.node.create_client(SetBool, '/pause')
+    field.until(client.service_is_ready, 'service')
+    answer = client.call_async(SetBool.Request(data=True))
+    base.until_state(
+        'waiting for the recorder to tell on /operator/recorded that it is on disk that the '
+        'operator paused the mission (parameter recorded)'
+    )
+    assert base.refused('end_mission').endswith('ask again when it is')
+    assert not answer.done()
+    field.start('recorder', {**base.parameters, 'resume': str(base.log)})
+    field.until(answer.done, 'answer')
+    assert answer.result().success
+    assert [each.action for each in base.replayed().decisions] == [Action.PAUSE]
+
+
+def typed(page):
+    """Return the calls of services on a page: name, type and request."""
+    text = ROOT.joinpath(page).read_text()
+    return [shlex.split(line) for line in re.findall(r'(?m)^ros2 service call (.*)$', text)]
+
+
+def test_the_services_are_called_as_the_page_says(field):
+    base = Base(field, approval=True)
+    commands = typed('docs/operator.md')
+    assert len(commands) == 6
+    for name, kind, request in commands:
+        # Each of them needs what the one before has brought about.
+        if name == '/give_up':
+            base.until_state('however long that takes')
+        elif name == '/approve':
+            base.proposed()
+        if which('ros2'):
+            call = ['ros2', 'service', 'call', name, kind, request]
+            ended = subprocess.run(call, capture_output=True, text=True, timeout=60)
+            assert 'success=True' in ended.stdout, ended.stdout + ended.stderr
+            continue
+        assert (
+            kind
+            == f'{SERVICES[name[1:]].__module__.split(".")[0]}/srv/{SERVICES[name[1:]].__name__}'
+        )
+        told = base.do(name[1:], **yaml.safe_load(request))
+        assert told.startswith('the operator')
+    base.until_state('ended by the operator')
+    assert len(base.replayed().decisions) == 6
+
+
+def pause(base):
+    base.proposed()
+    base.do('pause', data=True)
+
+
+def is_paused(base):
+    base.until_state('waiting for the operator to end the pause')
+
+
+def go_on(base):
+    base.do('pause', data=False)
+
+
+def is_proposed_first(base):
+    base.first = base.proposed()
+
+
+def refuse(base):
+    base.do('approve', data=False)
+
+
+def is_proposed_elsewhere(base):
+    base.field.until(lambda: base.proposed() != base.first, 'another plan')
+    base.second = base.proposed()
+
+
+def approve(base):
+    base.do('approve', data=True)
+
+
+def has_left(base):
+    base.until_sent(1)
+    assert base.sent() == [base.second]
+    base.until_state('to be reported on /scout_1/report')
+
+
+def give_up(base):
+    # The robot leaves when its path is on disk.
+    base.until_state('however long that takes')
+    base.do('give_up', agent='scout_1', steps_survived=2)
+
+
+def is_given_up(base):
+    base.until_held(1)
+    assert base.heard['scout_1'][-1].steps_survived == 2
+    base.proposed()
+
+
+def end(base):
+    base.do('end_mission')
+
+
+def is_ended(base):
+    base.until_state('done: 1 of 4 robots deployed, ended by the operator')
+
+
+STEPS = {
+    pause: is_paused,
+    go_on: is_proposed_first,
+    refuse: is_proposed_elsewhere,
+    approve: has_left,
+    give_up: is_given_up,
+    end: is_ended,
+}
+
+# After which steps all nodes are killed, and whether before these have had any effect.
+CASES = [
+    ((refuse, give_up), True),
+    *(
+        pytest.param(steps, at_once, marks=pytest.mark.full)
+        for at_once in (True, False)
+        for steps in [*((step,) for step in STEPS), tuple(STEPS)]
+    ),
+]
+
+
+@pytest.mark.parametrize('crashes, at_once', CASES)
+def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
+    base = Base(field, approval=True)
+    for step, holds in STEPS.items():
+        step(base)
+        if step in crashes and at_once:
+            base.crash()
+        holds(base)
+        if step in crashes and not at_once:
+            base.crash()
+            holds(base)
+    report = base.replayed()
+    assert [each.action.name for each in report.decisions] == (
+        ['PAUSE', 'RESUME', 'REFUSE', 'APPROVE', 'GIVE_UP', 'END']
+    )
+    assert len(report.evidence.reports) == 1
+    assert base.sent() == [base.second]
+
+
+def test_decisions_that_are_none_are_not_read(field):
+    base = Base(field)
+    base.until_sent(1)
+    base.do('pause', data=True)
+    base.replayed()
+    (logged,) = read_log(base.log, ['kbnitp_msgs/msg/OperatorAction'])
+    message = base.actions[0]
+    assert read_decision(GRID, logged.message).stamp == read_decision(GRID, message).stamp
+    for fields, told in (
+        ({'action': 0}, 'action is 0: it must be from 1 to 6'),
+        ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
+        ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
+    ):
+        with pytest.raises(ValueError, match=told):
+            read_decision(GRID, changed(message, **fields))
