@@ -8,6 +8,7 @@ from uuid import uuid4
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.diagnostics import TOPIC
 from kbnitp_ros.nodes.shell import Shell
 
 INSTANCE = 'instance'
@@ -40,9 +41,7 @@ class Namesakes:
         node.diagnostics.values[INSTANCE] = self._instance
         self._heard_at = 0.0
         self._seen_since: float | None = None
-        node.hear_newest(
-            DiagnosticArray, 'diagnostics', self._on_diagnostics, qos.DIAGNOSTICS, LARGEST
-        )
+        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -93,7 +93,7 @@ class Fleet:
             self.field.folder / 'simulator.txt'
         )
 
-    def start(self, name='scout_1', **parameters):
+    def start(self, name='scout_1', remapped=None, **parameters):
         """Start a robot node."""
         given = {
             **FIELD,
@@ -109,6 +109,7 @@ class Fleet:
             '/tf': f'/{name}/tf',
             '/tf_static': f'/{name}/tf_static',
             'detections': f'/{name}/detections',
+            **(remapped or {}),
         }
         return self.field.start('robot', given, f'{self._mission}/{name}', remaps)
 
@@ -174,9 +175,12 @@ class Fleet:
         self.field.node.destroy_client(client)
         return len(answer.result().goals_canceling)
 
+    def key(self, number, name='scout_1'):
+        return DeploymentKey(name, number * 10**9)
+
     def send(self, number, cells, name='scout_1'):
         """Send a robot along a path that is on disk."""
-        key = DeploymentKey(name, number * 10**9)
+        key = self.key(number, name)
         self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(
             path_message(GRID, cells, key.stamp, 5)
         )

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot does with bad input: TF, detections, paths, names, journals and disks."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import time
+
+from fleet import FIELD, Fleet, GRID
+from geometry_msgs.msg import TransformStamped
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.nodes import qos
+from kbnitp_ros.robot import Journal, Step, Trip
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import Bool
+from tf2_msgs.msg import TFMessage
+
+
+def transform(field, x, y, parent='map', child='base_link', turned=1.0):
+    told = TransformStamped(child_frame_id=child)
+    told.header.frame_id = parent
+    told.header.stamp = field.node.get_clock().now().to_msg()
+    told.transform.translation.x, told.transform.translation.y = x, y
+    told.transform.rotation.w = turned
+    return TFMessage(transforms=[told])
+
+
+def test_positions_that_none_can_be_make_no_step(field):
+    """The robot goes where the test says; nothing drives it, so it waits for its action server."""
+    fleet = Fleet(field)
+    trip = Trip(10**9, 5, (0, 1, 2, 1, 0), [Step(1, 1), Step(2, 2)])
+    journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
+    journal.depart(trip)
+    for number in (1, 2):
+        journal.step(trip, number)
+    journal.close()
+    reports = fleet.reports()
+    poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 10)
+    fleet.start(tf_timeout=0.5)
+    field.until(lambda: 'it goes home' in field.said('/scout_1/robot'), 'robot in the field')
+
+    def warned(words):
+        return lambda: words in field.diagnosed('/scout_1/robot').message
+
+    field.until(warned("no transform leads from 'map' to 'base_link'"), 'word of TF')
+    poses.publish(transform(field, 2.5, 0.5))
+    field.until(warned('of more than 0.5 s ago (parameter tf_timeout)'), 'word of its age')
+    assert "/tf: the last transform from 'map' to 'base_link'" in field.said('/scout_1/robot')
+
+    def stand(x, y, condition, what):
+        def stands():
+            poses.publish(transform(field, x, y))
+            return condition()
+
+        field.until(stands, what)
+
+    stand(-40.0, 0.5, warned('outside the grid'), 'word of a place off the map')
+    stand(2.5, 2.5, warned('in cell 26, which is blocked'), 'word of a blocked cell')
+    poses.publish(transform(field, float('nan'), 0.5))
+    poses.publish(transform(field, 2.5, 0.5, turned=7.0))
+    field.until(lambda: field.count('/scout_1/robot', 'refused') == 2, 'two refusals')
+    assert not reports
+    # Far away for as long as tf_timeout it has been there, by some way.
+    stand(0.5, 0.5, lambda: reports, 'report')
+    report = fleet.report_of(reports, fleet.key(1))
+    assert report.readings == ((1, -1), (2, -1), (1, -1), (0, -1))
+
+
+def test_detections_at_1_khz_and_none_at_all(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    detections = field.node.create_publisher(Bool, '/detections', 10)
+    fleet.simulate()
+    fleet.start(remapped={'detections': '/detections'})
+    report = fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
+    assert report.readings == ((1, -1), (0, -1))
+    key = fleet.send(2, [0, 1, 2, 1, 0])
+    sent = 0
+    begun = time.monotonic()
+    while len(reports) < 2 and time.monotonic() < begun + 60:
+        # As many as are due, in between what else there is to do.
+        while sent < 1000 * (time.monotonic() - begun):
+            detections.publish(Bool(data=True))
+            sent += 1
+        field.executor.spin_once(timeout_sec=0.001)
+    report = fleet.report_of(reports, key)
+    fleet_walk = [cell for cell, _ in report.readings]
+    assert fleet_walk == [1, 2, 1, 0]
+    assert {reading for _, reading in report.readings[:-1]} == {1}
+    assert sent > 500
+
+
+def test_a_path_for_another_field_or_mission_is_refused(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start()
+    field.until(lambda: '/tf: all is well' in field.said('/scout_1/robot'), 'TF')
+    paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
+    other = Grid(30, 30, base=899)
+    paths.publish(path_message(other, [899, 898, 899], 10**9, 5))
+    assert 'is outside the grid of 12 x 12' in field.until_refused('/scout_1/robot', 1)
+    paths.publish(path_message(GRID, [0, 13, 26, 13, 0], 10**9, 5))
+    assert 'enters a blocked cell' in field.until_refused('/scout_1/robot', 2)
+    fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
+    paths.publish(path_message(GRID, [0, 1, 0], 2 * 10**9, 7))
+    told = field.until_refused('/scout_1/robot', 3)
+    assert 'it belongs to the mission begun at 0.000000007' in told
+    assert f'journal {fleet.journal("scout_1")} is of that one: for a new mission move' in told
+
+
+def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    first = fleet.start()
+    del field.processes.started['/scout_1/robot']
+    fleet.start(journal=str(field.folder / 'other.journal'))
+    field.until(lambda: field.node.count_publishers('/scout_1/report') == 2, 'two robots')
+    # Each has to find the other.
+    fleet.wait(1.0)
+    key = fleet.send(1, [0, 1, 0])
+    wait = 'waiting for the other /scout_1/robot to end: 2 nodes have this name'
+    field.until(lambda: fleet.state().startswith(wait), 'word of it')
+    fleet.wait(4.0)
+    assert not reports
+    assert fleet.state().startswith(wait)
+    first.kill()
+    first.wait()
+    assert fleet.report_of(reports, key).readings
+
+
+def start_alone(fleet, **parameters):
+    """Run a robot that cannot start, and return what it said and its exit code."""
+    given = {**FIELD, 'agent': 'scout_1', 'journal': str(fleet.journal('scout_1')), **parameters}
+    command = [sys.executable, '-m', 'kbnitp_ros', 'robot', '--ros-args']
+    for name, value in given.items():
+        command += ['-p', f'{name}:={value}']
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return ended.stderr, ended.returncode
+
+
+def test_a_journal_that_is_not_its_own_keeps_a_robot_from_starting(field):
+    fleet = Fleet(field)
+    path = fleet.journal('scout_1')
+    Journal(path, 'scout_2', GRID).close()
+    content = path.read_bytes()
+    said, code = start_alone(fleet)
+    assert (code, path.read_bytes()) == (2, content)
+    assert f'robot: journal {path} has agent "scout_2": here it is "scout_1"' in said
+    path.write_text('dear diary\n')
+    said, code = start_alone(fleet)
+    assert (code, path.read_text()) == (2, 'dear diary\n')
+    assert f'robot: {path} is no journal of a robot' in said
+
+
+def test_a_disk_that_is_full_costs_no_step(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    robot = fleet.start()
+    field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
+    journal = fleet.journal('scout_1')
+    # The orders have room and two or three steps; then there is no more.
+    size = journal.stat().st_size + 250
+    resource.prlimit(robot.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    report = fleet.report_of(reports, fleet.send(1, [0, 1, 2, 14, 13, 0]))
+    fleet.see_that_it_is_true(report)
+    assert [cell for cell, _ in report.readings] == [1, 2, 14, 13, 0]
+    field.until(lambda: 'journal' in field.diagnosed('/scout_1/robot').message, 'word of the disk')
+    assert f'{journal}: File too large: what it lacks is kept in memory' in field.said(
+        '/scout_1/robot'
+    )
+    # Without room it does not leave.
+    key = fleet.send(2, [0, 1, 0])
+    field.until(lambda: 'waiting for room on the disk' in fleet.state(), 'word of it')
+    resource.prlimit(
+        robot.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    )
+    fleet.report_of(reports, key)
+    field.kill('/scout_1/robot')
+    kept = Journal(journal, 'scout_1', GRID)
+    kept.close()
+    assert [trip.is_home for trip in kept.trips] == [True, True]
+    assert kept.trips[0].cells == [0, 1, 2, 14, 13, 0]
