@@ -12,9 +12,10 @@ ROOT = Path(__file__).parents[1]
 # What each layer, a folder, may stand on.
 BELOW = {
     'files': set(),
+    'plugins': set(),
     'core.field': set(),
-    'core.inference': {'core.field'},
-    'core.planning': {'core.field', 'core.inference'},
+    'core.inference': {'core.field', 'plugins'},
+    'core.planning': {'core.field', 'core.inference', 'plugins'},
     'core': {'core.field', 'core.inference', 'core.planning'},
     'messages': {'core'},
     'maps': {'files', 'core'},
@@ -24,7 +25,7 @@ BELOW = {
     'figures': set(),
     'study': {'files', 'core', 'maps', 'messages', 'figures'},
     'report': {'core', 'maps', 'messages', 'log', 'log.bag', 'figures'},
-    'nodes': {'files', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'robot'},
+    'nodes': {'files', 'plugins', 'core', 'maps', 'messages', 'log', 'log.bag', 'study', 'robot'},
     'cli': {
         'files',
         'core',

@@ -8,7 +8,7 @@ printed by ``python3 -m kbnitp_ros.nodes.parameters``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 import json
@@ -33,6 +33,7 @@ from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.maps import Map, read_map
 from kbnitp_ros.messages.grids import told_resolution
 from kbnitp_ros.nodes.prior import prior_of
+from kbnitp_ros.plugins import Registry
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -69,8 +70,8 @@ class Parameter:
         The type of a list's elements.
     limits : tuple of two numbers, optional
         Lowest and highest value allowed.
-    choices : tuple of str
-        The values allowed; empty when any is.
+    choices : collection of str
+        The values allowed; empty when any is. Those of a registry grow by what other packages add.
     pattern : str
         What a text must match, as a regular expression; empty when it need not.
     read_only : bool
@@ -86,7 +87,7 @@ class Parameter:
     nodes: tuple[str, ...]
     element: type | None = None
     limits: tuple[float, float] | None = None
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
     pattern: str = ''
     read_only: bool = True
     per_agent: bool = False
@@ -103,7 +104,7 @@ class Parameter:
         """Return what a value of the right type must also be, in words; empty when nothing."""
         if self.limits is not None:
             return f'from {self.limits[0]} to {self.limits[1]}'
-        if self.choices:
+        if self.choices != ():
             return f'one of {", ".join(self.choices)}'
         return f'of the form {self.pattern}' if self.pattern else ''
 
@@ -166,10 +167,12 @@ class Parameter:
             raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
         if (
             (self.limits and not self.limits[0] <= value <= self.limits[1])
-            or (self.choices and value not in self.choices)
+            or (self.choices != () and value not in self.choices)
             or (self.pattern and not re.fullmatch(self.pattern, value))
         ):
             meant = nearest(value, self.choices) if self.choices else ''
+            if isinstance(self.choices, Registry) and value in self.choices.refused:
+                meant = f'{self.choices.refused[value]}; '
             raise ValueError(
                 f'parameter {self.name} is {value!r}: {meant}it must be {self.allowed}'
             )
@@ -377,7 +380,7 @@ TABLE = (
         'kappa_bnitp',
         'How a deployment is turned into belief.',
         ('estimator',),
-        choices=tuple(METHODS),
+        choices=METHODS,
     ),
     Parameter(
         'learn',
@@ -426,7 +429,7 @@ TABLE = (
         'How a path is searched for; random, coverage and shortest_unvisited seek no '
         'information, and are there to be compared with.',
         ('planner',),
-        choices=tuple(PLANNERS),
+        choices=PLANNERS,
         read_only=False,
     ),
     Parameter(
@@ -450,7 +453,7 @@ TABLE = (
         'greedy',
         'How the robots of a round share the field.',
         ('planner',),
-        choices=tuple(ALLOCATIONS),
+        choices=ALLOCATIONS,
         read_only=False,
     ),
     Parameter(
@@ -1104,7 +1107,7 @@ def reference_page() -> str:
         '',
         'Printed by `python3 -m kbnitp_ros.nodes.parameters` from the table that the nodes use.',
         'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
-        'says that it can be changed.',
+        'says that it can be changed. Other packages may add methods, planners and allocations.',
         '',
         'Of these an agent may have others than the rest, as `robots.AGENT.NAME`; see',
         '[maps.md](maps.md#robots-that-differ): '
@@ -1119,6 +1122,8 @@ def reference_page() -> str:
             '|---|---|---|---|',
         ]
         for parameter in parameters_of(name).values():
+            if isinstance(parameter.choices, Registry):
+                parameter = replace(parameter, choices=parameter.choices.own)
             lines.append(
                 f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
                 f'| {parameter.description}{parameter.changeable} |'

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kbnitp_ros.core import METHODS
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import COMPARED, in_percent
+from kbnitp_ros.study.scenario import in_percent, LEARNING
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of
 from matplotlib import colormaps
 from matplotlib.figure import Figure
@@ -14,10 +15,13 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
 from numpy.typing import NDArray
 
-COLOURS = {method: f'C{place}' for place, method in enumerate(COMPARED)}
-
 # Predictions are compared with what is there in this many classes of equally many cells.
 CLASSES = 10
+
+
+def colour_of(method: str) -> str:
+    """Return a method's colour, which is the same whatever other packages add."""
+    return f'C{(*METHODS.own, LEARNING, *METHODS.added).index(method)}'
 
 
 def entropy_chart(path: Path, results: Results) -> None:
@@ -36,7 +40,7 @@ def _chart(
     scenario = results.scenario
     # Methods look the same in every study; where teams differ they need colours of their own.
     colours = {
-        contender: f'C{place}' if len(scenario.teams) > 1 else COLOURS[contender.method]
+        contender: f'C{place}' if len(scenario.teams) > 1 else colour_of(contender.method)
         for place, contender in enumerate(scenario.contenders)
     }
     columns = min(3, len(scenario.lethalities))

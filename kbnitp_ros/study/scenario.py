@@ -29,7 +29,6 @@ import numpy as np
 # those of the section learn instead.
 SAMPLED = 'kappa_bnitp_sampled'
 LEARNING = f'{SAMPLED}_learning'
-COMPARED = (*METHODS, LEARNING)
 
 # The numbers that can be learnt.
 NUMBERS = tuple(field.name for field in fields(Unknowns))
@@ -37,7 +36,8 @@ NUMBERS = tuple(field.name for field in fields(Unknowns))
 # Keys of the generators of numbers that are drawn, which no world has.
 DRAWN = 0x4452574E
 
-# A value's type, and what is allowed: the lowest and the highest number, or the names known.
+# A value's type, and what is allowed: the lowest and the highest number, or a registry and names
+# besides.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
@@ -70,7 +70,7 @@ class Extent:
 class Planning:
     """How paths are searched for, as for `kbnitp_ros.core.plan`."""
 
-    planner: Annotated[str, tuple(PLANNERS)]
+    planner: Annotated[str, PLANNERS]
     max_steps: Count
     width: Count
     max_visits: Count
@@ -102,7 +102,7 @@ class Team:
     """
 
     agents: Count = 1
-    allocation: Annotated[str, tuple(ALLOCATIONS)] = 'greedy'
+    allocation: Annotated[str, ALLOCATIONS] = 'greedy'
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
     last_contact: Probability = 0.0
     planner: Annotated[str, ANY_PLANNER] = ''
@@ -236,7 +236,7 @@ class Scenario:
     robots : int
         Deployments of a mission, at least 1.
     methods : tuple of str
-        Of `COMPARED`.
+        Of `METHODS`, or `LEARNING`.
     lethalities : tuple of float or None
         Of the worlds, in [0, 1]; None is drawn anew for each world.
     grid, planning, world, sensor, prior
@@ -253,7 +253,7 @@ class Scenario:
     seed: Annotated[int, (0, 2**63 - 1)]
     trials: Count
     robots: Count
-    methods: tuple[Annotated[str, COMPARED], ...]
+    methods: tuple[Annotated[str, METHODS, LEARNING], ...]
     lethalities: tuple[Probability | None, ...]
     grid: Extent
     planning: Planning
@@ -393,10 +393,10 @@ def _read(kind: Any, value: Any, key: str) -> Any:
         if len(set(values)) < len(values):
             raise ValueError(f'{key} is {value}: nothing may be in it twice')
         return values
-    wanted, allowed = get_args(kind)
+    wanted, allowed, *besides = get_args(kind)
     if wanted is str:
-        if value not in allowed:
-            raise ValueError(f'{key} is {value!r}: known are {", ".join(allowed)}')
+        if value not in allowed and value not in besides:
+            raise ValueError(f'{key} is {value!r}: {allowed.why_not(value, *besides)}')
         return value
     lowest, highest = allowed
     of_kind = type(value) is wanted or (wanted is float and type(value) is int)

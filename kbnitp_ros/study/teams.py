@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
 
-LINES = dict(zip(ALLOCATIONS, cycle(('dotted', 'dashed', 'solid', 'dashdot'))))
+STYLES = ('dotted', 'dashed', 'solid', 'dashdot')
 
 
 def differ_in_size(scenario: Scenario) -> bool:
@@ -129,6 +129,7 @@ def teams_chart(path: Path, results: Results) -> None:
     groups = list(product(scenario.lethalities, scenario.methods))
     sizes = sorted({team.agents for team in scenario.teams})
     colours = {agents: f'C{place}' for place, agents in enumerate(sizes)}
+    lines = dict(zip(ALLOCATIONS, cycle(STYLES)))
     figure = Figure(figsize=(9, 5.5 * len(groups) + 0.6), layout='constrained')
     grid = figure.subplots(2 * len(groups), 2, sharex='col', sharey='row', squeeze=False)
     for (lethality, method), rows in zip(groups, grid.reshape(-1, 2, 2)):
@@ -138,7 +139,7 @@ def teams_chart(path: Path, results: Results) -> None:
             for (by_robots, by_rounds), series in zip(rows, (information, log_loss)):
                 for axes, agents in ((by_robots, 1), (by_rounds, team.agents)):
                     mean, low, high = mean_of(after_rounds(series, agents))
-                    look = {'color': colours[team.agents], 'ls': LINES[team.allocation]}
+                    look = {'color': colours[team.agents], 'ls': lines[team.allocation]}
                     axes.plot(mean, **look, label=str(team))
                     axes.fill_between(
                         range(len(mean)), low, high, color=look['color'], alpha=0.08, lw=0

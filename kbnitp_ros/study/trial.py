@@ -50,7 +50,7 @@ class Trial(NamedTuple):
     lethality : float or None
         Of the world; None if it is drawn.
     method : str
-        Of the estimator: of `COMPARED`.
+        Of the estimator: of `METHODS`, or `LEARNING`.
     number : int
         Of the world, from 0.
     team : Team

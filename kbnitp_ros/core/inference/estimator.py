@@ -14,10 +14,9 @@ from kbnitp_ros.core.field import (
     SensorModel,
     whole_number,
 )
-from kbnitp_ros.core.inference.methods import VERSIONS, versions
+from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, METHODS, versions
 from kbnitp_ros.core.inference.unknowns import ALL_KNOWN, Learnt, Unknowns
-
-METHODS = tuple(VERSIONS)
+from kbnitp_ros.plugins import PluginError
 
 
 class Estimator:
@@ -50,7 +49,7 @@ class Estimator:
     ------
     ValueError
         If the method or the version is unknown, it learns no numbers and there are some to learn,
-        or one of these makes no difference.
+        one of these makes no difference, or a method of another package breaks its rules.
 
     """
 
@@ -69,9 +68,9 @@ class Estimator:
             version = known[-1]
         elif version not in known:
             raise ValueError(f'version is {version}: {method} has {", ".join(map(str, known))}')
-        start = VERSIONS[method][version - 1]
+        start = METHODS[method][version - 1]
         if unknowns.priors and not start.learns:
-            learners = [name for name, each in VERSIONS.items() if each[-1].learns]
+            learners = [name for name, each in METHODS.items() if each[-1].learns]
             raise ValueError(
                 f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
                 f'numbers for right: use {" or ".join(learners)}'
@@ -81,7 +80,11 @@ class Estimator:
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
         self.version = version
-        self._inference = start(belief, model, unknowns, self.seed)
+        try:
+            with METHODS.blamed(method):
+                self._inference = self._checked(start(belief, model, unknowns, self.seed))
+        except PluginError as error:
+            raise ValueError(str(error)) from error
 
     @property
     def belief(self) -> Belief:
@@ -129,9 +132,29 @@ class Estimator:
         ValueError
             If its path leaves the belief's cells or its outcome is impossible under the belief,
             which then stays as it is.
+        PluginError
+            If a method of another package breaks its rules; the belief then stays as it is.
 
         """
-        self._inference.assimilate(observation, kind)
+        inference = self._inference.copy()
+        with METHODS.blamed(self.method):
+            inference.assimilate(observation, kind)
+            self._inference = self._checked(inference)
+
+    def _checked(self, inference: Inference) -> Inference:
+        """Refuse what is no inference of the field."""
+        lacking = [name for name in (*CALLED, *KNOWN) if not hasattr(inference, name)]
+        if lacking:
+            raise METHODS.fault(self.method, f'has no {" and no ".join(lacking)}')
+        if not isinstance(inference.belief, Belief):
+            raise METHODS.fault(self.method, f'believes {inference.belief!r}, which is no Belief')
+        if inference.belief.cells != self.prior.cells:
+            raise METHODS.fault(
+                self.method,
+                f'gives a belief of {inference.belief.cells} cells where the field has '
+                f'{self.prior.cells}',
+            )
+        return inference
 
     def copy(self) -> Estimator:
         """Return an estimator that goes on by itself from here; it costs next to no memory."""

@@ -2,7 +2,7 @@
 """
 The methods: what each makes of the outcome of a deployment.
 
-A new one is one file and one line here.
+A new one is one file and one line here, or an entry point of another package.
 """
 
 from __future__ import annotations
@@ -17,6 +17,11 @@ from kbnitp_ros.core.inference.sampled import Sampler
 from kbnitp_ros.core.inference.smoothed import Smoother
 from kbnitp_ros.core.inference.swept import SweptSmoother
 from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
+from kbnitp_ros.plugins import Registry, takes
+
+# What an inference can do, and what it knows.
+CALLED = ('assimilate', 'copy')
+KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_settled')
 
 
 class Inference(Protocol):
@@ -71,16 +76,45 @@ class Method(Protocol):
     ) -> Inference: ...
 
 
+def as_versions(given: object) -> tuple[Method, ...]:
+    """
+    Return the versions of a method that is to be registered: one, or a tuple of them.
+
+    Raises
+    ------
+    TypeError
+        If one of them is no `Method`.
+    ValueError
+        If there is none.
+
+    """
+    versions = given if isinstance(given, tuple) else (given,)
+    if not versions:
+        raise ValueError('it is an empty tuple: it must have the versions of a method')
+    for each in versions:
+        takes(each, ('belief', 'model', 'unknowns', 'seed'))
+        if not isinstance(getattr(each, 'learns', None), bool):
+            raise TypeError('it must have an attribute learns that is True or False')
+        lacking = [name for name in CALLED if not callable(getattr(each, name, None))]
+        if isinstance(each, type) and lacking:
+            raise TypeError(f'it must have {" and ".join(lacking)}')
+    return versions
+
+
 # All versions of each method, which give different bits. The last is how it is computed now; a log
 # is replayed by the one that it was recorded with.
-VERSIONS: dict[str, tuple[Method, ...]] = {
-    'relaxed_itp': (OnePass(multi_universe.lost_likelihood, correlated=False),),
-    'relaxed_bnitp': (OnePass(published.lost_likelihood, correlated=False),),
-    'kappa_bnitp_published': (OnePass(published.lost_likelihood, correlated=True),),
-    'kappa_bnitp': (OnePass(exact.lost_likelihood, correlated=True),),
-    'kappa_bnitp_smoothed': (SweptSmoother, Smoother),
-    'kappa_bnitp_sampled': (Sampler,),
-}
+METHODS = Registry(
+    'method',
+    as_versions,
+    {
+        'relaxed_itp': OnePass(multi_universe.lost_likelihood, correlated=False),
+        'relaxed_bnitp': OnePass(published.lost_likelihood, correlated=False),
+        'kappa_bnitp_published': OnePass(published.lost_likelihood, correlated=True),
+        'kappa_bnitp': OnePass(exact.lost_likelihood, correlated=True),
+        'kappa_bnitp_smoothed': (SweptSmoother, Smoother),
+        'kappa_bnitp_sampled': Sampler,
+    },
+)
 
 
 def versions(method: str) -> range:
@@ -93,6 +127,4 @@ def versions(method: str) -> range:
         If the method is unknown.
 
     """
-    if method not in VERSIONS:
-        raise ValueError(f'method is {method!r}: known are {", ".join(VERSIONS)}')
-    return range(1, 1 + len(VERSIONS[method]))
+    return range(1, 1 + len(METHODS.find(method)))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_ros.core.field import Belief, Observation, SensorModel
-from kbnitp_ros.core.inference.methods import VERSIONS
+from kbnitp_ros.core.inference.methods import METHODS
 from kbnitp_ros.core.inference.one_pass import OnePass
 
 
@@ -42,11 +42,11 @@ def update(
     """
     one_pass = {
         name: versions[-1]
-        for name, versions in VERSIONS.items()
+        for name, versions in METHODS.items()
         if isinstance(versions[-1], OnePass)
     }
     if method not in one_pass:
-        others = [name for name in VERSIONS if name not in one_pass]
+        others = [name for name in METHODS if name not in one_pass]
         raise ValueError(
             f'method is {method!r}: known for one deployment are {", ".join(one_pass)}; '
             f'{", ".join(others)} need them all, in an Estimator'

@@ -2,19 +2,25 @@
 """Where to go next."""
 
 from kbnitp_ros.core.planning.allocations import ALLOCATIONS
+from kbnitp_ros.core.planning.found import Found
 from kbnitp_ros.core.planning.information import path_information, team_information
+from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.plan import Plan, plan
 from kbnitp_ros.core.planning.planners import count_visits, PathFinder, PLANNERS
 from kbnitp_ros.core.planning.refused import kept_off
 from kbnitp_ros.core.planning.regions import Regions
+from kbnitp_ros.core.planning.robot import Robot
 from kbnitp_ros.core.planning.team import check_team, plan_team, team_size, TeamPlan
 
 __all__ = [
     'ALLOCATIONS',
     'PLANNERS',
+    'Found',
+    'Objective',
     'PathFinder',
     'Plan',
     'Regions',
+    'Robot',
     'TeamPlan',
     'check_team',
     'count_visits',

@@ -3,13 +3,15 @@
 The planners: how each looks for the path of the next deployment.
 
 A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
-one is one file and one line here; a label search has another among `LABELS`.
+one is one file and one line here, or an entry point of another package; a label search has another
+line among `LABELS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 from kbnitp_ros.core.field import Grid, whole_number
 from kbnitp_ros.core.planning.fates import MOST_FATES
@@ -20,8 +22,9 @@ from kbnitp_ros.core.planning.random_walk import check_walk_memory, generator_of
 from kbnitp_ros.core.planning.reach import Reach
 from kbnitp_ros.core.planning.readings import check_cameras, most_counted
 from kbnitp_ros.core.planning.tour import boustrophedon, nearest, Order, tour
+from kbnitp_ros.plugins import Registry, takes
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +47,7 @@ class PathFinder:
     visited: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
-        if self.planner not in PLANNERS:
-            raise ValueError(f'planner is {self.planner!r}: known are {", ".join(PLANNERS)}')
+        PLANNERS.find(self.planner)
         for name in ('max_steps', 'width', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
         object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
@@ -55,8 +57,49 @@ class PathFinder:
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
     def paths(self, objective: Objective) -> list[Found]:
-        """Return the closed paths found for an objective, at least one, the best first."""
-        return PLANNERS[self.planner](self, objective)
+        """
+        Return the closed paths found for an objective, at least one, the best first.
+
+        Raises
+        ------
+        PluginError
+            If a planner of another package breaks its rules.
+
+        """
+        with PLANNERS.blamed(self.planner):
+            found = PLANNERS[self.planner](self, objective)
+            if self.planner in PLANNERS.added:
+                self._check_found(found)
+        return found
+
+    def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
+        """
+        Return a path as an array of cells, shape (steps + 1,), if it keeps to the limits.
+
+        Raises
+        ------
+        ValueError
+            If a robot cannot take it, it is too long or visits a cell too often.
+
+        """
+        cells = self.grid.check_path(path, self.max_steps)
+        visits = count_visits(self.grid, [cells])
+        if visits.max() > self.max_visits:
+            raise ValueError(
+                f'path enters cell {visits.argmax()} {visits.max()} times: '
+                f'at most max_visits = {self.max_visits} may be'
+            )
+        return cells
+
+    def _check_found(self, found: list[Found]) -> None:
+        """Refuse what another package's planner may not return."""
+        if not found:
+            raise PLANNERS.fault(self.planner, 'returns no path')
+        try:
+            for each in found:
+                self.check_path(each.path)
+        except ValueError as error:
+            raise PLANNERS.fault(self.planner, f'returns a path that is none: {error}') from error
 
     def check_memory(self, robots: int, cameras: int = 1) -> None:
         """
@@ -154,13 +197,32 @@ def toured(finder: PathFinder, objective: Objective, order: Order) -> list[Found
 
 Planner = Callable[[PathFinder, Objective], list[Found]]
 
-PLANNERS: dict[str, Planner] = {
-    'relaxed': relaxed,
-    'beam': beam,
-    'random': random,
-    'coverage': coverage,
-    'shortest_unvisited': shortest_unvisited,
-}
+
+def as_planner(given: object) -> Planner:
+    """
+    Return a planner that is to be registered.
+
+    Raises
+    ------
+    TypeError
+        If it is none.
+
+    """
+    takes(given, ('finder', 'objective'))
+    return cast(Planner, given)
+
+
+PLANNERS = Registry(
+    'planner',
+    as_planner,
+    {
+        'relaxed': relaxed,
+        'beam': beam,
+        'random': random,
+        'coverage': coverage,
+        'shortest_unvisited': shortest_unvisited,
+    },
+)
 
 # How many labels the label searches among them keep, of a width that they are given.
 LABELS: dict[str, Callable[[int], int]] = {'relaxed': lambda _: 1, 'beam': lambda width: width}

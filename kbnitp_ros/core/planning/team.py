@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, Grid, Kind, of_each, SensorModel, whole_number
-from kbnitp_ros.core.planning.allocations import ALLOCATIONS
+from kbnitp_ros.core.planning.allocations import allocated, ALLOCATIONS
 from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
 from kbnitp_ros.core.planning.information import team_information
 from kbnitp_ros.core.planning.plan import Plan
@@ -96,8 +96,7 @@ def plan_team(
         there is not one kind for each robot, or they have too many different cameras.
 
     """
-    if allocation not in ALLOCATIONS:
-        raise ValueError(f'allocation is {allocation!r}: known are {", ".join(ALLOCATIONS)}')
+    ALLOCATIONS.find(allocation)
     in_use = without(grid, keep_off) if len(keep_off) else grid
     agents = team_size(in_use, agents)
     kinds, kinds_out = of_each(agents, kinds), of_each(len(out), kinds_out)
@@ -108,7 +107,7 @@ def plan_team(
     for path, kind in zip(out, kinds_out):
         fates = after_sending(fates, kind.model(model), grid.check_path(path))
     robots = {kind: robot.given(fates) for kind, robot in alone.items()}
-    paths, regions = ALLOCATIONS[allocation]([robots[kind] for kind in kinds])
+    paths, regions = allocated(allocation, [robots[kind] for kind in kinds])
     return TeamPlan(
         tuple(Plan.along(path, belief, kind.model(model)) for path, kind in zip(paths, kinds)),
         team_information(belief, model, paths, fates, kinds),

@@ -3,14 +3,13 @@
 
 import brute_force
 from kbnitp_ros.core import Belief, Estimator, METHODS, Observation, SensorModel, update
-from kbnitp_ros.core.inference.methods import VERSIONS
 from kbnitp_ros.core.inference.one_pass import OnePass
 from known_methods import LEARN_FROM_LOSSES
 import numpy as np
 import pytest
 
 CASES = range(400)
-ONE_PASS = [name for name, each in VERSIONS.items() if isinstance(each[-1], OnePass)]
+ONE_PASS = [name for name, each in METHODS.items() if isinstance(each[-1], OnePass)]
 
 
 def deployments(seed, most_cells, most_steps):
