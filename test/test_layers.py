@@ -17,6 +17,7 @@ BELOW = {
     'core.inference': {'core.field', 'plugins'},
     'core.planning': {'core.field', 'core.inference', 'plugins'},
     'core': {'core.field', 'core.inference', 'core.planning'},
+    'testing': {'core', 'core.inference', 'core.planning'},
     'messages': {'core'},
     'maps': {'files', 'core'},
     'log.bag': {'files'},

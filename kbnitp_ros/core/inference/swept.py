@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import product
 
 from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel, times_log, Visits
-from kbnitp_ros.core.inference.evidence import condition, returned_log_likelihood
+from kbnitp_ros.core.inference.evidence import check_cells, condition, returned_log_likelihood
 from kbnitp_ros.core.inference.told import Told
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +94,11 @@ class SweptSmoother(Told):
         Raises
         ------
         ValueError
-            If the outcome is impossible; the evidence then stays as it was.
+            If its path leaves the field or the outcome is impossible; the evidence then stays as
+            it was.
 
         """
+        check_cells(self._prior, observation)
         visits, model = Visits.of(observation.path), kind.model(self.model)
         returned, losses = self._returned, self._losses
         if observation.readings is not None:

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fields, beliefs, robots and missions that laws are tried on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kbnitp_ros.core import Belief, Grid, Kind, Observation, ORDINARY, SensorModel, World
+import numpy as np
+from numpy.typing import NDArray
+
+# Keys of the generators that draw cases, which no world has.
+MISSIONS, PLANS = 0x4C415753, 0x4C415754
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """
+    A small field and what is believed of it.
+
+    Attributes
+    ----------
+    grid : Grid
+        Of at most 4 x 4 cells, some of them blocked.
+    prior : Belief
+        Any in its cells; some are known to be free of hazard.
+    model : SensorModel
+        Of robots of which each may be lost to a malfunction.
+
+    """
+
+    grid: Grid
+    prior: Belief
+    model: SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class Mission(Field):
+    """
+    A field and what robots met in it.
+
+    Attributes
+    ----------
+    seed : int
+        Of what a method draws.
+    deployments : tuple of (Observation, Kind)
+        Outcomes in one world that the prior allows for, with and without last contacts and with
+        cells where robots did not look.
+
+    """
+
+    seed: int
+    deployments: tuple[tuple[Observation, Kind], ...]
+
+    @property
+    def returns(self) -> tuple[tuple[Observation, Kind], ...]:
+        """The deployments that robots came back from."""
+        return tuple(each for each in self.deployments if each[0].survived)
+
+
+def draw_field(rng: np.random.Generator) -> Field:
+    """Draw a field."""
+    width, height = (int(n) for n in rng.integers(2, 5, 2))
+    base, *others = (int(cell) for cell in rng.permutation(width * height))
+    grid = Grid(width, height, base=base, blocked=others[: int(rng.integers(0, 3))])
+    hazard = rng.uniform(0.02, 0.9, grid.cells) * (rng.random(grid.cells) < 0.8)
+    kappa, background = rng.uniform(0.05, 0.95, (2, grid.cells))
+    target = hazard * kappa + (1.0 - hazard) * background
+    return Field(grid, Belief.prior(grid, hazard, target, kappa), draw_model(rng))
+
+
+def draw_model(rng: np.random.Generator) -> SensorModel:
+    """Draw a sensor model that calls nothing impossible."""
+    return SensorModel(
+        lethality=float(rng.uniform(0.1, 0.95)),
+        malfunction=float(rng.uniform(0.01, 0.15)),
+        false_negative=float(rng.uniform(0.0, 0.2)),
+        true_positive=float(rng.uniform(0.7, 0.99)),
+        false_positive=float(rng.uniform(0.01, 0.3)),
+    )
+
+
+def draw_kind(rng: np.random.Generator) -> Kind:
+    """Draw a kind that has some numbers of its own, or none."""
+    drawn = vars(draw_model(rng))
+    return Kind(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
+
+
+def draw_world(rng: np.random.Generator, belief: Belief) -> World:
+    """Draw a world as it is believed to be."""
+    below = np.cumsum(belief.joint.reshape(-1, 4), axis=1)
+    state = (rng.random((belief.cells, 1)) * below[:, -1:] >= below).sum(axis=1)
+    return World(state // 2 == 1, state % 2 == 1)
+
+
+def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.intp]:
+    """Draw a closed walk of so many steps, at least 1."""
+    path = [grid.base]
+    for left in reversed(range(steps)):
+        around = grid.neighbors(path[-1])
+        path.append(int(rng.choice(around[grid.steps_to_base[around] <= left])))
+    return np.array(path, dtype=np.intp)
+
+
+def draw_outcome(
+    rng: np.random.Generator, world: World, path: NDArray[np.intp], model: SensorModel
+) -> Observation:
+    """Draw what becomes of a robot on a path, and what is known of it."""
+    survived, read = world.steps(path, model, rng)
+    if survived.all():
+        return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
+    heard = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0
+    return Observation(path, False, steps_survived=heard)
+
+
+def draw_mission(seed: int, robots: int = 6) -> Mission:
+    """Draw a mission; the last robots of it are one that is lost and one that returns."""
+    rng = np.random.default_rng([MISSIONS, seed])
+    field = draw_field(rng)
+    world = draw_world(rng, field.prior)
+    deployments = []
+    for _ in range(robots):
+        kind = draw_kind(rng) if rng.random() < 0.4 else ORDINARY
+        path = draw_walk(rng, field.grid, int(rng.integers(1, 9)))
+        deployments.append((draw_outcome(rng, world, path, kind.model(field.model)), kind))
+    deployments += [(each, ORDINARY) for each in lost_and_returned(rng, field.grid)]
+    return Mission(field.grid, field.prior, field.model, seed, tuple(deployments))
+
+
+def lost_and_returned(rng: np.random.Generator, grid: Grid) -> Sequence[Observation]:
+    """Draw a loss and a return that any world allows for."""
+    one, other = (draw_walk(rng, grid, int(rng.integers(2, 9))) for _ in range(2))
+    return Observation(one, False), Observation(other, True, rng.random(other.size - 1) < 0.5)

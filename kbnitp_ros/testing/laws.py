@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How laws are run over cases, and how a broken one is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+from kbnitp_ros.core import Belief
+import numpy as np
+from numpy.typing import NDArray
+
+Subject = TypeVar('Subject')
+Case = TypeVar('Case')
+
+# How far numbers may be apart that are the same but for rounding.
+ROUNDING = 1e-9
+
+
+def hold(
+    name: str,
+    subject: Subject,
+    laws: Mapping[str, Callable[[Subject, Case], None]],
+    draw: Callable[[int], Case],
+    cases: int,
+    seed: int,
+) -> None:
+    """
+    See that laws hold in cases that are drawn.
+
+    Parameters
+    ----------
+    name : str
+        What the subject is called in an error.
+    subject : object
+        What the laws are about.
+    laws : mapping of str to callable
+        Each law in words, and what takes the subject and a case and raises where it is broken.
+    draw : callable
+        The case of a seed.
+    cases : int
+        How many, of the seeds from `seed` on.
+    seed : int
+        Of the first case, at least 0.
+
+    Raises
+    ------
+    AssertionError
+        That names the law, the case and what is wrong.
+
+    """
+    for number in range(seed, seed + cases):
+        case = draw(number)
+        for law, check in laws.items():
+            try:
+                check(subject, case)
+            except Exception as error:
+                words = str(error) if type(error) is AssertionError else told(error)
+                raise AssertionError(
+                    f'{name} breaks a law in the case of seed {number}: {law}. {words}'
+                ) from error
+
+
+def require(holds: bool | np.bool_, words: str) -> None:
+    """Raise an AssertionError unless something holds; `assert` is left out by python -O."""
+    if not holds:
+        raise AssertionError(words)
+
+
+def require_close(
+    found: NDArray[np.float64], expected: NDArray[np.float64], words: str, within: float = ROUNDING
+) -> None:
+    """Raise an AssertionError that shows where two arrays, of one shape, are further apart."""
+    require(
+        found.shape == expected.shape,
+        f'{words}: the shape is {found.shape}, and it must be {expected.shape}',
+    )
+    off = ~(np.abs(found - expected) <= within)
+    if off.any():
+        place = tuple(int(index) for index in np.argwhere(off)[0])
+        raise AssertionError(
+            f'{words}: at {list(place)} it is {found[place]}, and it must be {expected[place]}'
+        )
+
+
+def require_same(one: Belief, other: Belief, words: str) -> None:
+    """Raise an AssertionError that shows where two beliefs have other bits."""
+    if one.joint.tobytes() != other.joint.tobytes():
+        require_close(one.joint, other.joint, words, 0.0)
+        raise AssertionError(f'{words}: the bits differ')
+
+
+def told(error: Exception) -> str:
+    """Return an error with its type."""
+    return f'{type(error).__name__}: {error}'

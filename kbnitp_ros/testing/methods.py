@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import cast
+
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Kind,
+    Ledger,
+    METHODS,
+    Observation,
+    ORDINARY,
+    Report,
+    SensorModel,
+    Unknowns,
+)
+from kbnitp_ros.core.inference import ALL_KNOWN, Inference, Method
+from kbnitp_ros.core.inference.methods import as_versions, CALLED, KNOWN
+from kbnitp_ros.testing.cases import draw_mission, draw_walk, Mission
+from kbnitp_ros.testing.laws import (
+    hold,
+    require,
+    require_close,
+    require_same,
+    ROUNDING,
+    told,
+)
+import numpy as np
+
+Deployments = Iterable[tuple[Observation, Kind]]
+
+# Of a path that is longer than any chance of surviving it can be told from 0.
+LONG = 3000
+
+# What is believed of a number that is to be learnt.
+LETHALITY = (0.2, 0.8)
+
+
+def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> None:
+    """
+    See that a method keeps every law that holds of those of the package.
+
+    Parameters
+    ----------
+    method : str or object
+        The name of one that is registered, or what an entry point of the group
+        ``kbnitp_ros.methods`` would stand for: a `Method`, or a tuple of its versions, all of
+        which are checked.
+    cases : int
+        How many missions are drawn to try it on, at least 1.
+    seed : int
+        Of the first of them, at least 0.
+
+    Raises
+    ------
+    AssertionError
+        If a law is broken; it says which, by what, and the seed of the mission.
+    ValueError
+        If no method of that name is registered.
+
+    """
+    if isinstance(method, str):
+        name, versions = f'method {method!r}', METHODS.find(method)
+    else:
+        name = f'method {method!r}'
+        try:
+            versions = as_versions(method)
+        except (TypeError, ValueError) as error:
+            raise AssertionError(f'{name} is none: {error}') from error
+    for number, version in enumerate(versions, 1):
+        of_several = f', version {number},' if len(versions) > 1 else ''
+        hold(name + of_several, version, LAWS, draw_mission, cases, seed)
+
+
+def start(method: Method, mission: Mission, model: SensorModel | None = None) -> Inference:
+    """Return what a method makes of a mission before its first deployment."""
+    return method(mission.prior, model or mission.model, ALL_KNOWN, mission.seed)
+
+
+def fold(inference: Inference, deployments: Deployments) -> list[Belief]:
+    """Take in deployments, and return the belief before the first and after each."""
+    beliefs = [inference.belief]
+    for observation, kind in deployments:
+        inference.assimilate(observation, kind)
+        beliefs.append(inference.belief)
+    return beliefs
+
+
+def can_be_used(method: Method, mission: Mission) -> None:
+    """See that an inference has what the estimator asks of it."""
+    inference = start(method, mission)
+    for name in (*CALLED, *KNOWN):
+        require(hasattr(inference, name), f'It has no {name}')
+    fold(inference, mission.deployments)
+    require(isinstance(inference.model, SensorModel), f'model is {inference.model!r}')
+    error = inference.sampling_error
+    require(0.0 <= error < np.inf, f'sampling_error is {error}')
+    require(inference.is_settled in (True, False), f'is_settled is {inference.is_settled!r}')
+
+
+def begins_with_the_prior(method: Method, mission: Mission) -> None:
+    """See that before any evidence, hazards and targets are those of the prior."""
+    inference = start(method, mission)
+    prior = mission.prior
+    require_close(inference.belief.hazard, prior.hazard, 'Of the hazards')
+    require_close(inference.belief.target, prior.target, 'Of the targets')
+    require(not inference.parameters, f'parameters has {list(inference.parameters)}')
+
+
+def is_a_distribution(method: Method, mission: Mission) -> None:
+    """See that beliefs are distributions, of all cells, and stay what they were."""
+    inference = start(method, mission)
+    beliefs = [inference.belief]
+    bits = [inference.belief.joint.tobytes()]
+    for observation, kind in mission.deployments:
+        inference.assimilate(observation, kind)
+        beliefs.append(inference.belief)
+        bits.append(inference.belief.joint.tobytes())
+    for number, belief in enumerate(beliefs):
+        after = f'After {number} deployments'
+        require(isinstance(belief, Belief), f'{after} the belief is {belief!r}')
+        cells = mission.prior.cells
+        require(belief.cells == cells, f'{after} it has {belief.cells} cells of {cells}')
+        joint = belief.joint
+        require(((joint >= 0.0) & (joint <= 1.0)).all(), f'{after} a value is not in [0, 1]')
+        require_close(joint.sum(axis=(1, 2)), np.ones(cells), f'{after} of the sums')
+        require(joint.tobytes() == bits[number], f'The belief {after.lower()} was changed later')
+
+
+def keeps_what_is_certain(method: Method, mission: Mission) -> None:
+    """See that no evidence moves what the prior is certain of."""
+    before, *_, after = fold(start(method, mission), mission.deployments)
+    safe = before.hazard == 0.0
+    require(safe[mission.grid.base], 'The prior has a hazard at the base')
+    require_close(after.hazard[safe], before.hazard[safe], 'Of the cells free of hazard')
+    blocked = ~mission.grid.free
+    require_close(after.joint[blocked], before.joint[blocked], 'Of the blocked cells')
+
+
+def keeps_cells_without_evidence(method: Method, mission: Mission) -> None:
+    """See that a cell in which no robot was stays as it was."""
+    before, *_, after = fold(start(method, mission), mission.deployments)
+    elsewhere = np.ones(mission.grid.cells, dtype=bool)
+    for observation, _ in mission.deployments:
+        elsewhere[observation.path] = False
+    require_close(after.joint[elsewhere], before.joint[elsewhere], 'Of the cells never visited')
+
+
+def is_reproducible(method: Method, mission: Mission) -> None:
+    """See that the same evidence and seed give the same bits."""
+    one, other = (fold(start(method, mission), mission.deployments) for _ in range(2))
+    for number, (first, second) in enumerate(zip(one, other)):
+        require_same(second, first, f'The second time, after {number} deployments')
+
+
+def copies_go_on_by_themselves(method: Method, mission: Mission) -> None:
+    """See that neither a copy nor what it was copied from moves the other."""
+    half = len(mission.deployments) // 2
+    first, second = mission.deployments[:half], mission.deployments[half:]
+    expected = fold(start(method, mission), mission.deployments)[-1]
+    inference = start(method, mission)
+    before = fold(inference, first)[-1]
+    copied = inference.copy()
+    require(copied is not inference, 'copy returns the inference itself')
+    require_same(copied.belief, before, 'A copy is not as what it was copied from')
+    fold(copied, second)
+    require_same(inference.belief, before, 'What a copy takes in moves what it was copied from')
+    fold(copied, first)
+    require_same(fold(inference, second)[-1], expected, 'What went on after it was copied')
+    third = start(method, mission)
+    fold(third, first)
+    kept = third.copy()
+    fold(third, second)
+    require_same(kept.belief, before, 'What goes on moves a copy made before')
+    require_same(fold(kept, second)[-1], expected, 'A copy that goes on')
+
+
+def is_a_fold_of_the_evidence(method: Method, mission: Mission) -> None:
+    """See that reports in any order, doubled and late, come to the evidence in its order."""
+    expected = fold(start(method, mission), mission.deployments)[-1]
+    kinds = {f'robot_{n}': kind for n, (_, kind) in enumerate(mission.deployments)}
+    longest = max(each.steps for each, _ in mission.deployments)
+    # A ledger asks of an estimator what an inference can do.
+    ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), kinds)
+    rng = np.random.default_rng(mission.seed)
+    said: list[tuple[DeploymentKey, object]] = []
+    for number, (observation, _) in enumerate(mission.deployments):
+        key, cells = DeploymentKey(f'robot_{number}', number), observation.path.tolist()
+        read = () if observation.readings is None else observation.readings.astype(int).tolist()
+        report = Report(
+            observation.survived,
+            tuple(zip(cells[1:], read)),
+            steps_survived=observation.steps_survived,
+        )
+        said += [(key, tuple(cells)), (key, report)]
+        if observation.survived:
+            # It was given up, and came back.
+            said.append((key, Report(False)))
+    for place in [*rng.permutation(len(said)), *rng.permutation(len(said))]:
+        key, each = said[place]
+        if isinstance(each, Report):
+            ledger.record_report(key, each)
+        else:
+            ledger.record_path(key, cast(tuple[int, ...], each))
+    require_same(ledger.belief, expected, 'Of reports that came in disorder')
+
+
+def forgets_the_order_of_returns(method: Method, mission: Mission) -> None:
+    """See that returns give the same belief in any order."""
+    one, other = (
+        fold(start(method, mission), returns)[-1]
+        for returns in (mission.returns, mission.returns[::-1])
+    )
+    require_close(other.joint, one.joint, 'In the reverse order')
+
+
+def takes_returns_in_exactly(method: Method, mission: Mission) -> None:
+    """See that a return weighs each state of its cells by its likelihood (eq. 6-8)."""
+    inference = start(method, mission)
+    joint = inference.belief.joint.copy()
+    found = fold(inference, mission.returns)[-1]
+    for observation, kind in mission.returns:
+        model, readings = kind.model(mission.model), observation.readings
+        survival, reading = model.survival(np.arange(2)), model.reading(np.arange(2))
+        for cell, read in zip(observation.path[1:], () if readings is None else readings):
+            of_target = np.ones(2) if read == -1 else reading if read else 1.0 - reading
+            joint[cell] *= survival[:, None] * of_target
+    joint /= joint.sum(axis=(1, 2), keepdims=True)
+    require_close(found.joint, joint, 'After the returns')
+
+
+def keeps_kappa_in_a_loss(method: Method, mission: Mission) -> None:
+    """See that a loss tells of targets only what it tells of hazards."""
+    lost, kind = next(each for each in reversed(mission.deployments) if not each[0].survived)
+    before, after = fold(start(method, mission), [(Observation(lost.path, False), kind)])
+    told_apart = (before.hazard > 1e-6) & (after.hazard > 1e-6)
+    require_close(after.kappa[told_apart], before.kappa[told_apart], 'Of P(X = 1 | Z = 1)', 1e-7)
+
+
+def refuses_the_impossible(method: Method, mission: Mission) -> None:
+    """See that outcomes which cannot be are refused and leave everything as it was."""
+    grid = mission.grid
+    # A sensor that never errs, and contradicts itself.
+    model = replace(mission.model, true_positive=1.0, false_positive=0.0)
+    cell = int(grid.neighbors(grid.base)[0])
+    looked = np.array([True, False, True])
+    twice = Observation(np.array([grid.base, cell, cell, grid.base]), True, looked)
+    outside = Observation(np.array([grid.base, grid.cells, grid.base]), False)
+    likely = Observation(np.array([grid.base, grid.base]), False), ORDINARY
+    expected = fold(start(method, mission, model), [likely, likely])[-1]
+    inference = start(method, mission, model)
+    before = fold(inference, [likely])[-1]
+    for what, impossible in (('two readings', twice), ('a path out of the field', outside)):
+        try:
+            inference.assimilate(impossible, ORDINARY)
+        except ValueError:
+            require_same(inference.belief, before, f'After {what} that cannot be')
+        except Exception as error:
+            raise AssertionError(f'Of {what} it raises {told(error)}, not a ValueError') from error
+        else:
+            raise AssertionError(f'It takes in {what} that cannot be, without a ValueError')
+    require_same(fold(inference, [likely])[-1], expected, 'What follows the impossible')
+
+
+def knows_kinds(method: Method, mission: Mission) -> None:
+    """See that a mission of one kind is that of robots all like it."""
+    kind = Kind(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
+    observations = [observation for observation, _ in mission.deployments]
+    of_kind = fold(start(method, mission), [(each, kind) for each in observations])[-1]
+    alike = start(method, mission, kind.model(mission.model))
+    expected = fold(alike, [(each, ORDINARY) for each in observations])[-1]
+    require_close(of_kind.joint, expected.joint, 'Of robots of a kind', 1e-12)
+
+
+def stands_long_paths(method: Method, mission: Mission) -> None:
+    """See that long paths neither overflow nor underflow."""
+    rng = np.random.default_rng(mission.seed)
+    path = draw_walk(rng, mission.grid, LONG)
+    readings = rng.random(LONG) < 0.5
+    for observation in (Observation(path, False), Observation(path, True, readings)):
+        joint = fold(start(method, mission), [(observation, ORDINARY)])[-1].joint
+        require(bool(np.isfinite(joint).all()), f'After {LONG} steps a value is not finite')
+
+
+def learns_within_the_prior(method: Method, mission: Mission) -> None:
+    """See that what is learnt of a number is in the interval it was believed in."""
+    if not method.learns:
+        return
+    low, high = LETHALITY
+    unknowns = Unknowns(lethality=LETHALITY)
+    inference = method(mission.prior, mission.model, unknowns, mission.seed)
+    fold(inference, mission.deployments)
+    names = list(inference.parameters)
+    require(names == ['lethality'], f'parameters has {names}, and lethality was to be learnt')
+    learnt = inference.parameters['lethality']
+    for q in (0.0, 0.5, 1.0):
+        value = learnt.quantile(q)
+        require(
+            low - ROUNDING <= value <= high + ROUNDING,
+            f'Its quantile {q} is {value}, and it was believed from {low} to {high}',
+        )
+    total = float(learnt.weights.sum())
+    require(abs(total - 1.0) <= ROUNDING, f'Its weights sum to {total}')
+
+
+LAWS: dict[str, Callable[[Method, Mission], None]] = {
+    'it can do and knows what an estimator asks of it': can_be_used,
+    'before the first deployment it believes the hazards and targets of the prior': (
+        begins_with_the_prior
+    ),
+    'each belief is a distribution in every cell, and is not changed later': is_a_distribution,
+    'what is certain stays certain, at the base and in blocked cells': keeps_what_is_certain,
+    'cells without evidence stay as they were': keeps_cells_without_evidence,
+    'the same evidence and seed give the same belief, bit for bit': is_reproducible,
+    'a copy goes on by itself': copies_go_on_by_themselves,
+    'the belief is that of the evidence in its order, in whatever order it comes': (
+        is_a_fold_of_the_evidence
+    ),
+    'the order of returns does not matter': forgets_the_order_of_returns,
+    'a return is taken in exactly': takes_returns_in_exactly,
+    'a loss leaves P(target | hazard) as it was': keeps_kappa_in_a_loss,
+    'what is impossible is refused by a ValueError and changes nothing': refuses_the_impossible,
+    'robots of one kind are as robots all like it': knows_kinds,
+    'long paths neither overflow nor underflow': stands_long_paths,
+    'what is learnt of a number is in the interval that it was believed in': (
+        learns_within_the_prior
+    ),
+}
