@@ -59,7 +59,7 @@ def allocated(name: str, robots: Sequence[Robot]) -> tuple[list[NDArray[np.intp]
     """
     with ALLOCATIONS.blamed(name):
         paths, regions = ALLOCATIONS[name](robots)
-        if name in ALLOCATIONS.added:
+        if name not in ALLOCATIONS.own:
             _check_allocated(name, robots, paths, regions)
     return paths, regions
 

@@ -68,7 +68,7 @@ class PathFinder:
         """
         with PLANNERS.blamed(self.planner):
             found = PLANNERS[self.planner](self, objective)
-            if self.planner in PLANNERS.added:
+            if self.planner not in PLANNERS.own:
                 self._check_found(found)
         return found
 
