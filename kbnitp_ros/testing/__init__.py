@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The laws that every method, planner and allocation keeps, to be run on one of your own."""
 
+from kbnitp_ros.testing.allocations import check_allocation
 from kbnitp_ros.testing.methods import check_method
+from kbnitp_ros.testing.planners import check_planner
 
-__all__ = ['check_method']
+__all__ = ['check_allocation', 'check_method', 'check_planner']

@@ -57,7 +57,9 @@ def tour(
     while wanted.any():
         steps = grid.steps_from(path[-1], is_open(grid, entered, max_visits))
         candidates = np.flatnonzero(
-            wanted & (len(path) - 1 + steps + grid.steps_to_base <= max_steps)
+            wanted
+            & (steps < grid.cells)
+            & (len(path) - 1 + steps + grid.steps_to_base <= max_steps)
         )
         if not candidates.size:
             break
@@ -66,7 +68,8 @@ def tour(
         after = entered + np.bincount(leg, minlength=grid.cells)
         back = grid.steps_from(target, is_open(grid, after, max_visits, home=True))
         wanted[target] = False
-        if len(path) - 1 + len(leg) + back[grid.base] <= max_steps:
+        home_again = back[grid.base]
+        if home_again < grid.cells and len(path) - 1 + len(leg) + home_again <= max_steps:
             path += leg
             entered = after
             wanted[leg] = False

@@ -138,3 +138,12 @@ def test_walks_beyond_memory_are_refused():
     grid = Grid(1000, 1000)
     with pytest.raises(ValueError, match=r'max_steps = 1000 take about .* GB, and 1.1 GB'):
         plan(grid, prior(grid), MODEL, 1000, 'random')
+
+
+@pytest.mark.parametrize('planner', ['coverage', 'shortest_unvisited'])
+def test_a_tour_with_more_steps_than_cells_ends(planner):
+    """A cell that cannot be entered again is not taken for one that is as far as the field."""
+    grid = Grid(3, 2, base=0, blocked=(4,))
+    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
+    path = plan(grid, belief, SensorModel(0.5), 12, planner, max_visits=1).path
+    assert grid.check_path(path, 12) is not None

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws of allocations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from kbnitp_ros.core import ALLOCATIONS, Belief, Kind, PathFinder
+from kbnitp_ros.core.planning import Regions, Robot
+from kbnitp_ros.core.planning.allocations import Allocation, as_allocation
+from kbnitp_ros.testing.cases import draw_field, draw_kind, draw_walk, Field, PLANS
+from kbnitp_ros.testing.laws import hold, require, require_close
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Round(Field):
+    """
+    A field that robots share.
+
+    Attributes
+    ----------
+    robots : tuple of Robot
+        Two to four, some with limits and numbers of their own; those of one kind are one.
+    after : tuple of Robot
+        The same when another one has left before.
+
+    """
+
+    robots: tuple[Robot, ...]
+    after: tuple[Robot, ...]
+
+
+def draw_round(seed: int) -> Round:
+    """Draw a field and the robots of a round."""
+    rng = np.random.default_rng([PLANS, seed])
+    field = draw_field(rng)
+    planner = str(rng.choice(['relaxed', 'beam']))
+    finder = PathFinder(field.grid, planner, int(rng.integers(2, 9)), 2, int(rng.integers(1, 4)))
+    cost = float(rng.choice([0.0, 0.5]))
+    kinds = [
+        Kind(),
+        replace(draw_kind(rng), max_steps=int(rng.integers(1, 5))),
+        replace(draw_kind(rng), loss_cost=0.3),
+    ]
+    each = [Robot.of(kind, finder, field.prior, field.model, cost) for kind in kinds]
+    robots = tuple(each[n] for n in rng.integers(0, 3, int(rng.integers(2, 5))))
+    other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
+    fates = robots[0].objective.after(other)
+    later = {robot: robot.given(fates) for robot in robots}
+    after = tuple(later[robot] for robot in robots)
+    return Round(field.grid, field.prior, field.model, robots, after)
+
+
+def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0) -> None:
+    """
+    See that an allocation keeps every law that holds of those of the package.
+
+    Parameters
+    ----------
+    allocation : str or object
+        The name of one that is registered, or what an entry point of the group
+        ``kbnitp_ros.allocations`` would stand for.
+    cases : int
+        How many fields and rounds are drawn to try it on, at least 1.
+    seed : int
+        Of the first of them, at least 0.
+
+    Raises
+    ------
+    AssertionError
+        If a law is broken; it says which, by what, and the seed of the case.
+    ValueError
+        If no allocation of that name is registered.
+
+    """
+    name = f'allocation {allocation!r}'
+    if isinstance(allocation, str):
+        subject = ALLOCATIONS.find(allocation)
+    else:
+        try:
+            subject = as_allocation(allocation)
+        except TypeError as error:
+            raise AssertionError(f'{name} is none: {error}') from error
+    hold(name, subject, LAWS, draw_round, cases, seed)
+
+
+def gives_each_robot_a_path(allocation: Allocation, given: Round) -> None:
+    """See that there is a path for each robot, which that robot can take."""
+    for robots in (given.robots, given.after):
+        paths, _ = allocation(robots)
+        require(len(paths) == len(robots), f'There are {len(paths)} for {len(robots)} robots')
+        for number, (robot, path) in enumerate(zip(robots, paths)):
+            try:
+                robot.finder.check_path(path)
+            except ValueError as error:
+                raise AssertionError(f'Of robot {number}: {error}') from error
+
+
+def plans_one_as_alone(allocation: Allocation, given: Round) -> None:
+    """See that a robot which goes alone takes the path that was found best for it."""
+    for robot in given.robots:
+        (path, *_), _ = allocation([robot])
+        best = robot.finder.paths(robot.objective)[0].path
+        require(
+            np.array_equal(path, best),
+            f'It is sent along {np.asarray(path).tolist()}, and {best.tolist()} was found best',
+        )
+
+
+def is_reproducible(allocation: Allocation, given: Round) -> None:
+    """See that the same belief gives the same paths, whatever was shared out between."""
+    first = paths_of(allocation, given.robots)
+    allocation(given.after)
+    belief = Belief(given.prior.joint.copy())
+    again = {
+        robot: replace(robot, objective=replace(robot.objective, belief=belief))
+        for robot in given.robots
+    }
+    second = paths_of(allocation, [again[robot] for robot in given.robots])
+    require(first == second, f'First it gives {first}, and then {second}')
+
+
+def paths_of(allocation: Allocation, robots: Sequence[Robot]) -> list[list[int]]:
+    """Return the paths that an allocation gives."""
+    return [np.asarray(path).tolist() for path in allocation(robots)[0]]
+
+
+def regions_are_a_partition(allocation: Allocation, given: Round) -> None:
+    """See that regions share out the cells in reach, each to a robot that reaches it."""
+    _, regions = allocation(given.robots)
+    if regions is None:
+        return
+    require(isinstance(regions, Regions), f'It returns {regions!r}, which is no Regions')
+    owner, cells = regions.owner, given.grid.cells
+    require(owner.shape == (cells,), f'They are of {owner.size} cells, and the field has {cells}')
+    reach = np.stack([given.grid.in_reach(each.finder.max_steps) for each in given.robots])
+    require_owners(owner, reach)
+    held = regions.entropy
+    require(held.shape == (len(reach),), f'They have the entropies of {held.size} robots')
+    # A cell without entropy, since a region may be empty.
+    certain = np.array([[[1.0, 0.0], [0.0, 0.0]]])
+    entropy = [
+        Belief(np.concatenate([given.prior.joint[owner == number], certain])).joint_entropy()
+        for number in range(len(reach))
+    ]
+    require_close(held, np.array(entropy), 'Of the joint entropy of a region')
+
+
+def require_owners(owner: NDArray[np.intp], reach: NDArray[np.bool_]) -> None:
+    """Raise an AssertionError unless each cell in reach, (robots, cells), has a fit owner."""
+    for cell, of_cell in enumerate(owner.tolist()):
+        words = f'Cell {cell} is of robot {of_cell}'
+        if not reach[:, cell].any():
+            require(of_cell == -1, f'{words}, and no robot can reach it')
+        else:
+            require(0 <= of_cell < len(reach), f'{words}, and some robot can reach it')
+            require(reach[of_cell, cell], f'{words}, which cannot reach it')
+
+
+LAWS: dict[str, Callable[[Allocation, Round], None]] = {
+    'each robot has one path, within its own limits': gives_each_robot_a_path,
+    'a robot alone is planned as ever': plans_one_as_alone,
+    'the same belief gives the same paths': is_reproducible,
+    'regions share out what robots can reach, each cell to one that reaches it': (
+        regions_are_a_partition
+    ),
+}
