@@ -68,7 +68,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     @property
     def added(self) -> tuple[str, ...]:
         """Return the names that other packages add."""
-        return tuple(self)[len(self.own) :]
+        return tuple(name for name in self if name not in self.own)
 
     @property
     def refused(self) -> Mapping[str, str]:
