@@ -55,7 +55,7 @@ class Mission(Field):
 
     @property
     def returns(self) -> tuple[tuple[Observation, Kind], ...]:
-        """The deployments that robots came back from."""
+        """Return the deployments that robots came back from."""
         return tuple(each for each in self.deployments if each[0].survived)
 
 
