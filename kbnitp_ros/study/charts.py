@@ -67,7 +67,10 @@ def _chart(
     figure.supxlabel(f'deployment (mean of {scenario.trials} trials, 95 % band)')
     figure.supylabel(label)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside upper center', ncols=min(5, len(labels)))
+    # In points: a letter of a label, and its line.
+    widest = 5.2 * max(map(len, labels)) + 40.0
+    columns = max(1, min(5, len(labels), int(72.0 * figure.get_figwidth() / widest)))
+    figure.legend(handles, labels, loc='outside upper center', ncols=columns)
     figure.savefig(path, dpi=80)
 
 

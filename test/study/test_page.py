@@ -53,7 +53,7 @@ def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact'])
+@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact', 'prior_maps'])
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
@@ -80,7 +80,12 @@ def test_every_figure_is_shown():
         'unknown_numbers.png',
         'unknown_reliability.png',
     }
-    others = {'teams_by_round.png', 'loss_cost_robots_lost.png', 'last_contact_log_loss.png'}
+    others = {
+        'teams_by_round.png',
+        'loss_cost_robots_lost.png',
+        'last_contact_log_loss.png',
+        'prior_maps_log_loss.png',
+    }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
         for scenario in ('paper', 'calibrated', 'mismatched')
@@ -477,3 +482,42 @@ def test_how_sure_last_contacts_make():
     for row, entropy, loss in ((none, 29.9, 31.2), (each, 29.4, 37.1)):
         assert numbers(row['entropy'])[0] == entropy
         assert numbers(row['log loss'])[0] == loss
+
+
+def worth_of_maps():
+    """Return {(lethality, right, trusted): {robots: (mean, low, high)}}."""
+    return {
+        (row['lethality'], row['right'], row['trusted']): {
+            robots: numbers(row[robots]) for robots in ('0', '10', '25', '50', '100')
+        }
+        for row in rows_of('prior_maps', 1)
+    }
+
+
+def test_what_maps_known_beforehand_are_worth():
+    worth = worth_of_maps()
+    for lethality, quality, first, last in (
+        ('0.1', '0.9', 23.3, 9.6),
+        ('0.5', '0.9', 23.3, 15.8),
+        ('0.1', '0.7', 5.2, 2.0),
+        ('0.5', '0.7', 5.2, 4.2),
+    ):
+        row = worth[lethality, quality, quality]
+        assert (row['0'][0], row['100'][0]) == (first, last)
+        assert row['0'][1] > 0 < row['100'][1]
+    left = [numbers(row['log loss'])[0] for row in rows_of('prior_maps')[7:11]]
+    assert left == [31.8, 27.5, 15.9, 5.6]
+
+
+def test_what_maps_cost_that_are_trusted_too_much():
+    worth = worth_of_maps()
+    for key, first, last in (
+        (('0.1', '0.5', '0.9'), -34.6, -15.4),
+        (('0.5', '0.5', '0.9'), -34.6, -29.6),
+        (('0.1', '0.5', '0.7'), -4.6, -2.3),
+        (('0.5', '0.5', '0.7'), -4.6, -3.3),
+        (('0.1', '0.7', '0.9'), -5.3, -3.8),
+        (('0.5', '0.7', '0.9'), -5.3, -4.6),
+    ):
+        assert (worth[key]['0'][0], worth[key]['100'][0]) == (first, last)
+        assert worth[key]['100'][2] < 0
