@@ -32,8 +32,10 @@ def start(command, folder):
 
 
 def test_the_demo_and_its_replay(tmp_path):
-    typed = commands('demo', 'replay')
-    assert [words[2] for words in typed] == ['demo', 'replay', 'demo', 'demo', 'replay']
+    typed = commands('demo', 'replay', 'report')
+    assert [words[2] for words in typed] == [
+        'demo', 'replay', 'report', 'demo', 'demo', 'replay',
+    ]  # fmt: skip
     for command in typed:
         assert start(command, tmp_path).wait(timeout=300) == 0
 
