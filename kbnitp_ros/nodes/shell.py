@@ -269,6 +269,9 @@ class Shell(Node):
 
     def close(self) -> None:
         """Stay until what was published last has arrived: DDS drops it with the publisher."""
+        if self.is_over:
+            # Nobody tells when the answer of a service has arrived.
+            time.sleep(FAREWELL)
         end = time.monotonic() + FAREWELL
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))

@@ -35,6 +35,7 @@ def run(*arguments):
         ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
         ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
         ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
+        ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
         ('agent', 'sensor.lethality:=1.5', 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
         ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
         ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
