@@ -227,6 +227,34 @@ def test_a_mission_that_is_over_is_kept_if_wished_and_takes_options(tmp_path, co
     assert parameters['/planner']['max_steps'] == parameters['/estimator']['max_steps'] == 4
 
 
+@pytest.mark.usefixtures('configured')
+def test_a_robot_is_launched_in_its_namespaces(tmp_path):
+    given = {
+        'namespace': 'north',
+        'nav_namespace': '/',
+        'agent': 'scout_7',
+        'journal': tmp_path / 'journal',
+        'params_file': CONFIG,
+    }
+    arguments = [f'{name}:={value}' for name, value in given.items()]
+    with free_domain() as domain, tmp_path.joinpath('said').open('wb') as output:
+        robot = launched(
+            tmp_path, domain, *arguments, launch_file='robot', stdout=output, stderr=output
+        )
+        try:
+            end = time.monotonic() + 60
+            while 'waiting for' not in (said := tmp_path.joinpath('said').read_text()):
+                assert robot.poll() is None, said
+                assert time.monotonic() < end, said
+                time.sleep(0.1)
+        finally:
+            interrupt(robot)
+        assert robot.wait(60) == 0
+    assert 'waiting for planner and' in said or 'waiting for planner to' in said
+    assert '/north/scout_7/report' in said
+    assert '"agent":"scout_7"' in tmp_path.joinpath('journal').read_text()
+
+
 def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
     configured()
     arguments = ['params_file:=short.yaml', 'file:=mission.mcap', 'robots:=3', 'agents:=ada']
