@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What packages outside the project add: used by real nodes, or refused with the reason."""
+
+import subprocess
+import sys
+
+from kbnitp_ros.log.history import read_history
+import pytest
+from strangers import install
+
+# A method that keeps all losses, a planner that takes the shortest path of a search, and an
+# allocation that sends robots one after another along what is found best.
+SOURCE = """
+from kbnitp_ros.core import PLANNERS, update
+from kbnitp_ros.core.inference import Told
+
+
+class ReturnsFirst(Told):
+    def __init__(self, belief, model, unknowns, seed):
+        super().__init__(belief, model)
+        self._returned, self._losses = belief, ()
+
+    def assimilate(self, observation, kind):
+        returned, losses = self._returned, self._losses
+        if observation.survived:
+            returned = update(returned, kind.model(self.model), observation)
+        else:
+            losses = (*losses, (observation, kind))
+        belief = returned
+        for lost, of_kind in losses:
+            belief = update(belief, of_kind.model(self.model), lost)
+        self._returned, self._losses, self.belief = returned, losses, belief
+
+
+def shortest(finder, objective):
+    return [min(PLANNERS['relaxed'](finder, objective), key=lambda each: each.path.size)]
+
+
+def in_turn(robots):
+    found = [robot.finder.paths(robot.objective) for robot in robots]
+    return [each[n % len(each)].path for n, each in enumerate(found)], None
+"""
+ADDED = {
+    'methods': {'theirs': 'ReturnsFirst'},
+    'planners': {'theirs': 'shortest'},
+    'allocations': {'theirs': 'in_turn'},
+}
+
+# All that there is to refuse, and beside it a method that works.
+BAD_SOURCE = """
+from kbnitp_ros.core import Belief, PLANNERS
+from kbnitp_ros.core.inference import Told
+from kbnitp_ros.core.planning import Found
+import numpy as np
+
+number = 3
+
+
+class Works(Told):
+    def assimilate(self, observation, kind):
+        self.belief = Belief(self.belief.joint)
+
+
+class Small(Told):
+    def assimilate(self, observation, kind):
+        self.belief = Belief(self.belief.joint[:-1])
+
+
+class Breaks(Told):
+    def assimilate(self, observation, kind):
+        raise KeyError('nothing here')
+
+
+class Unlearned:
+    def __init__(self, belief, model, unknowns, seed):
+        self.belief = belief
+
+
+class Unable(Told):
+    pass
+
+
+def half_way(finder, objective):
+    base = finder.grid.base
+    return [Found(1.0, np.array([base, finder.grid.neighbors(base)[0]]))]
+
+
+def one_for_all(robots):
+    return [robots[0].finder.paths(robots[0].objective)[0].path], None
+"""
+BAD = {
+    'methods': {
+        'works': 'Works',
+        'small': 'Small',
+        'breaks': 'Breaks',
+        'unlearned': 'Unlearned',
+        'unable': 'Unable',
+        'odd': 'number',
+        'absent': 'nobody',
+        'gone': 'no_such_module:Method',
+        'leaves': 'leaver:Method',
+        'kappa_bnitp': 'Works',
+        'twice': 'Works',
+    },
+    'planners': {'half_way': 'half_way'},
+    'allocations': {'one_for_all': 'one_for_all'},
+}
+
+
+@pytest.fixture(scope='module')
+def bad(tmp_path_factory):
+    """Return the environment of a machine with packages of all faults."""
+    folder = tmp_path_factory.mktemp('bad')
+    folder.joinpath('leaver.py').write_text('raise SystemExit(3)\n')
+    install(folder, 'another', BAD_SOURCE, {'methods': {'twice': 'Works'}})
+    return install(folder, 'strangers_of_theirs', BAD_SOURCE, BAD)
+
+
+def run(environment, *command, cwd=None):
+    return subprocess.run(
+        [sys.executable, *command], env=environment, cwd=cwd, capture_output=True, text=True
+    )
+
+
+def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_package(tmp_path):
+    environment = install(tmp_path, 'theirs', SOURCE, ADDED)
+    done = run(
+        environment, '-m', 'kbnitp_ros', 'demo', '--method', 'theirs', '--planner', 'theirs',
+        '--allocation', 'theirs', '--agents', '2', '--robots', '4', '--size', '4',
+        '--max-steps', '6', '--lethality', '0.5', '--out', 'out', cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '/belief: 5 of 5 reproduced' in done.stdout
+    assert len(read_history(tmp_path / 'out/mission.mcap').observations) == 4
+
+
+OF = 'of strangers_of_theirs 1.0 (entry point'
+
+
+REASONS = {
+    'odd': f'{OF} odd = strangers_of_theirs:number): it is 3: it must be callable with',
+    'unlearned': 'it must have an attribute learns that is True or False',
+    'unable': 'it must have assimilate',
+    'absent': f'{OF} absent = strangers_of_theirs:nobody): AttributeError: ',
+    'gone': f'{OF} gone = no_such_module:Method): ModuleNotFoundError: No module named',
+    'leaves': f'{OF} leaves = leaver:Method): SystemExit: 3',
+    'twice': 'another 1.0 (entry point twice = another:Works) and strangers_of_theirs 1.0',
+}
+
+
+def test_a_command_that_is_given_a_broken_method_says_why_it_cannot_be_had(bad):
+    done = run(bad, '-m', 'kbnitp_ros', 'demo', '--method', 'odd')
+    assert done.returncode == 2
+    complaint = done.stderr[done.stderr.index('demo: parameter method is') :]
+    assert REASONS['odd'] in complaint
+    assert 'works' in complaint.partition('it must be one of')[2]
+
+
+def test_whoever_uses_a_broken_method_is_told_why_it_cannot_be_had(bad):
+    program = f"""
+from kbnitp_ros.core import *
+for name in {list(REASONS)}:
+    try:
+        Estimator(Belief.prior(Grid(2, 2), 0.1, 0.2, 0.3), SensorModel(0.5), name)
+    except ValueError as error:
+        print(error)
+"""
+    done = run(bad, '-c', program)
+    for line, (name, reason) in zip(done.stdout.splitlines(), REASONS.items(), strict=True):
+        assert line.startswith(f"method is '{name}': it is refused, {OF}")
+        assert reason in line
+        assert 'works' in line.partition('known are')[2]
+
+
+def test_what_cannot_be_had_is_told_once_and_the_rest_works(bad):
+    program = """
+from kbnitp_ros.core import *
+print(Estimator(Belief.prior(Grid(2, 2), 0.1, 0.2, 0.3), SensorModel(0.5), 'works').method)
+print(*METHODS.added, '|', *METHODS.refused)
+print(type(METHODS['kappa_bnitp'][0]).__name__, len(METHODS), len(METHODS))
+"""
+    done = run(bad, '-c', program)
+    lines = done.stdout.splitlines()
+    assert lines[0] == 'works'
+    assert set(lines[1].partition('|')[0].split()) == {'works', 'small', 'breaks'}
+    assert lines[2].startswith('OnePass 9')
+    for name in ('odd', 'gone', 'leaves', 'kappa_bnitp'):
+        assert done.stderr.count(f"RuntimeWarning: method '{name}': it is refused, {OF}") == 1
+    assert 'kbnitp_ros has a method of this name' in done.stderr
+
+
+def test_nothing_is_imported_of_others_where_none_of_theirs_is_asked_for(bad):
+    program = """
+import sys
+from kbnitp_ros.core import *
+grid = Grid(3, 3)
+belief = Belief.prior(grid, 0.1, 0.2, 0.3)
+plan_team(grid, Estimator(belief, SensorModel(0.5)).belief, SensorModel(0.5), 4, 2)
+print('strangers_of_theirs' in sys.modules)
+"""
+    done = run(bad, '-c', program)
+    assert done.stdout == 'False\n', done.stderr
+
+
+@pytest.mark.parametrize(
+    'use, told',
+    [
+        (
+            "e = Estimator(belief, model, 'small'); e.assimilate(lost)",
+            f"method 'small' {OF} small = strangers_of_theirs:Small) gives a belief of 8 cells "
+            'where the field has 9',
+        ),
+        (
+            "e = Estimator(belief, model, 'breaks'); e.assimilate(lost)",
+            f"method 'breaks' {OF} breaks = strangers_of_theirs:Breaks) failed: KeyError",
+        ),
+        (
+            "e = Estimator(belief, model); plan(grid, belief, model, 4, 'half_way')",
+            f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns a path "
+            'that is none: path must end at the base 4',
+        ),
+        (
+            "e = Estimator(belief, model); plan_team(grid, belief, model, 4, 2, 'one_for_all')",
+            f"allocation 'one_for_all' {OF} one_for_all = strangers_of_theirs:one_for_all) "
+            'returns 1 paths for 2 robots',
+        ),
+    ],
+)
+def test_what_breaks_the_rules_in_use_is_named_and_changes_nothing(bad, use, told):
+    program = f"""
+from kbnitp_ros.core import *
+from kbnitp_ros.plugins import PluginError
+grid, model = Grid(3, 3, base=4), SensorModel(0.5)
+belief, lost = Belief.prior(grid, 0.1, 0.2, 0.3), Observation([4, 0, 4], False)
+try:
+    {use}
+except PluginError as error:
+    print(error, e.belief.joint.tobytes() == belief.joint.tobytes())
+"""
+    done = run(bad, '-c', program)
+    assert told in done.stdout, done.stdout + done.stderr
+    assert done.stdout.endswith(' True\n')

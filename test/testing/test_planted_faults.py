@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws find the faults that are planted in what kept them."""
+
+from contextlib import suppress
+
+from kbnitp_ros.core import Belief, PLANNERS, update
+from kbnitp_ros.core.inference import Told
+from kbnitp_ros.core.planning import Found, Regions
+from kbnitp_ros.testing import check_allocation, check_method, check_planner
+import numpy as np
+import pytest
+
+
+class Sound(Told):
+    """A method that keeps the laws, to plant faults in."""
+
+    def assimilate(self, observation, kind):
+        self.belief = update(self.belief, kind.model(self.model), observation)
+
+
+class OwnCopy(Sound):
+    def copy(self):
+        return self
+
+
+class Shared(Sound):
+    """Copies share the list that the belief is made of."""
+
+    def __init__(self, belief, model, *_):
+        super().__init__(belief, model)
+        self._prior, self._seen = belief, []
+
+    def assimilate(self, observation, kind):
+        after = self._prior
+        for each, of_kind in [*self._seen, (observation, kind)]:
+            after = update(after, of_kind.model(self.model), each)
+        self._seen.append((observation, kind))
+        self.belief = after
+
+
+class Small(Sound):
+    def assimilate(self, observation, kind):
+        super().assimilate(observation, kind)
+        self.belief = Belief(self.belief.joint[1:])
+
+
+class Blurred(Sound):
+    """Cells off the path lose what was known of them."""
+
+    def assimilate(self, observation, kind):
+        super().assimilate(observation, kind)
+        self.belief = Belief(0.99 * self.belief.joint + 0.01 / 4)
+
+
+class Chancy(Sound):
+    def __init__(self, belief, model, *_):
+        super().__init__(belief, model)
+        self._rng = np.random.default_rng()
+
+    def assimilate(self, observation, kind):
+        if observation.survived or self._rng.random() < 0.5:
+            super().assimilate(observation, kind)
+
+
+class Lenient(Sound):
+    """What is impossible passes without a word."""
+
+    def assimilate(self, observation, kind):
+        with suppress(ValueError):
+            super().assimilate(observation, kind)
+
+
+class Hasty(Sound):
+    """The state is changed before what is impossible is refused."""
+
+    def __init__(self, belief, model, *_):
+        super().__init__(belief, model)
+        self._taken = 0
+
+    def assimilate(self, observation, kind):
+        self._taken += 1
+        super().assimilate(observation, kind)
+        if self._taken > 2 and not observation.survived:
+            super().assimilate(observation, kind)
+
+
+class Inverted(Sound):
+    """Readings are taken for their opposites."""
+
+    def assimilate(self, observation, kind):
+        model = kind.model(self.model)
+        swapped = type(model)(
+            model.lethality,
+            model.malfunction,
+            model.false_negative,
+            model.false_positive,
+            model.true_positive,
+        )
+        self.belief = update(self.belief, swapped, observation)
+
+
+class Alike(Sound):
+    """All robots are taken for ordinary ones."""
+
+    def assimilate(self, observation, kind):
+        self.belief = update(self.belief, self.model, observation)
+
+
+class Moved(Sound):
+    """A loss moves targets without hazards."""
+
+    def assimilate(self, observation, kind):
+        super().assimilate(observation, kind)
+        if not observation.survived:
+            joint = self.belief.joint.copy()
+            joint[observation.path] = self.belief.independent().joint[observation.path]
+            self.belief = Belief(joint)
+
+
+METHODS = {
+    OwnCopy: 'a copy goes on by itself. copy returns the inference itself',
+    Shared: 'a copy goes on by itself. ',
+    Small: 'each belief is a distribution',
+    Blurred: 'what is certain stays certain, .* Of the cells free of hazard',
+    Chancy: 'the same evidence and seed give the same belief',
+    Lenient: 'what is impossible is refused .* without a ValueError',
+    Hasty: 'what is impossible is refused .* What follows the impossible',
+    Inverted: 'a return is taken in exactly',
+    Alike: 'a return is taken in exactly|robots of one kind',
+    Moved: r'a loss leaves P\(target \| hazard\) as it was',
+}
+
+
+def test_what_faults_are_planted_in_keeps_the_laws():
+    check_method(Sound)
+    check_planner(PLANNERS['beam'], cases=5)
+    check_allocation(independent, cases=5)
+
+
+@pytest.mark.parametrize('method, law', METHODS.items())
+def test_a_fault_of_a_method_is_found(method, law):
+    with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*: ({law})'):
+        check_method(method)
+
+
+def open_ended(finder, objective):
+    return [Found(each.worth, each.path[:-1]) for each in PLANNERS['beam'](finder, objective)]
+
+
+def too_long(finder, objective):
+    base = finder.grid.base
+    return [Found.along(np.full(finder.max_steps + 2, base), objective)]
+
+
+def too_often(finder, objective):
+    return [Found.along(np.full(finder.max_steps + 1, finder.grid.base), objective)]
+
+
+def worst_first(finder, objective):
+    return PLANNERS['beam'](finder, objective)[::-1]
+
+
+def boastful(finder, objective):
+    return [Found(1.01 * worth + 1.0, path) for worth, path in PLANNERS['beam'](finder, objective)]
+
+
+def moody():
+    asked = []
+
+    def plan(finder, objective):
+        asked.append(1)
+        return PLANNERS['beam'](finder, objective)[: 1 + len(asked) % 3]
+
+    return plan
+
+
+PLANS = {
+    'path must end at the base|at least two cells': open_ended,
+    'at most max_steps': too_long,
+    'at most max_visits': too_often,
+    'the best path comes first': worst_first,
+    'a path is worth what it says': boastful,
+    'the same belief gives the same paths': moody(),
+}
+
+
+@pytest.mark.parametrize('law, planner', PLANS.items())
+def test_a_fault_of_a_planner_is_found(law, planner):
+    with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*({law})'):
+        check_planner(planner)
+
+
+def independent(robots):
+    return [robot.finder.paths(robot.objective)[0].path for robot in robots], None
+
+
+def one_for_all(robots):
+    return independent(robots)[0][:1], None
+
+
+def as_the_first(robots):
+    return independent(robots)[0][:1] * len(robots), None
+
+
+def second_best(robots):
+    return [robot.finder.paths(robot.objective)[-1].path for robot in robots], None
+
+
+def regions_of_blocked_cells(robots):
+    owner = np.zeros(robots[0].finder.grid.cells, dtype=np.intp)
+    return independent(robots)[0], Regions(owner, np.ones(len(robots)))
+
+
+ALLOCATIONS = {
+    'each robot has one path, .* There are 1 for': one_for_all,
+    'each robot has one path, .* at most max_steps': as_the_first,
+    'a robot alone is planned as ever': second_best,
+    'regions share out what robots can reach': regions_of_blocked_cells,
+}
+
+
+@pytest.mark.parametrize('law, allocation', ALLOCATIONS.items())
+def test_a_fault_of_an_allocation_is_found(law, allocation):
+    with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*: ({law})'):
+        check_allocation(allocation)
+
+
+@pytest.mark.parametrize('check', [check_method, check_planner, check_allocation])
+def test_what_is_none_at_all_is_told(check):
+    with pytest.raises(AssertionError, match='is none: it is 3: it must be callable with'):
+        check(3)
+    with pytest.raises(ValueError, match="is 'guess': known are"):
+        check('guess')
