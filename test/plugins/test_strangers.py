@@ -151,7 +151,7 @@ REASONS = {
 def test_a_command_that_is_given_a_broken_method_says_why_it_cannot_be_had(bad):
     done = run(bad, '-m', 'kbnitp_ros', 'demo', '--method', 'odd')
     assert done.returncode == 2
-    complaint = done.stderr[done.stderr.index('demo: parameter method is') :]
+    _, _, complaint = done.stderr.partition('demo: parameter method is')
     assert REASONS['odd'] in complaint
     assert 'works' in complaint.partition('it must be one of')[2]
 

@@ -19,6 +19,8 @@ class Sound(Told):
 
 
 class OwnCopy(Sound):
+    """A copy is what it was copied from."""
+
     def copy(self):
         return self
 
@@ -39,6 +41,8 @@ class Shared(Sound):
 
 
 class Small(Sound):
+    """A cell is missing."""
+
     def assimilate(self, observation, kind):
         super().assimilate(observation, kind)
         self.belief = Belief(self.belief.joint[1:])
@@ -53,6 +57,8 @@ class Blurred(Sound):
 
 
 class Chancy(Sound):
+    """Every second loss is forgotten, at random."""
+
     def __init__(self, belief, model, *_):
         super().__init__(belief, model)
         self._rng = np.random.default_rng()
