@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from kbnitp_ros.core import METHODS
+from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_percent, LEARNING
+from kbnitp_ros.study.scenario import Contender, in_percent
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of
-from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
@@ -17,11 +18,6 @@ from numpy.typing import NDArray
 
 # Predictions are compared with what is there in this many classes of equally many cells.
 CLASSES = 10
-
-
-def colour_of(method: str) -> str:
-    """Return a method's colour, which is the same whatever other packages add."""
-    return f'C{(*METHODS.own, LEARNING, *METHODS.added).index(method)}'
 
 
 def entropy_chart(path: Path, results: Results) -> None:
@@ -38,40 +34,67 @@ def _chart(
     path: Path, results: Results, measures: tuple[str, ...], label: str, scale: str
 ) -> None:
     scenario = results.scenario
-    # Methods look the same in every study; where teams differ they need colours of their own.
-    colours = {
-        contender: f'C{place}' if len(scenario.teams) > 1 else colour_of(contender.method)
-        for place, contender in enumerate(scenario.contenders)
-    }
+    # No more lines in a panel than can be told apart: beyond that in panels of their own.
+    contenders = scenario.contenders
+    groups = [
+        contenders[slice(begin, begin + len(SERIES))]
+        for begin in range(0, len(contenders), len(SERIES))
+    ]
     columns = min(3, len(scenario.lethalities))
     rows = -(-len(scenario.lethalities) // columns)
-    figure = Figure(figsize=(4 * columns, 3 * rows + 0.6), layout='constrained')
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    panels = len(scenario.lethalities)
-    for axes in grid.flat[panels:]:
-        axes.set_visible(False)
-    for axes, lethality in zip(grid.flat, scenario.lethalities):
-        for contender, colour in colours.items():
-            method, team = contender
-            mean, low, high = mean_of(results.series(lethality, method, *measures, team=team))
-            axes.plot(mean, color=colour, label=str(contender))
-            axes.fill_between(range(len(mean)), low, high, color=colour, alpha=0.2, lw=0)
-        axes.set_title(f'lethality {in_percent(lethality)}')
-        axes.set_xlim(0, scenario.robots)
-        axes.set_yscale(scale)
-        if scale == 'log':
-            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
-            axes.yaxis.set_minor_locator(NullLocator())
-        axes.grid(alpha=0.3)
+    height = 3 * rows * len(groups) + 0.6
+    figure = Figure(figsize=(4 * columns, height), layout='constrained')
+    shape = rows * len(groups), columns
+    grid = figure.subplots(*shape, sharex=True, sharey=True, squeeze=False)
+    for group, block in zip(groups, np.split(grid, len(groups))):
+        for lethality, axes in zip(scenario.lethalities, block.flat):
+            _panel(axes, results, lethality, group, measures, scale)
+        for axes in list(block.flat)[slice(len(scenario.lethalities), None)]:
+            axes.set_visible(False)
+        if len(groups) > 1:
+            block.flat[0].legend(fontsize='x-small')
     figure.supxlabel(f'deployment (mean of {scenario.trials} trials, 95 % band)')
     figure.supylabel(label)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    # In points: a letter of a label, and its line.
-    widest = 5.2 * max(map(len, labels)) + 40.0
-    columns = max(1, min(5, len(labels), int(72.0 * figure.get_figwidth() / widest)))
-    figure.legend(handles, labels, loc='outside upper center', ncols=columns)
-    figure.savefig(path, dpi=80)
+    if len(groups) == 1:
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        # In points: a letter of a label, and its line.
+        widest = 5.2 * max(map(len, labels)) + 40.0
+        columns = max(1, min(5, len(labels), int(72.0 * figure.get_figwidth() / widest)))
+        figure.legend(handles, labels, loc='outside upper center', ncols=columns)
+    save(figure, path, 'png', 'pdf')
+
+
+def _panel(
+    axes: Axes,
+    results: Results,
+    lethality: float | None,
+    contenders: Sequence[Contender],
+    measures: tuple[str, ...],
+    scale: str,
+) -> None:
+    """Draw one line a contender, each with a colour, a line style and a marker of its own."""
+    for contender, style in zip(contenders, SERIES):
+        method, team = contender
+        mean, low, high = mean_of(results.series(lethality, method, *measures, team=team))
+        axes.plot(
+            mean,
+            color=style.colour,
+            linestyle=style.dash,
+            marker=style.marker,
+            markersize=3,
+            markevery=max(1, len(mean) // 6),
+            linewidth=1.2,
+            label=str(contender),
+        )
+        axes.fill_between(range(len(mean)), low, high, color=style.colour, alpha=0.2, lw=0)
+    axes.set_title(f'lethality {in_percent(lethality)}')
+    axes.set_xlim(0, results.scenario.robots)
+    axes.set_yscale(scale)
+    if scale == 'log':
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+        axes.yaxis.set_minor_locator(NullLocator())
+    axes.grid(alpha=0.3)
 
 
 def reliability_chart(path: Path, results: Results) -> None:
@@ -84,18 +107,22 @@ def reliability_chart(path: Path, results: Results) -> None:
     contenders, lethalities = results.scenario.contenders, results.scenario.lethalities
     figure = Figure(figsize=(2.4 * len(contenders) + 1, 5.6), layout='constrained')
     grid = figure.subplots(2, len(contenders), sharex=True, sharey=True, squeeze=False)
-    colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(lethalities)))
+    # Of many lethalities as many as can be told apart, spread evenly.
+    few = np.unique(np.linspace(0, len(lethalities) - 1, len(SERIES)).round().astype(int))
+    styles = [(lethalities[place], style) for place, style in zip(few, SERIES)]
     for contender, column in zip(contenders, grid.T):
         column[0].set_title(str(contender), fontsize='medium')
         for axes in column:
             axes.plot([0, 1], [0, 1], color='0.7', linewidth=1)
-        for lethality, colour in zip(lethalities, colours):
+        for lethality, style in styles:
             believed, truth = results.final_maps(lethality, *contender)
             for axes, *cells in zip(column, believed.swapaxes(0, 1), truth.swapaxes(0, 1)):
                 axes.plot(
                     *reliability(*cells),
-                    color=colour,
-                    marker='.',
+                    color=style.colour,
+                    linestyle=style.dash,
+                    marker=style.marker,
+                    markersize=3,
                     linewidth=1,
                     label=in_percent(lethality),
                 )
@@ -104,7 +131,7 @@ def reliability_chart(path: Path, results: Results) -> None:
     figure.supxlabel('probability believed after the last robot')
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=len(labels))
-    figure.savefig(path, dpi=80)
+    save(figure, path, 'png', 'pdf')
 
 
 def reliability(

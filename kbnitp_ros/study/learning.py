@@ -7,6 +7,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, LEARNING, NUMBERS
 from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
@@ -120,32 +121,28 @@ def worth_markdown(summary: dict[str, Any]) -> str:
 
 def numbers_chart(path: Path, results: Results) -> None:
     """
-    Draw how well each number is known after each deployment, a panel a number.
+    Draw how well each number is known after each deployment, two panels a number.
 
-    Lines are the root mean square of the mean's distance from the truth, dashes that of
-    the standard deviation, which is as large where beliefs mean what they say.
+    On the left is the root mean square of the mean's distance from the truth, on the right that
+    of the standard deviation, which is as large where beliefs mean what they say.
     """
     names = learnt_numbers(results)
-    columns = min(4, len(names))
-    rows = -(-len(names) // columns)
-    figure = Figure(figsize=(max(7.0, 3.5 * columns), 3 * rows + 0.6), layout='constrained')
-    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for axes in grid.flat[slice(len(names), None)]:
-        axes.set_visible(False)
-    for axes, name in zip(grid.flat, names):
-        for place, lethality in enumerate(results.scenario.lethalities):
+    figure = Figure(figsize=(8.0, 2.6 * len(names) + 0.9), layout='constrained')
+    grid = figure.subplots(len(names), 2, sharex=True, sharey='row', squeeze=False)
+    for (left, right), name in zip(grid, names):
+        for style, lethality in zip(SERIES, results.scenario.lethalities):
             known, truth = of_number(results, lethality, name)
             error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
             spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
-            axes.plot(error, color=f'C{place}', label=f'lethality {in_percent(lethality)}')
-            axes.plot(spread, color=f'C{place}', linestyle='--')
-        axes.set_title(name.replace('_', ' '))
-        axes.set_xlim(0, results.scenario.robots)
-        axes.set_ylim(bottom=0.0)
-        axes.grid(alpha=0.3)
-    figure.supxlabel(
-        f'deployment ({results.scenario.trials} trials); lines: error, dashes: standard deviation'
-    )
+            look = {'color': style.colour, 'linestyle': style.dash}
+            left.plot(error, **look, label=f'lethality {in_percent(lethality)}')
+            right.plot(spread, **look)
+        for axes, what in ((left, 'error'), (right, 'standard deviation')):
+            axes.set_title(f'{name.replace("_", " ")}, {what}')
+            axes.set_xlim(0, results.scenario.robots)
+            axes.set_ylim(bottom=0.0)
+            axes.grid(alpha=0.3)
+    figure.supxlabel(f'deployment ({results.scenario.trials} trials)')
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
-    figure.savefig(path, dpi=80)
+    save(figure, path, 'png', 'pdf')

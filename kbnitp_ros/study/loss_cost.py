@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, Team
 from kbnitp_ros.study.summary import (
@@ -19,7 +20,6 @@ from kbnitp_ros.study.summary import (
     shown,
     table,
 )
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
@@ -152,15 +152,21 @@ def loss_cost_chart(path: Path, results: Results) -> None:
     unused = len(groups)
     for axes in panels[unused:]:
         axes.set_visible(False)
-    colours = colormaps['viridis'](np.linspace(0.0, 0.9, len(teams)))
     for (lethality, method), axes in zip(groups, panels):
         name = f'lethality {in_percent(lethality)}, {method}'
         trades = [trade(results, lethality, method, team) for team in teams]
         last = [mean_of(missions[:, :, -1]) for missions in trades]
         _draw_ends(ends, last, [f'{team.loss_cost:.4g}' for team in teams], name)
-        for team, missions, colour in zip(teams, trades, colours):
+        for team, missions, style in zip(teams, trades, cycle(SERIES)):
+            colour = style.colour
             (lost, log_loss), (_, low), (_, high) = mean_of(missions)
-            axes.plot(lost, log_loss, color=colour, label=f'loss cost {team.loss_cost:.4g}')
+            axes.plot(
+                lost,
+                log_loss,
+                color=colour,
+                ls=style.dash,
+                label=f'loss cost {team.loss_cost:.4g}',
+            )
             axes.fill_between(lost, low, high, color=colour, alpha=0.12, lw=0)
         axes.set_title(name)
         axes.legend()
@@ -170,7 +176,7 @@ def loss_cost_chart(path: Path, results: Results) -> None:
         axes.grid(alpha=0.3)
     figure.supxlabel(f'robots lost (mean of {scenario.trials} trials, 95 % intervals)')
     figure.supylabel('log loss of hazard and target (nats)')
-    figure.savefig(path, dpi=80)
+    save(figure, path, 'png', 'pdf')
 
 
 def _draw_ends(axes: Axes, ends: list[Mean], labels: list[str], name: str) -> None:

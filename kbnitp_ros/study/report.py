@@ -77,4 +77,6 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     parquet.write_table(results.table(), table)
     as_json.write_text(json.dumps(summary, indent=1) + '\n')
     as_markdown.write_text('\n'.join(tables))
-    return [table, *files.values(), as_json, as_markdown]
+    # Each is there for print as well.
+    pictures = [each.with_suffix(suffix) for each in files.values() for suffix in ('.png', '.pdf')]
+    return [table, *pictures, as_json, as_markdown]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import ALLOCATIONS
+from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
 from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table, team_of
@@ -128,7 +129,7 @@ def teams_chart(path: Path, results: Results) -> None:
     scenario = results.scenario
     groups = list(product(scenario.lethalities, scenario.methods))
     sizes = sorted({team.agents for team in scenario.teams})
-    colours = {agents: f'C{place}' for place, agents in enumerate(sizes)}
+    colours = {agents: style.colour for agents, style in zip(sizes, cycle(SERIES))}
     lines = dict(zip(ALLOCATIONS, cycle(STYLES)))
     figure = Figure(figsize=(9, 5.5 * len(groups) + 0.6), layout='constrained')
     grid = figure.subplots(2 * len(groups), 2, sharex='col', sharey='row', squeeze=False)
@@ -153,4 +154,4 @@ def teams_chart(path: Path, results: Results) -> None:
         axes.set_xlabel(f'{label} (mean of {scenario.trials} trials, 95 % band)')
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
-    figure.savefig(path, dpi=80)
+    save(figure, path, 'png', 'pdf')

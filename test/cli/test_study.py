@@ -24,7 +24,12 @@ import yaml
 
 STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
 PATIENCE = 300.0
-LEFT = ['table.parquet', 'entropy.png', 'log_loss.png', 'reliability.png', 'summary.json']
+PICTURES = [
+    f'{name}.{suffix}'
+    for name in ('entropy', 'log_loss', 'reliability')
+    for suffix in ('png', 'pdf')
+]
+LEFT = ['table.parquet', *PICTURES, 'summary.json']
 LEFT += ['summary.md', 'scenario.yaml']
 
 SCENARIO = {
