@@ -12,7 +12,7 @@ DPI = 300
 FORMATS = ('png', 'svg', 'pdf')
 
 # Letters are embedded as outlines in SVG and as TrueType in PDF, where they stay text.
-EMBEDDED = {'svg.fonttype': 'path', 'pdf.fonttype': 42}
+EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype': 42}
 
 # Nothing that differs from one run to the next.
 METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
