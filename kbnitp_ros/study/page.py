@@ -15,17 +15,24 @@ import shutil
 import sys
 
 TABLE = re.compile(r'(<!-- table (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
+FIGURE = re.compile(r'\(images/(\w+\.png)\)')
 
 
 def main(runs: Path, docs: Path) -> None:
     """Bring every study that the page has a table of."""
     page = docs / 'results.md'
     text = page.read_text()
+    scenarios = [scenario for _, scenario, _ in TABLE.findall(text)]
+    for figure in FIGURE.findall(text):
+        # The name of a scenario may begin with another's.
+        of = [each for each in scenarios if figure.startswith(f'{each}_')]
+        if of:
+            scenario = max(of, key=len)
+            drawn = runs / scenario / figure.removeprefix(f'{scenario}_')
+            shutil.copy(drawn, docs / 'images' / figure)
 
     def table(match: re.Match[str]) -> str:
         begin, scenario, end = match.groups()
-        for figure in re.findall(rf'\(images/{scenario}_(\w+\.png)\)', text):
-            shutil.copy(runs / scenario / figure, docs / 'images' / f'{scenario}_{figure}')
         return begin + (runs / scenario / 'summary.md').read_text() + end
 
     page.write_text(TABLE.sub(table, text))
