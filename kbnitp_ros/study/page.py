@@ -11,10 +11,14 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
-import shutil
 import sys
 
+from PIL import Image
+
 TABLE = re.compile(r'(<!-- table (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
+# Of a figure in the page, in pixels, and how many colours it has there.
+WIDTH, COLOURS = 1600, 128
+
 FIGURE = re.compile(r'\(images/(\w+\.png)\)')
 
 
@@ -29,13 +33,20 @@ def main(runs: Path, docs: Path) -> None:
         if of:
             scenario = max(of, key=len)
             drawn = runs / scenario / figure.removeprefix(f'{scenario}_')
-            shutil.copy(drawn, docs / 'images' / figure)
+            bring(drawn, docs / 'images' / figure)
 
     def table(match: re.Match[str]) -> str:
         begin, scenario, end = match.groups()
         return begin + (runs / scenario / 'summary.md').read_text() + end
 
     page.write_text(TABLE.sub(table, text))
+
+
+def bring(drawn: Path, shown: Path) -> None:
+    """Bring a figure, as large as a page shows it and in as few colours as it needs."""
+    with Image.open(drawn) as image:
+        image.thumbnail((WIDTH, 2 * WIDTH))
+        image.convert('RGB').quantize(COLOURS).save(shown, optimize=True)
 
 
 if __name__ == '__main__':

@@ -17,7 +17,7 @@ import sys
 import termios
 import time
 
-from kbnitp_ros.study.scenario import NUMBERS
+from kbnitp_ros.study.scenario import ALONE, NUMBERS
 from pyarrow import parquet
 import pytest
 import yaml
@@ -221,7 +221,7 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     assert process.returncode == 130
     kept = yaml.safe_load((tmp_path / 'out' / 'scenario.yaml').read_text())
     shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
-    one_by_one = {'agents': 1, 'allocation': 'greedy', 'loss_cost': 0.0, 'last_contact': 0.0}
+    one_by_one = vars(ALONE)
     told = dict.fromkeys(NUMBERS)
     defaults = {'believed_lethality': None, 'teams': [one_by_one], 'learn': told}
     assert kept == {**yaml.safe_load(shipped.read_text()), **defaults}

@@ -10,6 +10,7 @@ from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
 from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED
 import numpy as np
+from PIL import Image
 import pytest
 
 DOCS = Path(__file__).parents[2] / 'docs'
@@ -447,8 +448,9 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
     runs, docs = tmp_path / 'runs', tmp_path / 'docs'
     (runs / 'paper').mkdir(parents=True)
     (docs / 'images').mkdir(parents=True)
-    for figure in ('entropy', 'log_loss', 'reliability'):
-        (runs / 'paper' / f'{figure}.png').write_text(figure)
+    colours = {'entropy': 'red', 'log_loss': 'blue', 'reliability': 'lime'}
+    for figure, colour in colours.items():
+        Image.new('RGB', (3200, 1000), colour).save(runs / 'paper' / f'{figure}.png')
     (runs / 'paper' / 'summary.md').write_text('new\n')
     before = (
         '![Words](images/paper_entropy.png)\n![Words](images/other_log_loss.png)\n'
@@ -457,8 +459,11 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
     (docs / 'results.md').write_text(before)
     page.main(runs, docs)
     assert (docs / 'results.md').read_text() == before.replace('old\nold\n', 'new\n')
-    brought = {path.name: path.read_text() for path in (docs / 'images').iterdir()}
-    assert brought == {'paper_entropy.png': 'entropy', 'paper_log_loss.png': 'log_loss'}
+    brought = {path.name: Image.open(path) for path in (docs / 'images').iterdir()}
+    assert brought.keys() == {'paper_entropy.png', 'paper_log_loss.png'}
+    for name, colour in (('paper_entropy.png', (255, 0, 0)), ('paper_log_loss.png', (0, 0, 255))):
+        assert brought[name].size == (1600, 500)
+        assert brought[name].convert('RGB').getpixel((800, 250)) == colour
 
 
 def test_what_it_is_worth_to_plan_for_information():
