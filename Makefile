@@ -40,8 +40,8 @@ benchmarks: build .venv/.benchmarks
 	. ./env.sh && python3 benchmarks/run.py
 
 # The pages of docs/ as a site, in build/docs/html; what does not fit together is an error.
-docs: .venv/.docs
-	.venv/bin/python3 -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs/html
+docs: build .venv/.docs
+	. ./env.sh && python3 -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs/html
 	@echo 'wrote build/docs/html/index.html'
 
 test: build .venv/.dev
