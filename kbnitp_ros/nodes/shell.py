@@ -72,7 +72,8 @@ START_ERRORS = (
 )
 
 
-# What this process was sent, one after another.
+# What ends a node, and what of it this process was sent, one after another.
+ENDING = (signal.SIGINT, signal.SIGTERM)
 SIGNALS: list[int] = []
 
 
@@ -312,7 +313,7 @@ def run(
     arguments = list(sys.argv[1:] if args is None else args)
     parser = node_parser(name, str(make.__doc__))
     SIGNALS.clear()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ENDING:
         signal.signal(number, lambda received, _: SIGNALS.append(received))
     try:
         # ROS has worse words for a file that is not there.
@@ -344,7 +345,9 @@ def run(
     finally:
         _leave(code, executor, node)
         # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        # One that comes in this very moment would have Python complain, so it is held back before.
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
     return code
 

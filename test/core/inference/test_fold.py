@@ -157,7 +157,7 @@ def test_disorder_is_cheap(monkeypatch):
     monkeypatch.setattr(
         Estimator,
         'assimilate',
-        lambda self, observation: updates.append(1) or assimilate(self, observation),
+        lambda self, *evidence: updates.append(1) or assimilate(self, *evidence),
     )
     deployments = list(mission(1000, np.random.default_rng(1)))
     ledger = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL))
