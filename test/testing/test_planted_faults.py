@@ -2,6 +2,7 @@
 """The laws find the faults that are planted in what kept them."""
 
 from contextlib import suppress
+from itertools import count
 
 from kbnitp_ros.core import Belief, PLANNERS, update
 from kbnitp_ros.core.inference import Told
@@ -57,14 +58,16 @@ class Blurred(Sound):
 
 
 class Chancy(Sound):
-    """Every second loss is forgotten, at random."""
+    """Every second one that is made forgets losses."""
+
+    made = count()
 
     def __init__(self, belief, model, *_):
         super().__init__(belief, model)
-        self._rng = np.random.default_rng()
+        self._forgets = next(self.made) % 2 == 1
 
     def assimilate(self, observation, kind):
-        if observation.survived or self._rng.random() < 0.5:
+        if observation.survived or not self._forgets:
             super().assimilate(observation, kind)
 
 
