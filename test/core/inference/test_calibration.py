@@ -103,11 +103,11 @@ def test_ranks_are_uniform():
 
 
 def planted(name):
-    """Return a draw of numbers that counts the evidence of one of them twice."""
+    """Return a draw of numbers that takes the evidence of one of them for its opposite."""
     draw = Chains._draw
 
     def wrong(self, drawn, log_likelihood):
-        return draw(self, drawn, log_likelihood * (2.0 if drawn == name else 1.0))
+        return draw(self, drawn, log_likelihood * (-1.0 if drawn == name else 1.0))
 
     return wrong
 
