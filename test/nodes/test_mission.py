@@ -130,9 +130,13 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'
     paths, reports, beliefs = heard = listen(field, '/m')
+    views = [field.listen(OccupancyGrid, f'/m/belief/{name}') for name in MAPS]
     field.start_mission(parameters, '/m', log)
     wait_for_end(field, parameters, heard)
     assert_is_core_mission(parameters, *heard)
+    # They follow their belief.
+    last = beliefs[-1].header.stamp
+    field.until(lambda: all(view[-1].header.stamp == last for view in views), 'last maps')
     assert set(field.processes.stop().values()) == {0}
     recorded = {}
     for logged in read_log(log):

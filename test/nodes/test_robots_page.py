@@ -38,8 +38,12 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     parameters = {'robots': 3, 'file': str(log), 'max_steps': 8}
     minimal_agent()
-    for node in ('recorder', 'estimator', 'planner'):
+    for node in ('recorder', 'estimator'):
         field.start(node, parameters)
+    # A log can be replayed from the belief before the first deployment.
+    waiting = 'waiting for a planner to publish AGENT/path in'
+    field.until(lambda: field.state('/recorder').startswith(waiting), 'belief to record')
+    field.start('planner', parameters)
     field.until(lambda: field.state('/planner').startswith('done: 3 of 3'), 'end')
     assert [each.survived for each in reports] == [True] * 3
     field.processes.stop()
