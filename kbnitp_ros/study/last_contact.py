@@ -8,7 +8,7 @@ from typing import Any
 
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_short
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.summary import after_robots, differences, LOG_LOSS, shown, table
 
 # After how many robots missions are compared, and after the last one.
 ROBOTS = (10, 25, 50, 100, 200)
@@ -29,13 +29,13 @@ def summarise_contact(results: Results) -> dict[str, Any]:
     """
     scenario = results.scenario
     least, *others = sorted(scenario.teams, key=lambda team: team.last_contact)
-    robots = sorted({*(each for each in ROBOTS if each < scenario.robots), scenario.robots})
+    robots = after_robots(ROBOTS, scenario.robots)
     rows = []
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
         without, heard = (
             results.series(lethality, method, *LOG_LOSS, team=of) for of in (least, team)
         )
-        worth = [as_json(mean_of((without - heard)[:, after])) for after in robots]
+        worth = differences(without, heard, robots)
         rows.append({'lethality': lethality, 'method': method, **vars(team), 'worth': worth})
     return {'least': least.last_contact, 'robots': robots, 'rows': rows}
 

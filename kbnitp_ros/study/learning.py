@@ -10,7 +10,15 @@ from typing import Any
 from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, LEARNING, NUMBERS
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.summary import (
+    after_robots,
+    as_json,
+    differences,
+    LOG_LOSS,
+    mean_of,
+    shown,
+    table,
+)
 from kbnitp_ros.study.trial import LEARNT
 from matplotlib.figure import Figure
 import numpy as np
@@ -94,14 +102,14 @@ def summarise_worth(results: Results) -> dict[str, Any]:
     """
     scenario = results.scenario
     team = scenario.teams[0]
-    robots = sorted({*(each for each in ROBOTS if each < scenario.robots), scenario.robots})
+    robots = after_robots(ROBOTS, scenario.robots)
     rows = []
     for lethality in scenario.lethalities:
         learner = results.series(lethality, LEARNING, *LOG_LOSS, team=team)
         for method in scenario.methods:
             if method != LEARNING:
                 told = results.series(lethality, method, *LOG_LOSS, team=team)
-                costs = [as_json(mean_of((learner - told)[:, after])) for after in robots]
+                costs = differences(learner, told, robots)
                 rows.append({'lethality': lethality, 'method': method, 'costs': costs})
     return {'robots': robots, 'rows': rows}
 

@@ -8,7 +8,15 @@ from typing import Any
 
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_short
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.summary import (
+    after_robots,
+    as_json,
+    differences,
+    LOG_LOSS,
+    mean_of,
+    shown,
+    table,
+)
 
 # After how many robots missions are compared, and after the last one.
 ROBOTS = (10, 25, 50)
@@ -29,7 +37,7 @@ def summarise_planners(results: Results) -> dict[str, Any]:
     """
     scenario = results.scenario
     first, *others = scenario.teams
-    robots = sorted({*(each for each in ROBOTS if each < scenario.robots), scenario.robots})
+    robots = after_robots(ROBOTS, scenario.robots)
     rows = []
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
         of_first, this = (
@@ -44,7 +52,7 @@ def summarise_planners(results: Results) -> dict[str, Any]:
                 'lethality': lethality,
                 'method': method,
                 'planner': team.planner or scenario.planning.planner,
-                'difference': [as_json(mean_of((this - of_first)[:, after])) for after in robots],
+                'difference': differences(this, of_first, robots),
                 'lost': as_json(mean_of(lost)),
                 'lost_more': as_json(mean_of(lost - lost_by_first)),
             }

@@ -7,20 +7,11 @@ from itertools import product
 from typing import Any
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_short, Scenario
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
+from kbnitp_ros.study.scenario import in_short
+from kbnitp_ros.study.summary import after_robots, differences, LOG_LOSS, shown, table
 
 # After how many robots missions are compared, and after the last one.
 ROBOTS = (0, 10, 25, 50)
-
-
-def compares_maps(scenario: Scenario) -> bool:
-    """Return whether teams differ, and in their maps alone."""
-    others = {
-        tuple(value for name, value in vars(team).items() if name not in ('survey', 'trusted'))
-        for team in scenario.teams
-    }
-    return len(scenario.teams) > 1 and len(others) == 1
 
 
 def summarise_maps(results: Results) -> dict[str, Any]:
@@ -37,7 +28,7 @@ def summarise_maps(results: Results) -> dict[str, Any]:
     """
     scenario = results.scenario
     first, *others = scenario.teams
-    robots = sorted({*(each for each in ROBOTS if each < scenario.robots), scenario.robots})
+    robots = after_robots(ROBOTS, scenario.robots)
     rows = []
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
         without, known = (
@@ -49,7 +40,7 @@ def summarise_maps(results: Results) -> dict[str, Any]:
                 'method': method,
                 'survey': team.survey,
                 'trusted': team.trusted or team.survey,
-                'worth': [as_json(mean_of((without - known)[:, after])) for after in robots],
+                'worth': differences(without, known, robots),
             }
         )
     return {'robots': robots, 'rows': rows}

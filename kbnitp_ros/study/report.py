@@ -21,7 +21,7 @@ from kbnitp_ros.study.loss_cost import (
     summarise_loss_cost,
 )
 from kbnitp_ros.study.planners import planners_markdown, summarise_planners
-from kbnitp_ros.study.prior_maps import compares_maps, maps_markdown, summarise_maps
+from kbnitp_ros.study.prior_maps import maps_markdown, summarise_maps
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
@@ -60,7 +60,7 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     if differ_only_in(results.scenario, 'planner'):
         summary['planners'] = summarise_planners(results)
         tables.append(planners_markdown(summary['planners']))
-    if compares_maps(results.scenario):
+    if differ_only_in(results.scenario, 'survey', 'trusted'):
         summary['prior_maps'] = summarise_maps(results)
         tables.append(maps_markdown(summary['prior_maps']))
     if LEARNING in results.scenario.methods:

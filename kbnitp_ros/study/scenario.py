@@ -333,9 +333,12 @@ class Scenario:
         return SensorModel(**{field.name: truth[field.name] for field in fields(SensorModel)})
 
 
-def differ_only_in(scenario: Scenario, name: str) -> bool:
-    """Return whether the teams of a scenario differ, and in this alone."""
-    others = {tuple(v for k, v in vars(team).items() if k != name) for team in scenario.teams}
+def differ_only_in(scenario: Scenario, *names: str) -> bool:
+    """Return whether the teams of a scenario differ, and in these alone."""
+    others = {
+        tuple(value for name, value in vars(team).items() if name not in names)
+        for team in scenario.teams
+    }
     return len(scenario.teams) > 1 and len(others) == 1
 
 

@@ -53,6 +53,28 @@ def mean_of(samples: NDArray[np.float64]) -> Mean:
     return interval(samples.mean(axis=0), resampled_means(samples))
 
 
+def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
+    """Return after how many robots missions are compared: these, as far as there are, and all."""
+    return sorted({*(each for each in robots if each < all_of_them), all_of_them})
+
+
+def differences(
+    one: NDArray[np.float64], other: NDArray[np.float64], robots: Sequence[int]
+) -> list[dict[str, float | None]]:
+    """
+    Return one series less another of the same trials, as JSON can hold it.
+
+    Parameters
+    ----------
+    one, other : ndarray, shape (trials, robots + 1)
+        Before the first robot and after each.
+    robots : sequence of int
+        After how many the means and intervals are wanted.
+
+    """
+    return [as_json(mean_of((one - other)[:, after])) for after in robots]
+
+
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     Return the means over trials that are drawn again and again, with replacement.

@@ -5,10 +5,10 @@ from dataclasses import replace
 import json
 
 from kbnitp_ros.core import Belief, Grid, World
-from kbnitp_ros.study.prior_maps import compares_maps, maps_markdown, summarise_maps
+from kbnitp_ros.study.prior_maps import maps_markdown, summarise_maps
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import differ_only_in, Team
 from kbnitp_ros.study.survey import surveyed
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
@@ -78,6 +78,7 @@ def test_the_report_has_a_table_of_it(compared, tmp_path):
 
 
 def test_only_teams_that_differ_in_maps_alone_are_compared(scenario):
-    assert compares_maps(replace(scenario, teams=TEAMS))
-    assert not compares_maps(replace(scenario, teams=(Team(), Team(survey=0.9, agents=2))))
-    assert not compares_maps(replace(scenario, teams=(Team(),)))
+    maps = 'survey', 'trusted'
+    assert differ_only_in(replace(scenario, teams=TEAMS), *maps)
+    assert not differ_only_in(replace(scenario, teams=(Team(), Team(survey=0.9, agents=2))), *maps)
+    assert not differ_only_in(replace(scenario, teams=(Team(),)), *maps)
