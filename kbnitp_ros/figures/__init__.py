@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """How figures look: colours, line styles and markers, sizes, files."""
 
-from kbnitp_ros.figures.files import FORMATS, save
+from kbnitp_ros.figures.files import FORMATS, LETTERS, save, WIDTH
 from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, SERIES, Style, UNVISITED
 
 __all__ = [
     'FORMATS',
+    'LETTERS',
     'LOST',
     'MAPS',
     'RETURNED',
     'SERIES',
     'UNVISITED',
+    'WIDTH',
     'Style',
     'save',
 ]

@@ -14,6 +14,24 @@ FORMATS = ('png', 'svg', 'pdf')
 # Letters are embedded as outlines in SVG and as TrueType in PDF, where they stay text.
 EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype': 42}
 
+# In inches: two columns of a journal.
+WIDTH = 7.2
+
+# Letters as they are in print at that width.
+LETTERS = {
+    'font.size': 8,
+    'axes.titlesize': 8,
+    'axes.labelsize': 8,
+    'figure.labelsize': 8,
+    'xtick.labelsize': 7,
+    'ytick.labelsize': 7,
+    'legend.fontsize': 7,
+    'legend.frameon': False,
+    'axes.linewidth': 0.6,
+    'xtick.major.width': 0.6,
+    'ytick.major.width': 0.6,
+}
+
 # Nothing that differs from one run to the next.
 METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
 

@@ -9,6 +9,10 @@ to dark, so that their order shows without any hue.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+# How many markers a line has, which tell it from others without colour.
+MARKERS = 8
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,17 @@ class Style:
     dash: str | tuple[int, tuple[float, ...]]
     plotly_dash: str
     marker: str
+
+    def line(self, points: int) -> dict[str, Any]:
+        """Return what Matplotlib is told to draw a line of so many points, by its keywords."""
+        return {
+            'color': self.colour,
+            'linestyle': self.dash,
+            'linewidth': 1.2,
+            'marker': self.marker,
+            'markersize': 3,
+            'markevery': max(1, points // MARKERS),
+        }
 
 
 # At most as many lines are in a panel.

@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 COLUMNS = 2
 
-# How many markers a line has, which tell it from others without colour.
-MARKERS = 8
-
 
 @dataclass(frozen=True, eq=False)
 class Panel:
@@ -117,16 +114,7 @@ def progress_figure(
 def draw_panel(axes: Axes, panel: Panel) -> None:
     """Draw some lines, each with a colour, a line style and a marker of its own."""
     for (name, values), style in zip(panel.lines.items(), SERIES):
-        axes.plot(
-            values,
-            color=style.colour,
-            linestyle=style.dash,
-            marker=style.marker,
-            markersize=3,
-            markevery=max(1, len(values) // MARKERS),
-            linewidth=1.2,
-            label=name,
-        )
+        axes.plot(values, **style.line(len(values)), label=name)
     axes.set_ylabel(panel.label)
     lowest = np.nanmin([0.0, *(np.nanmin(values) for values in panel.lines.values())])
     axes.set_ylim(bottom=lowest)

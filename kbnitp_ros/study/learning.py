@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.figures import save, SERIES
+from kbnitp_ros.figures import SERIES, WIDTH
+from kbnitp_ros.study.panels import columns_for, grid_of, legend_above, trials_in
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, in_short, LEARNING, NUMBERS
 from kbnitp_ros.study.summary import (
@@ -20,6 +20,7 @@ from kbnitp_ros.study.summary import (
     table,
 )
 from kbnitp_ros.study.trial import LEARNT
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
@@ -127,30 +128,52 @@ def worth_markdown(summary: dict[str, Any]) -> str:
     return table(caption, ['lethality', 'method', *map(str, summary['robots'])], rows)
 
 
-def numbers_chart(path: Path, results: Results) -> None:
+def numbers_chart(results: Results) -> Figure:
     """
-    Draw how well each number is known after each deployment, two panels a number.
+    Draw how well each number is known after each deployment, a panel a number and lethality.
 
-    On the left is the root mean square of the mean's distance from the truth, on the right that
-    of the standard deviation, which is as large where beliefs mean what they say.
+    One line is the root mean square of the mean's distance from the truth, the other that of the
+    standard deviation, which is as large where beliefs mean what they say.
     """
-    names = learnt_numbers(results)
-    figure = Figure(figsize=(8.0, 2.6 * len(names) + 0.9), layout='constrained')
-    grid = figure.subplots(len(names), 2, sharex=True, sharey='row', squeeze=False)
-    for (left, right), name in zip(grid, names):
-        for style, lethality in zip(SERIES, results.scenario.lethalities):
-            known, truth = of_number(results, lethality, name)
-            error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
-            spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
-            look = {'color': style.colour, 'linestyle': style.dash}
-            left.plot(error, **look, label=f'lethality {in_percent(lethality)}')
-            right.plot(spread, **look)
-        for axes, what in ((left, 'error'), (right, 'standard deviation')):
-            axes.set_title(f'{name.replace("_", " ")}, {what}')
-            axes.set_xlim(0, results.scenario.robots)
-            axes.set_ylim(bottom=0.0)
-            axes.grid(alpha=0.3)
-    figure.supxlabel(f'deployment ({results.scenario.trials} trials)')
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
-    save(figure, path, 'png', 'pdf')
+    scenario, names = results.scenario, learnt_numbers(results)
+    shown_in = list(product(names, scenario.lethalities))
+    # A row a number, unless there is but one panel of each.
+    are_rows = len(scenario.lethalities) > 1
+    columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
+    rows = -(-len(shown_in) // columns)
+    figure = Figure(figsize=(WIDTH, 1.7 * rows + 0.6), layout='constrained')
+    panels = grid_of(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
+    for place, ((name, lethality), axes) in enumerate(zip(shown_in, panels)):
+        draw_known(axes, *of_number(results, lethality, name))
+        if not are_rows:
+            axes.set_title(name.replace('_', ' '))
+        elif place % columns == 0:
+            axes.set_ylabel(name.replace('_', ' '))
+        if are_rows and place < columns:
+            axes.set_title(f'lethality {in_percent(lethality)}')
+    figure.supxlabel(f'deployment (root mean squares of {trials_in(scenario)})')
+    legend_above(figure, panels[0])
+    return figure
+
+
+def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
+    """
+    Draw how far a number is from what is believed, and how far it is believed to be.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where.
+    known : ndarray, shape (trials, robots + 1, learnt)
+        What was known of it.
+    truth : ndarray, shape (trials, 1)
+        What it is.
+
+    """
+    error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
+    spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
+    lines = {'error of the mean': error, 'standard deviation believed': spread}
+    for (label, values), style in zip(lines.items(), SERIES):
+        axes.plot(values, **style.line(values.size), label=label)
+    axes.margins(x=0.02)
+    axes.set_ylim(bottom=0.0)

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from itertools import cycle, product
-from pathlib import Path
+from itertools import product
 from typing import Any
 
-from kbnitp_ros.figures import save, SERIES
+from kbnitp_ros.figures import Style
+from kbnitp_ros.study.charts import LOG_LOSS_LABEL
+from kbnitp_ros.study.panels import panels_figure
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_percent, in_short, Team
+from kbnitp_ros.study.scenario import Contender, in_short, Team
 from kbnitp_ros.study.summary import (
     as_json,
     interval,
@@ -136,53 +137,28 @@ def loss_cost_markdown(summary: dict[str, Any]) -> str:
     return table(caption, ['lethality', 'method', 'loss cost', *columns.values()], rows)
 
 
-def loss_cost_chart(path: Path, results: Results) -> None:
+def loss_cost_chart(results: Results) -> Figure:
     """
-    Draw robots lost against log loss: where missions end, and how they get there.
+    Draw the log loss reached against the robots lost, a panel a lethality, from the prior on.
 
-    The first panel has a line a lethality and method, with a point a loss cost; the others, one
-    each for these lines, have a line a loss cost, from the prior on.
+    A marker is where the mission ends, with its intervals in both directions.
     """
-    scenario = results.scenario
-    groups = list(product(scenario.lethalities, scenario.methods))
-    teams = sorted(scenario.teams, key=lambda team: team.loss_cost)
-    rows = -(-(1 + len(groups)) // 2)
-    figure = Figure(figsize=(10, 4.2 * rows), layout='constrained')
-    ends, *panels = figure.subplots(rows, 2, squeeze=False).flat
-    unused = len(groups)
-    for axes in panels[unused:]:
-        axes.set_visible(False)
-    for (lethality, method), axes in zip(groups, panels):
-        name = f'lethality {in_percent(lethality)}, {method}'
-        trades = [trade(results, lethality, method, team) for team in teams]
-        last = [mean_of(missions[:, :, -1]) for missions in trades]
-        _draw_ends(ends, last, [f'{team.loss_cost:.4g}' for team in teams], name)
-        for team, missions, style in zip(teams, trades, cycle(SERIES)):
-            colour = style.colour
-            (lost, log_loss), (_, low), (_, high) = mean_of(missions)
-            axes.plot(
-                lost,
-                log_loss,
-                color=colour,
-                ls=style.dash,
-                label=f'loss cost {team.loss_cost:.4g}',
-            )
-            axes.fill_between(lost, low, high, color=colour, alpha=0.12, lw=0)
-        axes.set_title(name)
-        axes.legend()
-    ends.set_title(f'after {scenario.robots} robots, by loss cost')
-    ends.legend()
-    for axes in (ends, *panels):
-        axes.grid(alpha=0.3)
-    figure.supxlabel(f'robots lost (mean of {scenario.trials} trials, 95 % intervals)')
-    figure.supylabel('log loss of hazard and target (nats)')
-    save(figure, path, 'png', 'pdf')
 
+    def draw(
+        axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
+    ) -> None:
+        (lost, log_loss), low, high = mean_of(trade(results, lethality, *contender))
+        at_its_end = {'markevery': [-1], 'markersize': 5}
+        axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)
+        end = lost[-1], log_loss[-1]
+        (left, bottom), (right, top) = (np.abs(each[:, -1] - end) for each in (low, high))
+        axes.errorbar(
+            *end,
+            [[bottom], [top]],
+            [[left], [right]],
+            fmt='none',
+            ecolor=style.colour,
+            elinewidth=0.8,
+        )
 
-def _draw_ends(axes: Axes, ends: list[Mean], labels: list[str], name: str) -> None:
-    """Draw one line with a point a loss cost and its intervals in both directions."""
-    mean, low, high = (np.array(values).T for values in zip(*ends))
-    (lost, log_loss), (x_error, y_error) = mean, np.stack([mean - low, high - mean], axis=1)
-    axes.errorbar(lost, log_loss, y_error, x_error, marker='o', lw=1, elinewidth=0.6, label=name)
-    for label, point in zip(labels, zip(lost, log_loss)):
-        axes.annotate(label, point, xytext=(4, 4), textcoords='offset points', fontsize='small')
+    return panels_figure(results.scenario, draw, 'robots lost', LOG_LOSS_LABEL)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
 from kbnitp_ros.study.last_contact import contact_markdown, summarise_contact
 from kbnitp_ros.study.learning import (
@@ -26,7 +27,23 @@ from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
 from kbnitp_ros.study.teams import differ_in_size, summarise_teams, teams_chart, teams_markdown
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from pyarrow import parquet
+
+
+def figures_of(results: Results) -> dict[str, Figure]:
+    """Return the figures of a study, by the names of their files."""
+    charts = {'entropy': entropy_chart, 'log_loss': log_loss_chart}
+    charts['reliability'] = reliability_chart
+    if differ_in_size(results.scenario):
+        charts['by_round'] = teams_chart
+    if differ_only_in(results.scenario, 'loss_cost'):
+        charts['robots_lost'] = loss_cost_chart
+    if LEARNING in results.scenario.methods:
+        charts['numbers'] = numbers_chart
+    with rc_context(LETTERS):
+        return {name: draw(results) for name, draw in charts.items()}
 
 
 def write_report(results: Results, folder: Path) -> list[Path]:
@@ -42,16 +59,12 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         What was written.
 
     """
-    charts = {'entropy': entropy_chart, 'log_loss': log_loss_chart}
-    charts['reliability'] = reliability_chart
     summary = summarise(results)
     tables = [markdown(summary)]
     if differ_in_size(results.scenario):
-        charts['by_round'] = teams_chart
         summary['teams'] = summarise_teams(results)
         tables.append(teams_markdown(summary['teams']))
     if differ_only_in(results.scenario, 'loss_cost'):
-        charts['robots_lost'] = loss_cost_chart
         summary['loss_cost'] = summarise_loss_cost(results)
         tables.append(loss_cost_markdown(summary['loss_cost']))
     if differ_only_in(results.scenario, 'last_contact'):
@@ -64,19 +77,16 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         summary['prior_maps'] = summarise_maps(results)
         tables.append(maps_markdown(summary['prior_maps']))
     if LEARNING in results.scenario.methods:
-        charts['numbers'] = numbers_chart
         summary['numbers'] = summarise_numbers(results)
         summary['worth'] = summarise_worth(results)
         tables += [numbers_markdown(summary['numbers']), worth_markdown(summary['worth'])]
-    files = {name: folder / f'{name}.png' for name in charts}
-    for name, draw in charts.items():
-        draw(files[name], results)
+    pictures = []
+    for name, figure in figures_of(results).items():
+        pictures += save(figure, folder / name, *FORMATS)
     table, as_json, as_markdown = (
         folder / name for name in ('table.parquet', 'summary.json', 'summary.md')
     )
     parquet.write_table(results.table(), table)
     as_json.write_text(json.dumps(summary, indent=1) + '\n')
     as_markdown.write_text('\n'.join(tables))
-    # Each is there for print as well.
-    pictures = [each.with_suffix(suffix) for each in files.values() for suffix in ('.png', '.pdf')]
     return [table, *pictures, as_json, as_markdown]

@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-from itertools import cycle, product
-from pathlib import Path
+from itertools import product
 from typing import Any
 
-from kbnitp_ros.core import ALLOCATIONS
-from kbnitp_ros.figures import save, SERIES
+from kbnitp_ros.study.charts import LOG_LOSS_LABEL, means_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_percent, in_short, Scenario, Team
+from kbnitp_ros.study.scenario import in_short, Scenario, Team
 from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table, team_of
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
-
-STYLES = ('dotted', 'dashed', 'solid', 'dashdot')
 
 
 def differ_in_size(scenario: Scenario) -> bool:
@@ -120,38 +116,11 @@ def teams_markdown(summary: dict[str, Any]) -> str:
     return table(caption, heads, rows)
 
 
-def teams_chart(path: Path, results: Results) -> None:
-    """
-    Draw information gained and log loss by robots sent and by rounds.
+def teams_chart(results: Results) -> Figure:
+    """Draw the mean log loss after each round, a panel a lethality."""
 
-    Two rows of panels a lethality and method; colours are sizes, lines allocations.
-    """
-    scenario = results.scenario
-    groups = list(product(scenario.lethalities, scenario.methods))
-    sizes = sorted({team.agents for team in scenario.teams})
-    colours = {agents: style.colour for agents, style in zip(sizes, cycle(SERIES))}
-    lines = dict(zip(ALLOCATIONS, cycle(STYLES)))
-    figure = Figure(figsize=(9, 5.5 * len(groups) + 0.6), layout='constrained')
-    grid = figure.subplots(2 * len(groups), 2, sharex='col', sharey='row', squeeze=False)
-    for (lethality, method), rows in zip(groups, grid.reshape(-1, 2, 2)):
-        for team in scenario.teams:
-            information = information_gained(results, lethality, method, team)
-            log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
-            for (by_robots, by_rounds), series in zip(rows, (information, log_loss)):
-                for axes, agents in ((by_robots, 1), (by_rounds, team.agents)):
-                    mean, low, high = mean_of(after_rounds(series, agents))
-                    look = {'color': colours[team.agents], 'ls': lines[team.allocation]}
-                    axes.plot(mean, **look, label=str(team))
-                    axes.fill_between(
-                        range(len(mean)), low, high, color=look['color'], alpha=0.08, lw=0
-                    )
-                    axes.grid(alpha=0.3)
-        rows[0, 0].set_title(f'lethality {in_percent(lethality)}, {method}', loc='left')
-        rows[0, 0].set_ylabel('information gained (nats)')
-        rows[1, 0].set_ylabel('log loss (nats)')
-    for axes, label in zip(grid[-1], ('robots sent', 'rounds')):
-        axes.set_xlim(left=0)
-        axes.set_xlabel(f'{label} (mean of {scenario.trials} trials, 95 % band)')
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside upper center', ncols=min(4, len(labels)))
-    save(figure, path, 'png', 'pdf')
+    def series(lethality: float | None, method: str, team: Team) -> NDArray[np.float64]:
+        log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
+        return after_rounds(log_loss, team.agents)
+
+    return means_chart(results.scenario, series, 'round', LOG_LOSS_LABEL, 'log')

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 from kbnitp_ros.core import Belief, run_mission, SensorModel, Unknowns, World
 from kbnitp_ros.study.learning import summarise_numbers, summarise_worth
-from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.report import figures_of, write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
 from kbnitp_ros.study.summary import LOG_LOSS
 from kbnitp_ros.study.trial import LEARNT, run_trial, Trial, trials_of
+from legible import check_lines, check_texts
 import numpy as np
 from pyarrow import parquet
 import pytest
@@ -158,6 +159,15 @@ def test_what_learning_costs_is_paired(learnt):
     )
     (cost,) = rows[0.9, SAMPLED]
     assert cost['mean'] == pytest.approx((learner - told).mean(), abs=1e-6)
+
+
+@pytest.mark.parametrize('kind', ['learnt', 'drawn'])
+def test_what_was_learnt_can_be_read(request, kind):
+    figures = figures_of(request.getfixturevalue(kind))
+    assert 'numbers' in figures
+    for figure in figures.values():
+        check_texts(figure)
+        check_lines(figure)
 
 
 @pytest.mark.parametrize('kind', ['learnt', 'drawn'])

@@ -82,6 +82,7 @@ def test_every_figure_is_shown():
         'unknown_reliability.png',
     }
     others = {
+        'teams_log_loss.png',
         'teams_by_round.png',
         'loss_cost_robots_lost.png',
         'last_contact_log_loss.png',

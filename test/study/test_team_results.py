@@ -109,4 +109,4 @@ def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
         names ^= {path.name for path in written}
         as_markdown = (folder / 'summary.md').read_text()
         assert ('a round' in as_markdown) == (study is teams)
-    assert names == {'by_round.png', 'by_round.pdf'}
+    assert names == {'by_round.png', 'by_round.svg', 'by_round.pdf'}
