@@ -46,7 +46,11 @@ def detection_class(name: str) -> type:
     try:
         return message_class(TYPES[name])
     except LookupError as error:
-        raise ValueError(f'parameter detection_type is {name!r}: {error}') from error
+        package = TYPES[name].partition('/')[0]
+        raise ValueError(
+            f'parameter detection_type is {name!r}: {error}; install {package}, such as by rosdep '
+            f'or as ros-jazzy-{package.replace("_", "-")}, or have the detector say std_msgs/Bool'
+        ) from error
 
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:

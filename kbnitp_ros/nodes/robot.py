@@ -25,7 +25,15 @@ from kbnitp_ros.nodes.namesakes import Namesakes
 from kbnitp_ros.nodes.orders import Orders
 from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.transforms import Place, Transforms
-from kbnitp_ros.robot import Itinerary, Journal, shortest_way, Step, Trip, Walk
+from kbnitp_ros.robot import (
+    Itinerary,
+    Journal,
+    shortest_way,
+    Step,
+    Trip,
+    Walk,
+    Whereabouts,
+)
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -105,6 +113,7 @@ class RobotNode(FieldNode):
     def _set_out(self, trip: Trip, orders: Sequence[int]) -> None:
         self._trip = trip
         self._walk = Walk(self.grid, trip.cells[-1], self.values['tf_timeout'])
+        self._whereabouts = Whereabouts(round(self.values['tf_timeout'] * SECOND))
         self._itinerary = Itinerary(self.grid, orders, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
         self._stays_until, self._try_again_at = None, 0.0
@@ -135,6 +144,10 @@ class RobotNode(FieldNode):
                 return
         self._say('/tf', '')
         self._enter(entered)
+        if self._trip is not None:
+            is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
+            step = len(self._trip.steps) if is_well_in else 0
+            self._whereabouts.note(self._place.odometry, step)
 
     def _enter(self, cells: Sequence[int]) -> None:
         for cell in cells:
@@ -174,9 +187,8 @@ class RobotNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
-        if number == 0:
+        if self._trip is None or number == 0:
             return
-        assert self._trip is not None
         step = self._trip.steps[number - 1]
         # All that is said in a cell is one reading: whether anything was seen.
         if step.reading < detection.seen:
@@ -187,6 +199,11 @@ class RobotNode(FieldNode):
         """
         Return in which step the robot looked, counted from 1; 0 for none.
 
+        Parameters
+        ----------
+        stamp : int or None
+            When it looked, in nanoseconds; None for now.
+
         Raises
         ------
         ValueError
@@ -194,19 +211,17 @@ class RobotNode(FieldNode):
 
         """
         # Where it is not known, nothing is read: it would count for another cell.
-        if self._trip is None or not self._trip.steps or self._troubles.get('/tf'):
+        if self._trip is None or self._place is None or self._troubles.get('/tf'):
             return 0
-        assert self._place is not None
         if stamp is None:
-            is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
-            return len(self._trip.steps) if is_well_in else 0
+            return self._whereabouts.step_at(self._place.odometry)
         age = (self.now() - stamp) / SECOND
         if abs(age) > self.values['tf_timeout']:
             raise ValueError(
                 f'header.stamp is {age:.1f} s ago: it may be {self.values["tf_timeout"]} s '
                 '(parameter tf_timeout)'
             )
-        return sum(step.time <= stamp for step in self._trip.steps)
+        return self._whereabouts.step_at(stamp)
 
     def _look(self) -> None:
         self._locate()

@@ -51,12 +51,16 @@ class Place(NamedTuple):
         In metres.
     stamp : int
         When, in nanoseconds: the time of the oldest of what it is made of.
+    odometry : int
+        The time of the transform nearest to the robot that changes, such as its odometry. Those
+        above it correct it, may come seldom, and may tell a time ahead.
 
     """
 
     x: float
     y: float
     stamp: int
+    odometry: int
 
 
 class Transforms:
@@ -122,6 +126,7 @@ class Transforms:
 
         """
         place, frame, stamp = np.zeros(3), self._of, now
+        odometry: int | None = None
         passed = set()
         while frame != self._frame:
             link = self._links.get(frame)
@@ -139,7 +144,10 @@ class Transforms:
                 )
             place = link.translation + rotated(place, link.rotation)
             frame, stamp = link.parent, min(stamp, told)
-        return Place(float(place[0]), float(place[1]), stamp)
+            odometry = link.stamp if odometry is None else odometry
+        return Place(
+            float(place[0]), float(place[1]), stamp, now if odometry is None else odometry
+        )
 
 
 def rotated(vector: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ from kbnitp_ros.robot.journal import Journal
 from kbnitp_ros.robot.trip import Step, Trip
 from kbnitp_ros.robot.walk import Walk
 from kbnitp_ros.robot.way import legs_of, shortest_way, without_loops
+from kbnitp_ros.robot.whereabouts import Whereabouts
 
 __all__ = [
     'Itinerary',
@@ -13,6 +14,7 @@ __all__ = [
     'Step',
     'Trip',
     'Walk',
+    'Whereabouts',
     'legs_of',
     'shortest_way',
     'without_loops',

@@ -128,6 +128,7 @@ class Apart:
                     'blocked': sorted(GRID.blocked),
                     'robots': {'/scout_1': [0.5, 0.5]},
                     'targets': TARGETS,
+                    'detection_type': 'bool',
                     'track': str(self._folder / 'track.jsonl'),
                 }
             )

@@ -55,16 +55,19 @@ class Fleet:
     mission : str
         Namespace of the nodes, in which each robot has its own; the simulator says and hears all
         in the namespace of the robot alone.
+    detection_type : str
+        What robots and their detectors are set to.
 
     """
 
     SOURCES = Path(__file__).parent
 
-    def __init__(self, field, names=('scout_1',), speed=5.0, mission=''):
+    def __init__(self, field, names=('scout_1',), speed=5.0, mission='', detection_type='bool'):
         self.field = field
         self.names = names
         self._speed = speed
         self._mission = mission
+        self._detection_type = detection_type
         self._talkers = {}
         self.simulator = None
 
@@ -79,6 +82,7 @@ class Fleet:
             'blocked': sorted(GRID.blocked),
             'robots': {f'/{name}': begin[name] for name in self.names},
             'targets': TARGETS,
+            'detection_type': self._detection_type,
             'speed': self._speed,
             'track': str(self._track),
         }
@@ -103,6 +107,7 @@ class Fleet:
             'journal': str(self.journal(name)),
             'retry_delay': 0.1,
             'stay_time': 0.3,
+            'detection_type': self._detection_type,
             **parameters,
         }
         remaps = {

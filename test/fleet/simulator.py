@@ -5,10 +5,11 @@ Robots on differential drives among obstacles, simulated by ir-sim, behind the a
     python3 simulator.py CONFIG
 
 The configuration is JSON: width, height and blocked of a field of 1 m cells; robots, by namespace,
-the x and y where each begins; targets, the cells where detectors see something; speed in m/s; and
-track, the file that the true positions go to. Each robot has a world of its own with the same
-obstacles, since all leave from one base. Its namespace has tf, tf_static, detections and the three
-actions; and inject, on which a text tells what is to go wrong with the next goal:
+the x and y where each begins; targets, the cells where detectors see something; detection_type, as
+the parameter of robots; speed in m/s; and track, the file that the true positions go to. Each
+robot has a world of its own with the same obstacles, since all leave from one base. Its namespace
+has tf, tf_static, detections and the three actions; and inject, on which a text tells what is to
+go wrong with the next goal:
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
     die (the action servers go, and their goal), live (they are back)
@@ -18,6 +19,7 @@ With an exclamation mark, such as reject!, with all goals until another text com
 
 from __future__ import annotations
 
+from collections import deque
 from functools import partial
 import json
 from math import atan2, cos, hypot, pi, sin
@@ -37,8 +39,17 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
+from vision_msgs.msg import (
+    Detection2D,
+    Detection2DArray,
+    ObjectHypothesis,
+    ObjectHypothesisWithPose,
+)
 
 TICK = 0.02  # seconds
+
+# How many ticks a detector takes to find what is in a picture.
+LATE = 5
 
 # How near a robot must come to a pose, in metres, and to the last one, as Nav2 has it by default.
 NEAR, GOAL = 0.2, 0.15
@@ -108,7 +119,10 @@ class Robot:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._tf = node.create_publisher(TFMessage, f'{namespace}/tf', 100)
         self._static = node.create_publisher(TFMessage, f'{namespace}/tf_static', latched)
-        self._detections = node.create_publisher(Bool, f'{namespace}/detections', 10)
+        self._pictures = deque()
+        self._is_array = config['detection_type'] == 'detection2d_array'
+        kind = Detection2DArray if self._is_array else Bool
+        self._detections = node.create_publisher(kind, f'{namespace}/detections', 10)
         node.create_subscription(String, f'{namespace}/inject', self._on_inject, 10)
         self._static.publish(self._transform('base_footprint', 'base_link', 0.0, 0.0, 0.0))
         self._live()
@@ -227,7 +241,23 @@ class Robot:
         self._tf.publish(self._transform('map', 'odom', *ODOM))
         self._tf.publish(self._transform('odom', 'base_footprint', seen_x, seen_y, yaw - turned))
         cell = int(y) * self._config['width'] + int(x)
-        self._detections.publish(Bool(data=cell in self._config['targets']))
+        sees = cell in self._config['targets']
+        if not self._is_array:
+            self._detections.publish(Bool(data=sees))
+            return
+        self._pictures.append(self._picture(sees))
+        if len(self._pictures) > LATE:
+            self._detections.publish(self._pictures.popleft())
+
+    def _picture(self, sees):
+        """Return what a detector says: there are rocks all over, some a little like targets."""
+        rock = [hypothesis('rock', 0.9), hypothesis('target', 0.1)]
+        detections = [Detection2D(results=rock)]
+        if sees:
+            detections.append(Detection2D(results=[hypothesis('target', 0.8)]))
+        picture = Detection2DArray(detections=detections)
+        picture.header.stamp = self._node.get_clock().now().to_msg()
+        return picture
 
     def _transform(self, parent, child, x, y, yaw):
         transform = TransformStamped(
@@ -240,6 +270,11 @@ class Robot:
         transform.header.frame_id = parent
         transform.header.stamp = self._node.get_clock().now().to_msg()
         return TFMessage(transforms=[transform])
+
+
+def hypothesis(name, score):
+    """Return that an object is of a class."""
+    return ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id=name, score=score))
 
 
 def main():

@@ -26,6 +26,16 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
     assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
+def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
+    fleet = Fleet(field, detection_type='detection2d_array')
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(driver='navigate_through_poses', detection_class='target')
+    report = fleet.report_of(reports, fleet.send(1, ROUND))
+    fleet.see_that_it_is_true(report)
+    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
+
+
 # How often each failure is injected.
 ROUNDS = 20 if FULL else 1
 

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In which step of its walk a robot was when a picture was taken."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+# The step of a robot that is not so far within a cell that what it sees is there.
+NONE = 0
+
+
+@dataclass
+class Span:
+    """
+    A time throughout which the robot was seen in one step.
+
+    Attributes
+    ----------
+    first, last : int
+        When it was seen there, in nanoseconds.
+    step : int
+        Which step of the walk, counted from 1, or `NONE`.
+
+    """
+
+    first: int
+    last: int
+    step: int
+
+
+class Whereabouts:
+    """
+    In which step the robot was at any time not long ago.
+
+    Parameters
+    ----------
+    kept : int
+        How long ago is still known, in nanoseconds.
+
+    """
+
+    def __init__(self, kept: int) -> None:
+        self._kept = kept
+        self._spans: deque[Span] = deque()
+
+    def note(self, time: int, step: int) -> None:
+        """
+        Take note of where the robot was seen.
+
+        Parameters
+        ----------
+        time : int
+            When, in nanoseconds. If that is before the last time, the clock was set back, and what
+            was known is forgotten.
+        step : int
+            In which step, counted from 1, or `NONE`.
+
+        """
+        spans = self._spans
+        if spans and time < spans[-1].last:
+            spans.clear()
+        if spans and spans[-1].step == step:
+            spans[-1].last = time
+        else:
+            spans.append(Span(time, time, step))
+        while spans[0].last < time - self._kept:
+            spans.popleft()
+
+    def step_at(self, time: int) -> int:
+        """
+        Return in which step the robot was, or `NONE` if it was between two, or that is not known.
+
+        A robot that was not seen since is where it was.
+        """
+        for span in reversed(self._spans):
+            if span.first <= time:
+                is_within = time <= span.last or span is self._spans[-1]
+                return span.step if is_within else NONE
+        return NONE
