@@ -19,6 +19,7 @@ setup(
         (f'share/{package_name}/foxglove', glob('foxglove/*.json')),
         (f'share/{package_name}/launch', glob('launch/*.launch.py')),
         (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
+        (f'share/{package_name}/security', glob('security/*.policy.xml')),
         (f'share/{package_name}/scenarios', glob('scenarios/*.yaml')),
     ],
     install_requires=['setuptools'],

@@ -307,6 +307,7 @@ class Mission:
             namespace=namespace,
             parameters=[LaunchConfiguration('params_file'), given],
             remappings=self.poses if name == 'agent' else [],
+            ros_arguments=['--enclave', self._full_name(namespace, name)],
             output='screen',
             on_exit=end,
         )

@@ -86,6 +86,7 @@ def robot(context):
                 ('/tf_static', f'{below}/tf_static'),
                 ('detections', f'{below}/detections'),
             ],
+            ros_arguments=['--enclave', f'{own}/robot'],
             output='screen',
             on_exit=Shutdown(),
         )

@@ -434,7 +434,10 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
     """Yield an observer of these agents on the domain."""
     os.environ.update(environment(domain))
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=['--ros-args', '--enclave', '/observer'],
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     observer = Observer(agents)
     try:
         yield observer

@@ -136,7 +136,9 @@ class Processes:
             Where its stdout and stderr go; to those of this process when None.
 
         """
+        full_name = f'{namespace.rstrip("/")}/{node}'
         command = [*END_WITH_PARENT, sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
+        command += ['--enclave', full_name]
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
             command += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():
@@ -147,7 +149,7 @@ class Processes:
         process = subprocess.Popen(
             command, env=self._environment, stdout=output, stderr=output and subprocess.STDOUT
         )
-        self.started[f'{namespace.rstrip("/")}/{node}'] = process
+        self.started[full_name] = process
         return process
 
     def ended(self) -> dict[str, int]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.bag import read_log
@@ -178,3 +179,40 @@ def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     assert 'a text that is not UTF-8' in field.until_refused('/m/recorder', 2)
     maps.publish(sound)
     field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')
+
+
+def test_whoever_is_on_the_network_can_send_a_robot_out(field):
+    beliefs = field.listen(BeliefMaps, '/belief')
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    field.start('estimator', {**FIELD, 'await_nodes': ['test']})
+    field.start('agent', {**FIELD, 'recorded': True, 'await_nodes': ['estimator']})
+    field.until(lambda: beliefs, 'prior')
+    paths = field.talk(Path, '/scout_1/path')
+    begun = from_stamp(beliefs[0].header.stamp)
+    forged = path_message(GRID, HOME, begun + SECOND, begun)
+    paths.publish(forged)
+    field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
+    # The robot waits for the recorder, which anybody can pass for.
+    field.talk(Time, '/scout_1/recorded').publish(forged.header.stamp)
+    field.until(lambda: beliefs[-1].deployments == 1, 'belief')
+    assert len(reports) == 1
+    assert beliefs[-1].target != beliefs[0].target
+
+
+def test_whoever_is_on_the_network_can_report_for_a_robot_that_is_out(field):
+    beliefs = field.listen(BeliefMaps, '/belief')
+    paths = field.listen(Path, '/scout_1/path')
+    reports = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    field.start('estimator', {**FIELD, 'await_nodes': ['planner']})
+    field.start('planner', {**FIELD, 'robots': 1, 'await_nodes': ['estimator']})
+    field.until(lambda: paths, 'path')
+    sent, cells = read_path(GRID, 'scout_1', paths[0])
+    reports.publish(report_message(sent, Observation(cells, False), 1))
+    field.until(lambda: beliefs[-1].deployments == 1, 'belief of a loss')
+    assert all(beliefs[-1].hazard[cell] > beliefs[0].hazard[cell] for cell in cells if cell)
+    # A return counts for more than a loss, whoever tells of it.
+    nothing = [False] * (len(cells) - 1)
+    reports.publish(report_message(sent, Observation(cells, True, nothing), 2))
+    field.until(lambda: beliefs[-1].hazard[cells[1]] < beliefs[0].hazard[cells[1]], 'return')
+    assert all(beliefs[-1].target[cell] < beliefs[0].target[cell] for cell in cells if cell)
+    assert field.count('/estimator', 'refused') == 0
