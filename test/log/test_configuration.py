@@ -20,6 +20,7 @@ from kbnitp_ros.log.configuration import (
     RUN,
     run_record,
 )
+from mcap.reader import make_reader
 import numpy as np
 import pytest
 
@@ -72,6 +73,21 @@ def test_parameters_come_back_as_they_were(tmp_path):
     parameters = read_parameters(path)
     assert parameters == {'/m/planner': planner, '/m/agent': {'bytes': [1, 2]}}
     assert all(type(parameters['/m/planner'][name]) is type(planner[name]) for name in planner)
+
+
+def test_a_record_that_is_changed_repeats_nothing(tmp_path):
+    """Some tools warn of each name that stands in two records."""
+    name = f'{PARAMETERS}/planner'
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        for values in ({'seed': 1, 'robots': 5}, {'seed': 1}, {'robots': 5, 'rolling': True}):
+            log.add_metadata(name, parameters_record(values))
+        log.add_metadata(name, parameters_record({'robots': 8}))
+    with log.path.open('rb') as file:
+        records = [
+            each.metadata for each in make_reader(file).iter_metadata() if each.name == name
+        ]
+    assert records == [{'robots': '5', 'seed': '1'}, {'rolling': 'true'}, {'robots': '8'}]
+    assert read_parameters(log.path) == {'/planner': {'seed': 1, 'robots': 8, 'rolling': True}}
 
 
 def test_parameters_are_read_from_an_unfinished_log(tmp_path):

@@ -4,15 +4,24 @@
 from __future__ import annotations
 
 from collections import Counter
+import math
 import signal
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.cli.report import main as report_on
 from kbnitp_ros.core import Ledger
+from kbnitp_ros.log.bag import read_log
+from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.history import read_history
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import estimator_of, grid_of
+from kbnitp_ros.report import curves_of, read_mission
+from mcap.reader import make_reader
 from nav_msgs.msg import Path
+from pyarrow import parquet
 import pytest
 from tf2_msgs.msg import TFMessage
 from unbroken import core_mission, with_defaults
@@ -23,7 +32,9 @@ FIELD = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed'
 class Team:
     """A planner, an estimator and agents, and what is heard of them."""
 
-    def __init__(self, field, agents, parameters, *, processes=False, own=None, namespace='/m'):
+    def __init__(
+        self, field, agents, parameters, *, processes=False, own=None, namespace='/m', log=None
+    ):
         self.field = field
         self.agents = [f'scout_{number}' for number in range(1, agents + 1)]
         self.parameters = {**FIELD, **parameters, 'agents': self.agents}
@@ -37,8 +48,11 @@ class Team:
             for agent in self.agents
         }
         player = 'agent' if processes else 'team'
+        recorder = ['recorder'] if log else []
+        if log:
+            field.start('recorder', {**self.parameters, 'file': str(log)}, namespace)
         given = {
-            'planner': {'await_nodes': [player, 'estimator']},
+            'planner': {'await_nodes': [player, 'estimator', *recorder]},
             'estimator': {'await_nodes': ['planner']},
             player: {'await_nodes': ['planner', 'estimator']},
         }
@@ -137,8 +151,11 @@ def test_every_silent_loss_is_declared_once_and_no_return_ever(field):
 
 
 def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field):
-    late = {'return_deadline': 0.05, 'sensor.lethality': 0.2, 'robots': 8}
-    team = Team(field, 2, {**SILENT, **late}, own={'step_period': 0.1})
+    """Eight robots at a time; the log is reported on."""
+    late = {'return_deadline': 0.05, 'sensor.lethality': 0.2, 'robots': 16}
+    log = field.folder / 'mission.mcap'
+    own = {'step_period': 0.1, 'publish_truth': True}
+    team = Team(field, 8, {**SILENT, **late}, own=own, log=log)
     returned = lambda: {key for key, report in team.told if report.survived}  # noqa: E731
     team.until_done()
     field.until(lambda: len(returned()) >= 3, 'late returns')
@@ -152,6 +169,61 @@ def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field)
         ),
         'belief in who is back',
     )
+    assert set(field.processes.stop().values()) == {0}
+    assert_is_reported(log)
+
+
+def assert_is_reported(log):
+    """See that a report tells all that was recorded of a team whose lost robots say nothing."""
+    out = log.with_name('report')
+    assert report_on([str(log), '--out', str(out)]) == 0
+    table = parquet.read_table(out / 'deployments.parquet').to_pylist()
+    assert {row['outcome'] for row in table} == {'returned', 'lost'}
+    mission = read_mission(log)
+    curves = curves_of(mission)
+    late = [each for each in mission.moments if each.is_late]
+    assert len(mission.moments) == 1 + len(table) + len(late) == 17 + len(late)
+    assert late
+    assert all(each.outcome.survived for each in late)
+    assert {mission.sorties[each.sortie].key for each in late} <= {
+        sortie.key for sortie in mission.sorties if sortie.outcome.survived
+    }
+    progress = [each.message for each in read_log(log) if each.topic == '/m/progress']
+    assert_goes_with(progress, read_history(log), curves)
+    # Of two records of one name, none has a key of the other.
+    keys = [(record.name, key) for record in metadata_records(log) for key in record.metadata]
+    assert len(keys) == len(set(keys))
+    assert {'/m/planner', '/m/team', '/m/estimator'} <= read_parameters(log).keys()
+
+
+def assert_goes_with(progress, history, curves):
+    """See that the numbers told while a mission ran are those of the beliefs on record."""
+    moments = {each.snapshot.stamp: place for place, each in enumerate(history.heard)}
+    assert {from_stamp(each.header.stamp) for each in progress} == moments.keys()
+    for message in progress:
+        moment = moments[from_stamp(message.header.stamp)]
+        assert message.deployments == history.heard[moment].snapshot.deployments
+        assert message.lost == curves.lost[moment]
+        for name in ('hazard_entropy', 'target_entropy', 'joint_entropy'):
+            assert getattr(message, name) == getattr(curves, name)[moment]
+        for name in ('expected', 'gained'):
+            told = getattr(message, f'information_{name}')
+            assert told == pytest.approx(getattr(curves, name)[moment], nan_ok=True)
+    # The truth is published once, and may come after the prior.
+    scored = [each for each in progress if not math.isnan(each.hazard_log_loss)]
+    assert from_stamp(scored[-1].header.stamp) == history.heard[-1].snapshot.stamp
+    for message in scored:
+        moment = moments[from_stamp(message.header.stamp)]
+        assert message.hazard_log_loss == curves.hazard_loss[moment]
+        assert message.target_log_loss == curves.target_loss[moment]
+    # Eight are out at once.
+    assert max(message.out for message in progress) == 8
+
+
+def metadata_records(log):
+    """Return the records of named values in a file."""
+    with log.open('rb') as file:
+        return list(make_reader(file).iter_metadata())
 
 
 def test_a_team_carries_on_when_an_agent_leaves(field):
