@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
+from collections.abc import Sequence
 from importlib import import_module, metadata
 import sys
 
@@ -32,7 +33,7 @@ example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
 
 
 @command('kbnitp_ros')
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     name, *arguments = (sys.argv[1:] if argv is None else argv) or ['']
     if name in ('-h', '--help'):
         say(HELP)
@@ -43,7 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     if name not in COMMANDS:
         complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)
         return 2
-    return import_module(COMMANDS[name]).main(arguments)
+    code: int = import_module(COMMANDS[name]).main(arguments)
+    return code
 
 
 if __name__ == '__main__':

@@ -56,6 +56,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
 NODES = ('recorder', 'estimator', 'team', 'planner')
@@ -443,7 +444,7 @@ def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
         yield observer
     finally:
         observer.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 class Observer(Node):

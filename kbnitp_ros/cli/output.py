@@ -10,10 +10,16 @@ from io import TextIOWrapper
 import os
 import signal
 import sys
+from typing import Protocol
 
 from kbnitp_ros.files import in_words
 
-Main = Callable[[Sequence[str] | None], int]
+
+class Main(Protocol):
+    """The main function of a command, which returns the exit code of its process."""
+
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Run the command with these arguments, those of the process when None."""
 
 
 class OutputError(Exception):

@@ -11,7 +11,7 @@ from textwrap import fill
 from kbnitp_ros.nodes.parameters import parameters_of
 
 WIDTH = 90
-INDENT = {'initial_indent': ' ' * 6, 'subsequent_indent': ' ' * 6}
+INDENT = ' ' * 6
 
 # A parameter of each node that a user would give.
 EXAMPLES = {
@@ -60,7 +60,14 @@ def node_parser(name: str, description: str) -> argparse.ArgumentParser:
         f'ros2 run kbnitp_ros {name} --ros-args -p {EXAMPLES[name]}',
     )
     parameters = [
-        f'  {each.name}\n{fill(each.summary + each.changeable, WIDTH, **INDENT)}' for each in table
+        f'  {each.name}\n'
+        + fill(
+            each.summary + each.changeable,
+            WIDTH,
+            initial_indent=INDENT,
+            subsequent_indent=INDENT,
+        )
+        for each in table
     ]
     parser.epilog = '\n'.join(
         ['parameters, given with --ros-args -p NAME:=VALUE:', *parameters, '', str(parser.epilog)]

@@ -96,8 +96,9 @@ class Diagnostics:
     def _is_heard(self) -> bool:
         """Say whether anybody but this node listens; the recorder listens to everything."""
         topic = self._publisher.topic_name
-        own = sum(each.topic_name == topic for each in self._node.subscriptions)
-        return self._publisher.get_subscription_count() > own
+        own: int = sum(each.topic_name == topic for each in self._node.subscriptions)
+        listeners: int = self._publisher.get_subscription_count()
+        return listeners > own
 
     def publish(self) -> None:
         """Show the counts now."""
@@ -120,6 +121,9 @@ class Diagnostics:
         self._publisher.publish(array)
 
     def _level(self) -> bytes:
+        level: bytes = DiagnosticStatus.OK
         if self._failure:
-            return DiagnosticStatus.ERROR
-        return DiagnosticStatus.WARN if self.refused or self.warning else DiagnosticStatus.OK
+            level = DiagnosticStatus.ERROR
+        elif self.refused or self.warning:
+            level = DiagnosticStatus.WARN
+        return level

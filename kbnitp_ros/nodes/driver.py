@@ -17,8 +17,7 @@ from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
+from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.node import Node
 from rclpy.task import Future
 

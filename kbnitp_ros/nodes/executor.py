@@ -146,7 +146,8 @@ class OneByOne(Executor):
         run_task(Task(waitable.execute, (waitable.take_data(),)))
 
     def _handle_client(self, client: Client) -> None:
-        taken = take(client.handle, lambda handle: handle.take_response(client.srv_type.Response))
+        kind: Any = client.srv_type
+        taken = take(client.handle, lambda handle: handle.take_response(kind.Response))
         if taken is None or taken[0] is None:
             return
         header, response = taken
@@ -213,12 +214,11 @@ def handle_subscription(subscription: Subscription) -> None:
 
 def handle_service(service: Service) -> None:
     """Answer what a service was asked, at once or when the callback's future is done."""
-    taken = take(
-        service.handle, lambda handle: handle.service_take_request(service.srv_type.Request)
-    )
+    kind: Any = service.srv_type
+    taken = take(service.handle, lambda handle: handle.service_take_request(kind.Request))
     if taken is not None and taken[1] is not None:
         request, header = taken
-        answer = call(service.callback, request, service.srv_type.Response())
+        answer = call(service.callback, request, kind.Response())
         if isinstance(answer, Future):
             answer.add_done_callback(lambda done: service.send_response(done.result(), header))
         else:

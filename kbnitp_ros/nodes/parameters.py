@@ -160,7 +160,7 @@ class Parameter:
             raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
         return tuple(self._check_one(one, self.element) for one in values)
 
-    def _check_one(self, value: Any, wanted: type) -> Any:
+    def _check_one(self, value: Any, wanted: type[Any]) -> Any:
         if wanted is float and type(value) is int:
             value = float(value)
         if type(value) is not wanted:
@@ -901,7 +901,8 @@ def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
 
 def most_steps(values: Mapping[str, Any]) -> int:
     """Return the most steps that the path of any agent's robot may have."""
-    return max(value_for(values, 'max_steps', agent) for agent in values['agents'])
+    most: int = max(value_for(values, 'max_steps', agent) for agent in values['agents'])
+    return most
 
 
 def kind_of(values: Mapping[str, Any], agent: str) -> Kind:
@@ -1009,7 +1010,7 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
         try:
             if len(believed) not in (2, 4):
                 raise ValueError('it must be low and high, or low, high, a and b')
-            priors[name] = Beta(*believed[2:], low=believed[0], high=believed[1])
+            priors[name] = Beta(**dict(zip(('low', 'high', 'a', 'b'), believed)))
         except ValueError as error:
             raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
     return Unknowns(**{name: priors[name] for name in learn})

@@ -330,9 +330,10 @@ class RecorderNode(Shell):
     def _tell_recorded(self) -> None:
         """Tell the agents which of their paths are on the disk."""
         for topic in self._topics.values():
-            for stamp in topic.untold:
-                topic.recorded.publish(to_stamp(stamp))
-            topic.untold.clear()
+            if topic.recorded is not None:
+                for stamp in topic.untold:
+                    topic.recorded.publish(to_stamp(stamp))
+                topic.untold.clear()
 
     def _sync(self) -> None:
         if self._unsynced:

@@ -238,13 +238,14 @@ class RobotNode(FieldNode):
             self._orders.listen()
         if awaited := self._orders.awaited or self._namesakes.awaited or self._not_ready():
             return awaited
-        for trip in self._orders.superseded():
+        for superseded in self._orders.superseded():
             self.get_logger().warning(
-                f'deployment {self._key(trip)} came while the robot was out: it does not leave'
+                f'deployment {self._key(superseded)} came while the robot was out: it does not '
+                'leave'
             )
-            if not self._begin(trip):
+            if not self._begin(superseded):
                 return self._no_room
-            self._arrive(trip)
+            self._arrive(superseded)
         trip = self._orders.newest
         assert trip is not None
         if not self._begin(trip):
@@ -342,7 +343,8 @@ class RobotNode(FieldNode):
         return hypot(place.x - x, place.y - y)
 
     def _is_at_base(self, place: Place) -> bool:
-        return self._distance(place) <= self.values['arrival_tolerance']
+        tolerance: float = self.values['arrival_tolerance']
+        return self._distance(place) <= tolerance
 
     def _stay(self) -> str:
         """Wait where the robot is, and look again."""

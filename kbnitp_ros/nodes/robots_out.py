@@ -138,4 +138,5 @@ class RobotsOut(Mapping[DeploymentKey, RobotOut]):
         """Return when a robot that leaves now is given up, in nanoseconds."""
         steps, period = robot.path.size - 1, value_for(self._values, 'step_period', agent)
         wait = steps * period + self._values['return_deadline']
-        return now + round(wait * SECOND)
+        due: int = now + round(wait * SECOND)
+        return due

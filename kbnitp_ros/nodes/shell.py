@@ -35,7 +35,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rclpy.utilities import remove_ros_args
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 # In seconds: how long a signal may have to wait, and how often a node looks at the graph.
 SPIN = 0.2
@@ -403,7 +403,7 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
     """Show an error on diagnostics, from a node made for that: there may be none yet."""
     # What is wrong with the arguments may be wrong with this node, too.
     with suppress(*START_ERRORS):
-        if not rclpy.ok():
+        if not ok():
             # Parameters that were refused are not for ROS to read.
             names = names_given(arguments)
             rclpy.init(args=names, signal_handler_options=SignalHandlerOptions.NO)
@@ -424,4 +424,4 @@ def _leave(code: int, executor: Executor | None = None, node: Shell | None = Non
             executor.shutdown()
         if node:
             node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()

@@ -94,6 +94,7 @@ def message_class(type_name: str) -> type:
     """
     try:
         package, kind, name = type_name.split('/')
-        return getattr(import_module(f'{package}.{kind}'), name)
+        found: type = getattr(import_module(f'{package}.{kind}'), name)
     except (ValueError, ImportError, AttributeError) as error:
         raise LookupError(f'type {type_name} is not installed: {error}') from error
+    return found

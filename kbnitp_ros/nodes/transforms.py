@@ -125,7 +125,8 @@ class Transforms:
             If it is not known, or only of longer ago.
 
         """
-        place, frame, stamp = np.zeros(3), self._of, now
+        place: NDArray[np.float64] = np.zeros(3)
+        frame, stamp = self._of, now
         odometry: int | None = None
         passed = set()
         while frame != self._frame:

@@ -41,7 +41,7 @@ def write_report(
     curves: Curves,
     note: str = '',
     truth: Mapping[str, float] | None = None,
-    done: Callable[[str], None] = lambda name: None,
+    done: Callable[[str], object] = lambda name: None,
 ) -> str:
     """
     Write a report: all of its files, or nothing.
