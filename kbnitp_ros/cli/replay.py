@@ -13,7 +13,7 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.core import versions
 from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.log.replay import replay, ReplayReport
-from kbnitp_ros.nodes.command_line import command_parser
+from kbnitp_ros.nodes.command_line import add_log, command_parser
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -46,12 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
-    parser.add_argument(
-        'log',
-        metavar='LOG',
-        type=Path,
-        help="the log of one mission: its first file, or its folder if it is the only one's",
-    )
+    add_log(parser)
     parser.add_argument(
         '--repair',
         metavar='OUT.mcap',

@@ -10,7 +10,7 @@ from pathlib import Path
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.bag import log_size, LogError
-from kbnitp_ros.nodes.command_line import command_parser
+from kbnitp_ros.nodes.command_line import add_log, command_parser
 from kbnitp_ros.report import check_is_free, curves_of, Mission, PARTS, read_mission, write_report
 from tqdm import tqdm
 
@@ -40,12 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     parser = command_parser('report', DESCRIPTION, *EXAMPLES)
-    parser.add_argument(
-        'log',
-        metavar='LOG',
-        type=Path,
-        help="the log of one mission: its first file, or its folder if it is the only one's",
-    )
+    add_log(parser)
     parser.add_argument(
         '--out',
         metavar='DIR',

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from importlib import metadata
 from inspect import cleandoc
+from pathlib import Path
 from textwrap import fill
 
 from kbnitp_ros.nodes.parameters import parameters_of
@@ -48,6 +49,16 @@ def command_parser(name: str, description: str, *examples: str) -> argparse.Argu
     version = f'{name} of kbnitp_ros {metadata.version("kbnitp_ros")}'
     parser.add_argument('--version', action='version', version=version)
     return parser
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """Have a command take the log of a mission."""
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        help="the log of one mission: its first file, or its folder if it is the only one's",
+    )
 
 
 def node_parser(name: str, description: str) -> argparse.ArgumentParser:

@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import time
 
-from builtin_interfaces.msg import Time
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.deployments import read_path
-from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
-from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.agent_topics import hear_orders
 from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.parameters import value_for
 from kbnitp_ros.nodes.recent import Recent
@@ -62,15 +60,7 @@ class Orders:
     def listen(self) -> None:
         """Take paths from now on."""
         self.is_listening = True
-        self._node.hear(
-            Path,
-            f'{self._prefix}path',
-            self._on_path,
-            qos.EVIDENCE,
-            largest_path(self._max_steps),
-        )
-        if self._node.values['recorded']:
-            self._node.hear(Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, TIME)
+        hear_orders(self._node, self._agent, self._prefix, self._on_path, self._recorded.add)
 
     def _on_path(self, message: Path) -> None:
         try:
@@ -103,12 +93,6 @@ class Orders:
         """Return the deployment of this name, driven or not, if it is known."""
         driven = (trip for trip in self._journal.trips if trip.stamp == stamp)
         return self._waiting.get(stamp) or next(driven, None)
-
-    def _on_recorded(self, message: Time) -> None:
-        try:
-            self._recorded.add(read_name('stamp', message))
-        except ValueError as error:
-            self._node.diagnostics.refuse(f'{self._agent}/recorded', error)
 
     @property
     def newest(self) -> Trip | None:

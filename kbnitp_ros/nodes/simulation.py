@@ -6,18 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from builtin_interfaces.msg import Time
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.log.deployments import RecordedDeployment
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
-from kbnitp_ros.messages.sizes import largest_path, TIME
 from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.agent_topics import hear_orders
 from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.parameters import agents_of, conduct_of, kinds_of, sensor_model_of, value_for
 from kbnitp_ros.nodes.recent import Recent
@@ -147,15 +145,7 @@ class SimulatedAgent:
 
     def listen(self) -> None:
         """Take paths from now on."""
-        self._node.hear(
-            Path,
-            f'{self._prefix}path',
-            self._on_path,
-            qos.EVIDENCE,
-            largest_path(self._max_steps),
-        )
-        if self._node.values['recorded']:
-            self._node.hear(Time, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, TIME)
+        hear_orders(self._node, self.name, self._prefix, self._on_path, self._on_recorded)
 
     @property
     def waiting(self) -> int:
@@ -195,13 +185,9 @@ class SimulatedAgent:
             raise ValueError(f'deployment {key} is known along another path: the first holds')
         return known is not None
 
-    def _on_recorded(self, message: Time) -> None:
-        try:
-            self._recorded.add(read_name('stamp', message))
-        except ValueError as error:
-            self._node.diagnostics.refuse(f'{self.name}/recorded', error)
-        else:
-            self._send_out()
+    def _on_recorded(self, stamp: int) -> None:
+        self._recorded.add(stamp)
+        self._send_out()
 
     def _send_out(self) -> None:
         """Have the robots leave whose paths no crash can take from the base any more."""

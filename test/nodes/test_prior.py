@@ -8,8 +8,7 @@ from dataclasses import replace
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.core import Belief
 from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.nodes.parameters import TABLE
-from kbnitp_ros.nodes.prior import prior_of
+from kbnitp_ros.nodes.parameters import prior_of, TABLE
 from mission_log import GRID, Mission, mission, record
 import numpy as np
 from PIL import Image

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator that the parameters describe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kbnitp_ros.core import Estimator, Grid
+from kbnitp_ros.nodes.parameters.agents import kinds_of
+from kbnitp_ros.nodes.parameters.models import sensor_model_of, unknowns_of
+from kbnitp_ros.nodes.parameters.prior import prior_of
+
+
+def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
+    """
+    Return the estimator of these parameters on this grid, before the first deployment.
+
+    Raises
+    ------
+    ValueError
+        If there is no such prior, or what is to be learnt cannot be.
+
+    """
+    unknowns = unknowns_of(values)
+    for name in unknowns.priors:
+        if all(getattr(kind, name, None) is not None for kind in kinds_of(values).values()):
+            raise ValueError(
+                f'parameter learn has {name}: the robots of every agent have one of their own, '
+                'which tell nothing of another'
+            )
+    return Estimator(
+        prior_of(values, grid),
+        sensor_model_of(values),
+        values['method'],
+        unknowns,
+        values['seed'],
+    )
