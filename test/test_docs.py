@@ -14,7 +14,16 @@ from kbnitp_ros.study.scenario import read_scenario
 import pytest
 import yaml
 
-IN_WORDS = {4: 'four', 5: 'five', 6: 'six', 8: 'eight', 9: 'nine', 10: 'ten', 30: 'thirty'}
+IN_WORDS = {
+    2: 'two',
+    4: 'four',
+    5: 'five',
+    6: 'six',
+    8: 'eight',
+    9: 'nine',
+    10: 'ten',
+    30: 'thirty',
+}
 DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 
@@ -55,7 +64,9 @@ def test_what_the_search_is_said_to_take():
     says(page, f'exponents from 1 to {moments.EXPONENTS[-1]:.0f}')
     says(page, f'an error of at most {1e5 * moments.ERROR:.3g}e-5 nats')
     says(page, 'the error is as large ', moments.WEIGHTS.size + 1, ' times')
-    says(page, 'one or two cells in a row are exchanged')
+    says(page, f'In the {IN_WORDS[labels.RANKED]} best closed paths, one or two cells in a row')
+    says(page, f'So they are in {IN_WORDS[labels.TURNED]} paths that go to a cell')
+    says(page, f'In the {IN_WORDS[labels.BEST]} best of all these, up to three cells in a row')
     assert labels.EXCHANGED == 2
     says(page, f'Of more than {fates.MOST_FATES} fates the least probable are merged')
     says(page, 'from the sixth robot on, fates are merged')

@@ -296,7 +296,8 @@ def search(
     is_home_known : bool
         Whether it is read, otherwise it is written.
     origins : ndarray of int, shape (sum of within * width,)
-        The result, by steps, cells and rows: where each label comes from, as in `find_best`.
+        The result, by steps, cells and rows: where each label comes from, as in `find_best`. What
+        is no label stays as it was.
     worths : ndarray, shape (max_steps + 1, width)
         The result: what the labels at the base are worth, in units; -inf for none.
 
@@ -392,12 +393,12 @@ def search(
 
 @compiled
 def trace(neighbors: Any, within: Any, origins: Any, width: int, row: int, path: Any) -> None:
-    """Write the path of a label at the base: the ranks of its cells, the base first and last."""
+    """Write the path of a label, ranks of cells with the base first; its last cell is there."""
     steps = path.size - 1
     start = 0
     for step in range(steps):
         start += within[step]
-    cell = 0
+    cell = path[steps]
     for step in range(steps, 0, -1):
         path[step] = cell
         origin = origins[start * width + row]
@@ -405,6 +406,17 @@ def trace(neighbors: Any, within: Any, origins: Any, width: int, row: int, path:
         row = cell * width + (origin >> 4)
         start -= within[step - 1]
     path[0] = cell
+
+
+@compiled
+def most_visits(path: Any, visits: Any) -> int:
+    """Return how often a path enters the cell that it enters most; `visits` is overwritten."""
+    visits[:] = 0
+    most = 0
+    for step in range(1, path.size):
+        visits[path[step]] += 1
+        most = max(most, visits[path[step]])
+    return most
 
 
 @compiled
@@ -452,6 +464,51 @@ def take(
             cell = path[step]
             visit(factor, term, 0, gain_factor, gain_term, cell, visits[cell], factor, term, 0)
             visits[cell] += 1
+
+
+@compiled
+def out_and_back(
+    steps: int,
+    neighbors: Any,
+    within: Any,
+    origins: Any,
+    width: int,
+    gains: Any,
+    objective: Any,
+    worths: Any,
+) -> None:
+    """
+    Find what the paths are worth that lead to a cell by its best label and back the same way.
+
+    Parameters
+    ----------
+    steps : int
+        From the base to the cell.
+    neighbors, within, origins, gains, objective
+        As for `search`; no label has the origin -1.
+    width : int
+        How many labels each cell may have.
+    worths : ndarray, shape (within[steps],)
+        The result for each cell, in units; those that have no such path are left as they are.
+
+    """
+    weight, chance, loss_cost, units = objective
+    visits = np.zeros(neighbors.shape[0], np.int64)
+    factor, term = np.empty((1, gains[0].shape[2])), np.empty((1, gains[1].shape[2]))
+    path = np.empty(2 * steps + 1, np.int64)
+    start = 0
+    for step in range(steps):
+        start += within[step]
+    for cell in range(within[steps]):
+        if origins[(start + cell) * width] < 0:
+            continue
+        path[steps] = cell
+        trace(neighbors, within, origins, width, cell * width, path[: steps + 1])
+        for step in range(steps):
+            path[2 * steps - step] = path[step]
+        if most_visits(path, visits) <= gains[0].shape[1]:
+            take(path, 0, 0, gains[0], gains[1], visits, factor, term)
+            worths[cell] = label_worth(factor, term, 0, weight, chance, loss_cost, units)
 
 
 @compiled

@@ -3,24 +3,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 
 from kbnitp_ros.core.field import Grid
 from kbnitp_ros.core.planning.found import DECIMALS, Found
 from kbnitp_ros.core.planning.gains import Gains
 from kbnitp_ros.core.planning.information_kernels import left_open
-from kbnitp_ros.core.planning.label_kernels import fate_worth, improve, search, take, trace
+from kbnitp_ros.core.planning.label_kernels import (
+    fate_worth,
+    improve,
+    out_and_back,
+    search,
+    take,
+    trace,
+)
 from kbnitp_ros.core.planning.moments import WEIGHTS
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.reach import Reach
 import numpy as np
 from numpy.typing import NDArray
 
-# As many closed paths are ranked by their exact worth, or `width` if that is more.
+# As many closed paths are ranked by their exact worth, or `width` if that is more; so many of
+# them are improved.
 RANKED = 8
 
-# A closed path is improved by exchanging up to so many cells in a row.
+# So many paths that lead back the way they came are improved as well.
+TURNED = 4
+
+# A closed path is improved by exchanging up to so many cells in a row, and so many of the best
+# by exchanging one more.
 EXCHANGED = 2
+BEST = 2
 
 # The most bytes that a search may take.
 MOST_MEMORY = 1 << 30
@@ -35,9 +49,10 @@ def best_paths(
     Labels at the same cell after the same number of steps compete by the objective of their
     partial path, and every second one is kept for what it promises: the objective of that path and
     a good way home together. Paths that differ only in the order of their visits are worth the
-    same and count once. In the best closed paths stretches of one or two cells are then exchanged
-    for better ones. A search of width 1 does neither: there is one label for each cell and step,
-    as in the paper.
+    same and count once. In the best closed paths, and in the best that lead back the way they
+    came, stretches of one or two cells are then exchanged for better ones, and in the best of all
+    these stretches of up to three. A search of width 1 does nothing of this: there is one label
+    for each cell and step, as in the paper.
 
     Parameters
     ----------
@@ -65,13 +80,12 @@ def best_paths(
 
     """
     labels = Search(grid, objective, max_steps, width, max_visits)
-    found: dict[int, Found] = {}
-    for path in labels.closed_paths(max(width, RANKED)):
-        for candidate in (path, labels.improved(path)) if width > 1 else (path,):
-            visits = int(labels.marks[candidate[1:]].sum())
-            if visits not in found:
-                found[visits] = Found(labels.exact(candidate), labels.reach.cells[candidate])
-    return sorted(found.values(), key=lambda path: (-path.worth, path.path.size))
+    closed = labels.closed_paths(max(width, RANKED))
+    if width > 1:
+        improved = labels.improved([*closed[:RANKED], *labels.turned_paths(TURNED)], EXCHANGED)
+        best = [path for _, path in labels.ranked(improved)[:BEST]]
+        closed += improved + labels.improved(best, EXCHANGED + 1)
+    return [Found(worth, labels.reach.cells[path]) for worth, path in labels.ranked(closed)]
 
 
 class Search:
@@ -121,7 +135,7 @@ class Search:
             )
             for _ in range(2)
         )
-        origins = np.empty(within.sum() * width, dtype=np.int32)
+        origins = np.full(within.sum() * width, -1, dtype=np.int32)
         worths = np.full((within.size, width), -inf)
         search(
             self.reach.neighbors,
@@ -142,29 +156,72 @@ class Search:
     def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
         """Return the paths of the best labels at the base, then the shortest, as ranks."""
         best = np.argsort(-self._worths, axis=None, kind='stable')[:most]
-        paths = []
-        for steps, row in zip(*np.divmod(best, self._width)):
-            if self._worths[steps, row] > -inf:
-                path = np.empty(steps + 1, dtype=np.intp)
-                trace(
-                    self.reach.neighbors, self.reach.within, self._origins, self._width, row, path
-                )
-                paths.append(path)
-        return paths
+        return [
+            self._traced(0, row, steps)
+            for steps, row in zip(*np.divmod(best, self._width))
+            if self._worths[steps, row] > -inf
+        ]
 
-    def improved(self, path: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return a closed path with stretches exchanged for better ones."""
-        longest = np.empty(self.reach.within.size, dtype=np.intp)
-        longest[: path.size] = path
-        steps = improve(
-            longest,
-            path.size - 1,
+    def turned_paths(self, most: int) -> list[NDArray[np.intp]]:
+        """
+        Return the best of the paths that go to a cell by its best label and back the same way.
+
+        They leave two of the steps allowed to improve them by.
+        """
+        steps = (self.reach.within.size - 3) // 2
+        if steps < 1:
+            return []
+        worths = np.full(self.reach.within[steps], -inf)
+        out_and_back(
+            steps,
             self.reach.neighbors,
+            self.reach.within,
+            self._origins,
+            self._width,
             self.gains,
             self._objective,
-            EXCHANGED,
+            worths,
         )
-        return longest[: steps + 1]
+        ways = [
+            self._traced(cell, cell * self._width, steps)
+            for cell in np.argsort(-worths, kind='stable')[:most]
+            if worths[cell] > -inf
+        ]
+        return [np.concatenate((way, way[-2::-1])) for way in ways]
+
+    def _traced(self, cell: int, row: int, steps: int) -> NDArray[np.intp]:
+        """Return the path of a label in some row after so many steps at a cell, as ranks."""
+        path = np.empty(steps + 1, dtype=np.intp)
+        path[steps] = cell
+        trace(self.reach.neighbors, self.reach.within, self._origins, self._width, row, path)
+        return path
+
+    def improved(
+        self, paths: Sequence[NDArray[np.intp]], exchanged: int
+    ) -> list[NDArray[np.intp]]:
+        """Return closed paths with stretches of up to so many cells exchanged for better ones."""
+        improved = []
+        for path in paths:
+            longest = np.empty(self.reach.within.size, dtype=np.intp)
+            longest[: path.size] = path
+            steps = improve(
+                longest,
+                path.size - 1,
+                self.reach.neighbors,
+                self.gains,
+                self._objective,
+                exchanged,
+            )
+            improved.append(longest[: steps + 1])
+        return improved
+
+    def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
+        """Return closed paths and their worth, the best first, those of equal visits once."""
+        of_visits: dict[int, NDArray[np.intp]] = {}
+        for path in paths:
+            of_visits.setdefault(int(self.marks[path[1:]].sum()), path)
+        worths = [(self.exact(path), path) for path in of_visits.values()]
+        return sorted(worths, key=lambda ranked: (-ranked[0], ranked[1].size))
 
     def exact(self, path: NDArray[np.intp]) -> float:
         """Return what a closed path is worth, without the error of the moments, rounded."""
