@@ -1,8 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much the tests do: what fits before every change, or all with KBNITP_TESTS=full."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
 import os
+from typing import Any
+
+import pytest
 
 VARIABLE = 'KBNITP_TESTS'
 
 FULL = os.environ.get(VARIABLE) == 'full'
+
+
+def some(cases: Iterable[Any], every: int = 4) -> list[Any]:
+    """
+    Return cases of one law for `parametrize`: the first of every so many, and the rest as `full`.
+
+    Parameters
+    ----------
+    cases : iterable
+        Arguments, as a tuple where the test takes several.
+    every : int
+        Of how many cases in a row one runs before every change.
+
+    """
+    return [
+        pytest.param(
+            *(case if isinstance(case, tuple) else (case,)),
+            marks=[pytest.mark.full] if number % every else [],
+        )
+        for number, case in enumerate(cases)
+    ]

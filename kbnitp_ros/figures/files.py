@@ -64,4 +64,6 @@ def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
     with rc_context(EMBEDDED):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=DPI, metadata=METADATA[each])
+            # It is laid out once, and so the same in each format.
+            figure.set_layout_engine('none')
     return files

@@ -12,7 +12,14 @@ import subprocess
 import sys
 import time
 
-from kbnitp_ros.cli.demo import chosen_parameters, NODES, parse, recorded_parameters, true_numbers
+from kbnitp_ros.cli.demo import (
+    chosen_parameters,
+    main,
+    NODES,
+    parse,
+    recorded_parameters,
+    true_numbers,
+)
 from kbnitp_ros.core import Belief, Grid, Kind, run_mission, SensorModel, Unknowns, World
 from kbnitp_ros.log.bag.reader import is_finished, LogError, read_log, read_recorded
 from kbnitp_ros.log.bag.recorded import RecordedMetadata
@@ -422,10 +429,12 @@ def reports_in(log):
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
     (['--out', '/proc/here'], r'folder /proc/here cannot be made \(No such file.*name another'),
 ])  # fmt: skip
-def test_demo_refuses_what_cannot_be_before_it_starts_anything(tmp_path, options, complaint):
-    done = run_demo('--out', tmp_path / 'out', *options)
-    assert done.returncode == 2
-    assert re.fullmatch(f'demo: .*{complaint}.*\n', done.stderr), done.stderr
+def test_demo_refuses_what_cannot_be_before_it_starts_anything(
+    tmp_path, capsys, options, complaint
+):
+    assert main(['--out', str(tmp_path / 'out'), *options]) == 2
+    told = capsys.readouterr().err
+    assert re.fullmatch(f'demo: .*{complaint}.*\n', told), told
     assert not (tmp_path / 'out').exists()
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from extent import some
 from kbnitp_ros.__main__ import COMMANDS
 from kbnitp_ros.cli.output import command
 from mission_log import mission, record
@@ -30,7 +31,7 @@ def arguments(log, tmp_path):
     }
 
 
-KINDS = [*COMMANDS, 'help', 'replayed', 'repaired']
+KINDS = some(['help', 'replayed', 'repaired', *COMMANDS], 3)
 
 
 # With LANG=C names of files are printed that are no text.

@@ -17,6 +17,7 @@ import sys
 import termios
 import time
 
+from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study.scenario import ALONE, NUMBERS
 from pyarrow import parquet
 import pytest
@@ -66,6 +67,12 @@ def run_study(*arguments):
     )
 
 
+def refusal(capsys, scenario, out, *options):
+    """Return what is said on stderr of a study that cannot be, run in this process."""
+    assert study(parse([str(scenario), '--out', str(out), *map(str, options)])) == 2
+    return capsys.readouterr().err
+
+
 def write(path, **changes):
     path.write_text(yaml.safe_dump({**SCENARIO, **changes}))
     return path
@@ -111,7 +118,7 @@ def start():
         process.wait()
 
 
-def test_a_study_beyond_memory_is_refused_with_an_estimate(tmp_path):
+def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
     large = {'grid': {'width': 1000, 'height': 1000, 'base': 0}}
     planning = {'planner': 'beam', 'max_steps': 10**6, 'width': 1, 'max_visits': 10**6}
     for changes, told in (
@@ -123,9 +130,8 @@ def test_a_study_beyond_memory_is_refused_with_an_estimate(tmp_path):
         ({'planning': planning}, 'planning: .*max_steps = 1000000.* takes about .* GB'),
     ):
         out = tmp_path / 'out'
-        done = run_study(write(tmp_path / 'large.yaml', **changes), out)
-        assert done.returncode == 2
-        assert re.fullmatch(f'study: .*{told}.*\n', done.stderr), done.stderr
+        said = refusal(capsys, write(tmp_path / 'large.yaml', **changes), out)
+        assert re.fullmatch(f'study: .*{told}.*\n', said), said
         assert not out.exists()
 
 
@@ -233,37 +239,41 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
         ({'colour': 'red'}, [], 'colour is unknown'),
         ({'lethalities': [1.5]}, [], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
         ({'trials': 0}, [], 'trials is 0.*from 1'),
-        ({}, ['--backend', 'dask', '--scheduler', 'magic://here'], 'no Dask workers.*magic'),
         ({}, ['--workers', '99999999999'], 'workers is 99999999999.*from 1 to 1024'),
         ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
         ({}, ['--out', '/proc/here'], '/proc/here'),
     ],
 )
-def test_what_cannot_be_is_one_error_before_any_work(tmp_path, changes, options, complaint):
-    if '--backend' in options:
-        pytest.importorskip('distributed')
+def test_what_cannot_be_is_one_error_before_any_work(
+    capsys, tmp_path, changes, options, complaint
+):
     file = write(tmp_path / 'mine.yaml', **changes)
-    done = run_study(file, tmp_path / 'out', *options)
-    assert done.returncode == 2
-    assert re.fullmatch(f'study: .*{complaint}.*\n', done.stderr), done.stderr
+    said = refusal(capsys, file, tmp_path / 'out', *options)
+    assert re.fullmatch(f'study: .*{complaint}.*\n', said), said
     assert not list(tmp_path.glob('out/trials/*'))
 
 
-def test_a_missing_section_is_one_error(tmp_path):
+def test_a_scheduler_that_is_none_is_one_error_before_any_work(scenario, tmp_path):
+    pytest.importorskip('distributed')
+    options = ['--backend', 'dask', '--scheduler', 'magic://here']
+    done = run_study(scenario, tmp_path / 'out', *options)
+    assert done.returncode == 2
+    assert re.fullmatch('study: .*no Dask workers.*magic.*\n', done.stderr), done.stderr
+    assert not list(tmp_path.glob('out/trials/*'))
+
+
+def test_a_missing_section_is_one_error(capsys, tmp_path):
     file = tmp_path / 'mine.yaml'
     file.write_text(yaml.safe_dump({k: v for k, v in SCENARIO.items() if k != 'sensor'}))
-    done = run_study(file, tmp_path / 'out')
-    assert done.returncode == 2
-    assert re.fullmatch('study: .*mine.yaml: sensor is missing.*\n', done.stderr), done.stderr
+    said = refusal(capsys, file, tmp_path / 'out')
+    assert re.fullmatch('study: .*mine.yaml: sensor is missing.*\n', said), said
 
 
-def test_a_folder_with_another_scenarios_results_is_one_error(tmp_path, whole):
+def test_a_folder_with_another_scenarios_results_is_one_error(capsys, tmp_path, whole):
     before = {path: path.stat().st_mtime_ns for path in whole.rglob('*')}
-    done = run_study(write(tmp_path / 'mine.yaml', robots=13), whole)
-    assert done.returncode == 2
     assert re.fullmatch(
         f'study: {whole} holds results of another scenario, with robots 12 and not 13: .*\n',
-        done.stderr,
+        refusal(capsys, write(tmp_path / 'mine.yaml', robots=13), whole),
     )
     assert {path: path.stat().st_mtime_ns for path in whole.rglob('*')} == before
 
@@ -280,9 +290,11 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
 @pytest.mark.parametrize(
     'options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']]
 )
-def test_unusable_options_are_named(scenario, tmp_path, options):
-    done = run_study(scenario, tmp_path / 'out', *options)
-    assert done.returncode == 2
-    assert f'{options[0]}: ' in done.stderr
-    assert options[1] in done.stderr
+def test_unusable_options_are_named(capsys, scenario, tmp_path, options):
+    with pytest.raises(SystemExit) as ended:
+        refusal(capsys, scenario, tmp_path / 'out', *options)
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert f'{options[0]}: ' in said
+    assert options[1] in said
     assert not (tmp_path / 'out').exists()

@@ -4,6 +4,7 @@
 from math import log
 
 import brute_force
+from extent import FULL
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import (
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 
 CELLS = 6
-thorough = settings(max_examples=100, deadline=None, derandomize=True)
+thorough = settings(max_examples=100 if FULL else 30, deadline=None, derandomize=True)
 
 probability = st.one_of(st.sampled_from([0.0, 1.0, 0.5]), st.floats(1e-6, 1 - 1e-6))
 per_cell = st.lists(probability, min_size=CELLS, max_size=CELLS)

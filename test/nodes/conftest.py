@@ -111,15 +111,28 @@ class Field:
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
 
-    def until(self, condition, what, patience=PATIENCE):
-        """Handle messages until something holds; no node may end meanwhile."""
+    def until(self, condition, what, patience=PATIENCE, *, may_end=False):
+        """Handle messages until something holds; no node may end meanwhile unless told so."""
         deadline = time.monotonic() + patience
         while not condition():
             states = {name: self.state(name) for name in self._diagnosed}
             assert time.monotonic() < deadline, f'no {what} within {patience} s: {states}'
-            for name in self.processes.ended():
+            for name in () if may_end else self.processes.ended():
                 pytest.fail(f'{name} ended while there was no {what}: {self.said(name)}')
             self.executor.spin_once(timeout_sec=0.02)
+
+    def until_failed(self, full_name):
+        """Handle messages until a node has given up; return its exit code and its last words."""
+        process = self.processes.started[full_name]
+        self.until(
+            lambda: (
+                process.poll() is not None
+                and self.diagnosed(full_name).level == DiagnosticStatus.ERROR
+            ),
+            f'end of {full_name}',
+            may_end=True,
+        )
+        return process.returncode, self.diagnosed(full_name).message
 
     def until_refused(self, full_name, times):
         """Handle messages until a node has refused so many, and return its words on the last."""

@@ -126,7 +126,10 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
     reports = field.listen(DeploymentReport, '/scout_1/report')
     field.start_mission({**PARAMETERS, 'robots': 5, 'sensor.lethality': 0.5, 'seed': 3})
     field.until(
-        lambda: len(deployments_said(field, '/estimator')) == 5 and len(reports) == 5, 'mission'
+        lambda: (
+            len(deployments_said(field, '/estimator')) == 5 == len(reports) and len(paths) == 5
+        ),
+        'mission',
     )
     known, lost = ledger(), 0
     for number, (path, report) in enumerate(zip(paths, reports), start=1):

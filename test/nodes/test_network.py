@@ -32,6 +32,7 @@ def start_all(field, parameters):
 def test_a_cell_whose_side_is_no_float32_is_no_obstacle(field):
     start_all(field, {'grid.resolution': 0.3333333333333333, 'robots': 2})
     field.until(lambda: field.state('/planner').startswith('done: 2 of 2'), 'end')
+    field.until(lambda: all(field.state(f'/{node}') for node in NODES), 'word of every node')
     assert [field.count(f'/{node}', 'refused') for node in NODES] == [0] * 4
 
 
@@ -117,8 +118,10 @@ def test_a_report_that_does_not_fit_leaves_a_silent_robot_to_be_given_up(field):
     unfit.readings = unfit.readings[:-1]
     agent.publish(unfit)
     field.until(lambda: field.state('/planner').startswith('done: 1 of 1'), 'end')
+    field.until(lambda: len(reports) == 2, 'loss')
     assert [report.survived for report in reports] == [True, False]
-    assert field.count('/planner', 'refused') == field.count('/estimator', 'refused') == 1
+    for node in ('planner', 'estimator'):
+        field.until_refused(f'/{node}', 1)
 
 
 def test_a_report_of_50_megabytes_is_shown_in_a_line(field):

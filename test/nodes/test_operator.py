@@ -204,6 +204,7 @@ def test_a_robot_that_is_known_lost_is_given_up(field):
     assert told.endswith(', heard of last after step 1')
     base.until_held(1)
     base.until_sent(2)
+    field.until(lambda: base.heard['scout_1'], 'loss')
     (loss,) = base.heard['scout_1']
     assert (loss.survived, loss.steps_survived) == (False, 1)
     report = base.replayed()
@@ -230,10 +231,9 @@ def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
     client = field.node.create_client(Trigger, '/end_mission')
     field.until(client.service_is_ready, 'service')
     answer = client.call_async(Trigger.Request())
-    while planner.poll() is None:
-        field.executor.spin_once(timeout_sec=0.02)
+    field.until(lambda: planner.poll() is not None, 'end', may_end=True)
     assert planner.returncode == 0
-    assert answer.done()
+    field.until(answer.done, 'answer', may_end=True)
     assert answer.result().success
 
 
@@ -332,6 +332,7 @@ def give_up(base):
 
 def is_given_up(base):
     base.until_held(1)
+    base.field.until(lambda: base.heard['scout_1'], 'loss')
     assert base.heard['scout_1'][-1].steps_survived == 2
     base.proposed()
 
@@ -387,6 +388,7 @@ def test_decisions_that_are_none_are_not_read(field):
     base = Base(field)
     base.until_sent(1)
     base.do('pause', data=True)
+    field.until(lambda: base.actions, 'decision')
     base.replayed()
     (logged,) = read_log(base.log, ['kbnitp_msgs/msg/OperatorAction'])
     message = base.actions[0]

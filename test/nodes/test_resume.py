@@ -10,6 +10,7 @@ from kbnitp_ros.log.evidence import PATH, record, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.parameters import MOST_ROBOTS
 from nav_msgs.msg import Path
@@ -61,6 +62,11 @@ def until_done(field, robots):
     """Wait until the planner knows that all robots are deployed."""
     done = f'done: {robots} of {robots} robots deployed'
     field.until(lambda: field.state('/m/planner') == done, done, patience=300)
+
+
+def reported(log):
+    """Return which deployments are reported in a log."""
+    return {from_stamp(logged.message.deployment) for logged in read_log(log, (REPORT,))}
 
 
 def folded(log):
@@ -117,6 +123,8 @@ def test_deployments_survive_every_restart(field, before):
     until_done(field, robots)
     field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
     last = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
+    # The last reports may be believed before they are on record.
+    field.until(lambda: len(reported(log)) == robots, 'all reports on record')
     assert last == folded(log)
     for name in ('recorder', *NODES):
         field.kill(f'/m/{name}')

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_ros.core import Belief, Grid, plan_team, SensorModel
 from kbnitp_ros.log.bag.reader import is_finished
 from kbnitp_ros.nodes.given import check_given
@@ -64,14 +63,10 @@ def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
 
 @pytest.mark.parametrize('name', NODES)
 def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
-    process = field.start(name, {'max_steps': 0, 'compression': 'lzma', 'file': '/'}, '/m')
-    while process.poll() is None:
-        field.executor.spin_once(timeout_sec=0.02)
-    field.executor.spin_once(timeout_sec=0.1)
-    status = field.diagnosed(f'/m/{name}')
-    assert status.level == DiagnosticStatus.ERROR
-    assert field.said(f'/m/{name}') == f'{name}: {status.message}\n'
-    assert process.returncode == 2
+    field.start(name, {'max_steps': 0, 'compression': 'lzma', 'file': '/'}, '/m')
+    code, told = field.until_failed(f'/m/{name}')
+    assert code == 2
+    assert field.said(f'/m/{name}') == f'{name}: {told}\n'
 
 
 @pytest.mark.parametrize('name', NODES)

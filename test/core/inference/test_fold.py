@@ -7,6 +7,7 @@ from collections import defaultdict
 import tracemalloc
 
 import brute_force
+from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import (
@@ -28,6 +29,8 @@ MODEL = SensorModel(0.5)
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MAX_STEPS = 6
 ADJACENT = brute_force.adjacent(3, 3)
+# Of a long mission.
+ROBOTS = 200 if FULL else 80
 
 
 class Evidence:
@@ -104,7 +107,7 @@ def tell(ledger, key, said):
 
 @pytest.mark.parametrize('method', METHODS)
 @given(arrivals())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150 if FULL else 40, deadline=None)
 def test_every_arrival_leaves_the_belief_of_the_evidence_so_far(method, messages):
     ledger, evidence = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL, method)), Evidence(method)
     for key, said in messages:
@@ -138,10 +141,10 @@ def mission(robots, rng):
 @pytest.mark.parametrize('lateness', [2, 30, 1000])
 def test_a_long_mission_may_come_in_any_disorder(method, lateness):
     rng = np.random.default_rng(lateness)
-    deployments = list(mission(200, rng))
+    deployments = list(mission(ROBOTS, rng))
     ledger = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL, method))
     evidence = Evidence(method)
-    for index in np.argsort(np.arange(200) + rng.uniform(0, lateness, 200)):
+    for index in np.argsort(np.arange(ROBOTS) + rng.uniform(0, lateness, ROBOTS)):
         key, *both = deployments[index]
         for said in both:
             tell(ledger, key, said)

@@ -2,12 +2,14 @@
 """Logs that are made to take all memory or time are refused before they do, by every reader."""
 
 from contextlib import closing
+from itertools import product
 import os
 import sqlite3
 import struct
 
 from bags import write_bag
 from bounded import megabytes_at_start, run_command
+from extent import some
 from kbnitp_ros.log.bag.reader import LogError, read_log
 from kbnitp_ros.log.bag.writer import LogWriter
 import lz4.frame
@@ -21,6 +23,17 @@ import zstandard
 ENOUGH = 100
 
 GIGABYTE = 2**30
+
+
+REPAIR = ['--repair', 'out.mcap']
+
+
+def replayed_and_repaired(kinds, every=1):
+    """Return each kind of log, or one of so many of them, to be replayed and some for repair."""
+    return [
+        *some([(kind, []) for kind in kinds], every),
+        *some([(kind, REPAIR) for kind in kinds], 4),
+    ]
 
 
 def entry(kind, body, length=None):
@@ -93,8 +106,7 @@ MCAPS = {
 }
 
 
-@pytest.mark.parametrize('kind', MCAPS)
-@pytest.mark.parametrize('options', [[], ['--repair', 'out.mcap']], ids=['replay', 'repair'])
+@pytest.mark.parametrize('kind, options', replayed_and_repaired(MCAPS))
 def test_a_hostile_mcap_file_is_refused(kind, options, tmp_path):
     log = tmp_path / 'mission.mcap'
     log.write_bytes(MCAPS[kind]())
@@ -170,8 +182,7 @@ def database(whole_mission, tmp_path):
     return write_bag(tmp_path / 'bag', whole_mission.sent, 'sqlite3') / 'bag.db3'
 
 
-@pytest.mark.parametrize('kind', VIEWS)
-@pytest.mark.parametrize('options', [[], ['--repair', 'out.mcap']], ids=['replay', 'repair'])
+@pytest.mark.parametrize('kind, options', replayed_and_repaired(VIEWS))
 def test_a_hostile_database_is_refused(kind, options, database):
     with closing(sqlite3.connect(database)) as opened:
         opened.executescript(VIEWS[kind])
@@ -185,12 +196,12 @@ NO_FILES = {
 }
 
 
-@pytest.mark.parametrize('kind', NO_FILES)
-@pytest.mark.parametrize(
-    'name', ['mission.mcap', 'mission.db3', 'mission_1.mcap', 'metadata.yaml']
-)
-@pytest.mark.parametrize('options', [[], ['--repair', 'out.mcap']], ids=['replay', 'repair'])
-def test_what_is_no_file_is_refused(kind, name, options, whole_mission, tmp_path):
+NAMES = ('mission.mcap', 'mission.db3', 'mission_1.mcap', 'metadata.yaml')
+
+
+@pytest.mark.parametrize('case, options', replayed_and_repaired(list(product(NO_FILES, NAMES)), 2))
+def test_what_is_no_file_is_refused(case, options, whole_mission, tmp_path):
+    kind, name = case
     folder = tmp_path / 'run'
     folder.mkdir()
     if name in ('mission_1.mcap', 'metadata.yaml'):
