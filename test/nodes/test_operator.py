@@ -59,6 +59,7 @@ class Base:
         self.clients = {
             name: field.node.create_client(kind, f'/{name}') for name, kind in SERVICES.items()
         }
+        self.lost_calls = []
         self.start(file=str(self.log))
 
     def start(self, **own):
@@ -72,6 +73,10 @@ class Base:
             self.field.processes.started[f'/{node}'].kill()
         for node in NODES:
             self.field.kill(f'/{node}')
+        # DDS knows of the service for some time yet: whoever calls it is heard by nobody.
+        client = self.clients['end_mission']
+        assert client.service_is_ready()
+        self.lost_calls.append(client.call_async(Trigger.Request()))
         for messages in self.proposals.values():
             messages.clear()
         self.start(resume=str(self.log))
@@ -382,6 +387,7 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
     )
     assert len(report.evidence.reports) == 1
     assert [report.evidence.path(key).tolist() for key in report.evidence.paths] == [base.second]
+    assert not any(call.done() for call in base.lost_calls)
 
 
 def test_decisions_that_are_none_are_not_read(field):
