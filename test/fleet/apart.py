@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base and robot on two networks, joined by a link that can be taken down."""
+"""Base and robots on networks of their own, joined by links that can be taken down."""
 
 from __future__ import annotations
 
@@ -28,14 +28,21 @@ def ip(*arguments):
 
 
 @contextmanager
-def two_networks():
-    """Make two networks on one bridge; yield their names, and what switches the link."""
+def networks(robots):
+    """
+    Make a network for the base and one for each robot, on one bridge.
+
+    The base is heard by all robots and hears them; they do not hear each other. Yield the names of
+    the networks, that of the base first, and what switches the links of the robots.
+    """
     mark = f'k{os.getpid() % 10_000}'
-    base, robot, bridge = f'{mark}base', f'{mark}robot', f'{mark}br'
+    bridge = f'{mark}br'
+    names = [f'{mark}base', *(f'{mark}robot{number}' for number in range(1, robots + 1))]
+    outer_ends = [f'{mark}o{number}' for number in range(len(names))]
     try:
         steps = [['link', 'add', bridge, 'type', 'bridge'], ['link', 'set', bridge, 'up']]
-        for number, name in enumerate((base, robot), start=1):
-            inner, outer = f'{mark}i{number}', f'{mark}o{number}'
+        for number, (name, outer) in enumerate(zip(names, outer_ends)):
+            inner = f'{mark}i{number}'
             steps += [
                 ['netns', 'add', name],
                 ['link', 'add', inner, 'type', 'veth', 'peer', 'name', outer],
@@ -44,30 +51,34 @@ def two_networks():
                 ['link', 'set', outer, 'up'],
                 ['-n', name, 'link', 'set', 'lo', 'up'],
                 ['-n', name, 'link', 'set', inner, 'up'],
-                ['-n', name, 'address', 'add', f'10.77.0.{number}/24', 'dev', inner],
+                ['-n', name, 'address', 'add', f'10.77.0.{number + 1}/24', 'dev', inner],
                 ['-n', name, 'route', 'add', '224.0.0.0/4', 'dev', inner],
             ]
+        for outer in outer_ends[1:]:
+            steps.append(['link', 'set', outer, 'type', 'bridge_slave', 'isolated', 'on'])
         for step in steps:
             made = ip(*step)
             if made.returncode:
                 pytest.skip(f'no networks can be made: ip {" ".join(step)}: {made.stderr.strip()}')
-        yield base, robot, lambda state: ip('link', 'set', f'{mark}o2', state)
+        yield names, lambda state: [ip('link', 'set', each, state) for each in outer_ends[1:]]
     finally:
         ip('link', 'delete', bridge)
-        for name in (base, robot):
+        for name in names:
             ip('netns', 'delete', name)
 
 
 class Apart:
     """
-    A mission of one robot, whose base is on another network than the robot and its simulator.
+    A mission of one agent, whose base is on another network than the robot and its simulator.
 
     Parameters
     ----------
     folder : Path
         Where everything is kept.
-    networks : tuple
-        What `two_networks` yields.
+    names : list of str
+        The networks, that of the base first, then one for each robot; all robots have one name.
+    switch : callable
+        What takes the links up and down.
     robots : int
         How many robots leave, one after another.
 
@@ -76,12 +87,13 @@ class Apart:
     log : Path
         Of the mission.
     switch : callable
-        Takes the link 'up' or 'down'.
+        Takes the links 'up' or 'down'.
 
     """
 
-    def __init__(self, folder, networks, robots):
-        base, robot, self.switch = networks
+    def __init__(self, folder, names, switch, robots):
+        base, *own = names
+        self.switch = switch
         self._folder = folder
         self._started = []
         self.log = folder / 'log' / 'mission.mcap'
@@ -95,21 +107,27 @@ class Apart:
             'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
             'ROS_LOG_DIR': str(folder / 'ros_log'),
         }
-        self._start(robot, str(SIMULATOR), str(self._simulation()))
-        self._robot_said = self._start_node(
-            robot,
-            'robot',
-            {
-                **base_parameters,
-                'nav_namespace': 'scout_1',
-                'journal': str(folder / 'scout_1.journal'),
-                'await_nodes': ['planner', 'estimator', 'recorder'],
-            },
-            '__ns:=/m/scout_1',
-            '/tf:=/scout_1/tf',
-            '/tf_static:=/scout_1/tf_static',
-            'detections:=/scout_1/detections',
-        )
+        # Each robot has targets elsewhere, so that reports tell which it was.
+        others = sorted(set(range(GRID.cells)) - set(TARGETS))
+        for number, (network, targets) in enumerate(zip(own, (TARGETS, others)), 1):
+            self._start(network, str(SIMULATOR), str(self._simulation(number, targets)))
+        self._robots_said = [
+            self._start_node(
+                network,
+                'robot',
+                {
+                    **base_parameters,
+                    'nav_namespace': 'scout_1',
+                    'journal': str(folder / f'{number}.journal'),
+                    'await_nodes': ['planner', 'estimator', 'recorder'],
+                },
+                '__ns:=/m/scout_1',
+                '/tf:=/scout_1/tf',
+                '/tf_static:=/scout_1/tf_static',
+                'detections:=/scout_1/detections',
+            )
+            for number, network in enumerate(own, 1)
+        ]
         for name, parameters in (
             ('recorder', {'file': str(self.log)}),
             ('estimator', base_parameters),
@@ -117,9 +135,11 @@ class Apart:
         ):
             self._planner_said = self._start_node(base, name, parameters, '__ns:=/m')
 
-    def _simulation(self):
-        """Write what the simulator needs to know, and return its file."""
-        file = self._folder / 'simulation.json'
+    def _simulation(self, number, targets):
+        """Write what a simulator needs to know, and return its file."""
+        folder = self._folder / str(number)
+        folder.mkdir()
+        file = folder / 'simulation.json'
         file.write_text(
             json.dumps(
                 {
@@ -127,9 +147,9 @@ class Apart:
                     'height': GRID.height,
                     'blocked': sorted(GRID.blocked),
                     'robots': {'/scout_1': [0.5, 0.5]},
-                    'targets': TARGETS,
+                    'targets': targets,
                     'detection_type': 'bool',
-                    'track': str(self._folder / 'track.jsonl'),
+                    'track': str(folder / 'track.jsonl'),
                 }
             )
         )
@@ -157,16 +177,16 @@ class Apart:
     def until(self, condition, what, seconds=PATIENCE):
         end = time.monotonic() + seconds
         while not condition():
-            told = self._robot_said.read_text(), self._planner_said.read_text()
+            told = [said.read_text() for said in (*self._robots_said, self._planner_said)]
             assert time.monotonic() < end, (what, *told)
             time.sleep(0.02)
 
     def count(self, words):
-        """Return how often the robot has said something."""
-        return self._robot_said.read_text().count(words)
+        """Return how often the robots have said something."""
+        return sum(said.read_text().count(words) for said in self._robots_said)
 
     def reports(self):
-        """Return the stamps of the deployments whose reports are on record, one for each."""
+        """Return the stamps of the deployments of all reports on record."""
         try:
             return [from_stamp(each.message.deployment) for each in read_log(self.log, [REPORT])]
         except LogError:
@@ -181,10 +201,22 @@ class Apart:
 
 
 @contextmanager
-def apart(folder, robots):
-    """Have a mission of so many robots run on two networks; it is over when this is left."""
-    with two_networks() as networks:
-        mission = Apart(folder, networks, robots)
+def apart(folder, robots, namesakes=1):
+    """
+    Have a mission run whose base is apart from its robots; it is over when this is left.
+
+    Parameters
+    ----------
+    folder : Path
+        Where everything is kept.
+    robots : int
+        How many leave, one after another.
+    namesakes : int
+        How many robots there are of the one name, 1 or 2.
+
+    """
+    with networks(namesakes) as (names, switch):
+        mission = Apart(folder, names, switch, robots)
         try:
             yield mission
         finally:

@@ -288,7 +288,8 @@ class Register:
         if known is not None and outcome.ending <= known.ending:
             if report.survived and outcome != known:
                 raise ValueError(
-                    f'report of deployment {key} is known and differs: the first return holds'
+                    f'report of deployment {key} is known and differs: the first return holds '
+                    f'(do two robots have the name {key.agent}?)'
                 )
             self.duplicates += 1
             return False

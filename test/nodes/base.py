@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes of a base, and the test in place of its agents and its operator."""
+
+from __future__ import annotations
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction
+from kbnitp_msgs.srv import GiveUp
+from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.nodes import qos
+from nav_msgs.msg import Path
+from std_srvs.srv import SetBool, Trigger
+
+GRID = Grid(5, 5)
+PARAMETERS = {
+    'grid.width': 5,
+    'grid.height': 5,
+    'max_steps': 8,
+    'prior.hazard': 0.1,
+    'robots': 4,
+    'recorded': True,
+}
+NODES = ('recorder', 'estimator', 'planner')
+AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
+
+SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
+
+
+class Base:
+    """Planner, estimator and recorder, and the test in place of agents and operator."""
+
+    def __init__(self, field, agents=('scout_1',), **parameters):
+        self.field = field
+        self.log = field.folder / 'mission.mcap'
+        self.parameters = {**PARAMETERS, 'agents': list(agents), **parameters}
+        self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
+        self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}
+        self.heard = {each: field.listen(DeploymentReport, f'/{each}/report') for each in agents}
+        self.actions = field.listen(OperatorAction, '/operator')
+        self.beliefs = field.listen(BeliefMaps, '/belief')
+        self.reports = {
+            each: field.node.create_publisher(DeploymentReport, f'/{each}/report', qos.EVIDENCE)
+            for each in agents
+        }
+        # Such as are known to a planner that starts: a new one would find that which was killed.
+        self.clients = {
+            name: field.node.create_client(kind, f'/{name}') for name, kind in SERVICES.items()
+        }
+        self.lost_calls = []
+        self.start(file=str(self.log))
+
+    def start(self, **own):
+        for node in NODES:
+            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            self.field.start(node, {**self.parameters, **awaited, **own})
+
+    def crash(self):
+        """Kill all nodes at once, and go on with what is on disk."""
+        for node in NODES:
+            self.field.processes.started[f'/{node}'].kill()
+        for node in NODES:
+            self.field.kill(f'/{node}')
+        # DDS knows of the service for some time yet: whoever calls it is heard by nobody.
+        client = self.clients['end_mission']
+        assert client.service_is_ready()
+        self.lost_calls.append(client.call_async(Trigger.Request()))
+        for messages in self.proposals.values():
+            messages.clear()
+        self.start(resume=str(self.log))
+
+    def call(self, service, **request):
+        """Return the answer of a service."""
+        client = self.clients[service]
+        self.field.until(client.service_is_ready, f'service {service}')
+        future = client.call_async(SERVICES[service].Request(**request))
+        self.field.until(future.done, f'answer of {service}')
+        return future.result()
+
+    def do(self, service, **request):
+        """Have something done, and return what the planner says to it."""
+        answer = self.call(service, **request)
+        assert answer.success, answer.message
+        return answer.message
+
+    def refused(self, service, **request):
+        """Return why something is not done."""
+        answer = self.call(service, **request)
+        assert not answer.success
+        return answer.message
+
+    def proposed(self, agent='scout_1'):
+        """Wait until a path is proposed, and return its cells."""
+        shown = self.proposals[agent]
+        self.field.until(lambda: shown and shown[-1].poses, f'proposal for {agent}')
+        return read_path(GRID, agent, shown[-1])[1].tolist()
+
+    def sent(self, agent='scout_1'):
+        """Return the ways of the robots of an agent that have left."""
+        ways = dict(read_path(GRID, agent, path) for path in self.paths[agent])
+        return [ways[key].tolist() for key in sorted(ways)]
+
+    def until_sent(self, number, agent='scout_1'):
+        self.field.until(lambda: len(self.sent(agent)) == number, f'path {number}')
+
+    def until_state(self, words):
+        self.field.until(lambda: words in self.field.state('/planner'), words)
+
+    def until_held(self, number):
+        self.field.until(
+            lambda: self.beliefs and self.beliefs[-1].deployments == number, f'belief in {number}'
+        )
+
+    def come_back(self, agent='scout_1'):
+        """Report that the newest robot of an agent is back."""
+        key, cells = read_path(GRID, agent, self.paths[agent][-1])
+        home = Observation(cells, True, [False] * (len(cells) - 1))
+        self.reports[agent].publish(report_message(key, home, key.stamp + 1))
+
+    def replayed(self):
+        """End all nodes and return what a replay of the log says, which must be bit-exact."""
+        for name, code in self.field.processes.stop(60).items():
+            assert code == 0, self.field.said(name)
+        report = replay(self.log)
+        assert report.reproduced
+        assert not report.evidence.refused
+        return report
