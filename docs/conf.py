@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How Sphinx builds these pages: Markdown by MyST, the API from numpydoc docstrings."""
+"""How Sphinx builds these pages: Markdown and notebooks by MyST, the API from docstrings."""
 
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
@@ -11,8 +11,8 @@ copyright = '2026, kbnitp_ros maintainers'
 author = 'kbnitp_ros maintainers'
 version = release = package.findtext('version')
 
-extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode', 'numpydoc']
-source_suffix = {'.md': 'markdown'}
+extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode', 'numpydoc']
+source_suffix = {'.md': 'myst-nb', '.ipynb': 'myst-nb'}
 exclude_patterns = ['_build']
 
 autodoc_default_options = {'members': True, 'show-inheritance': True}
@@ -22,6 +22,8 @@ autosummary_generate = False
 
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
+# They are shown as they stand there; a test holds them to what comes out.
+nb_execution_mode = 'off'
 
 html_theme = 'furo'
 html_title = f'kbnitp_ros {release}'

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The notebooks show what comes out when they are executed."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted(ROOT.joinpath('docs/notebooks').glob('*.ipynb'))
+
+
+@pytest.fixture(scope='module')
+def executed(tmp_path_factory):
+    """Return a folder with the notebooks as they come out now."""
+    pytest.importorskip('nbclient', reason='notebooks are executed with the wheels only')
+    folder = tmp_path_factory.mktemp('executed')
+    ran = subprocess.run(
+        [sys.executable, ROOT / 'tools/notebooks.py', folder],
+        env={**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'},
+        text=True,
+        capture_output=True,
+    )
+    assert ran.returncode == 0, ran.stderr
+    return folder
+
+
+def shown(path):
+    """Return the cells of a notebook, and the texts and pictures that stand below each."""
+    return [
+        (cell['source'], cell.get('execution_count'), [output(each) for each in cell['outputs']])
+        for cell in json.loads(path.read_text())['cells']
+        if cell['cell_type'] == 'code'
+    ]
+
+
+def output(told):
+    """Return an output's text, and its kinds; pictures differ with the fonts of a machine."""
+    data = told.get('data', {})
+    return told.get('text', data.get('text/plain')), sorted(data)
+
+
+@pytest.mark.parametrize('path', NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_shows_what_comes_out(path, executed):
+    assert shown(path) == shown(executed / path.name), 'python3 tools/notebooks.py'
+
+
+@pytest.mark.parametrize('name', ['mission_log', 'one_path'])
+def test_a_notebook_shows_texts_and_pictures(name):
+    outputs = [
+        each for *_, outputs in shown(ROOT / f'docs/notebooks/{name}.ipynb') for each in outputs
+    ]
+    assert any('image/png' in kinds for _, kinds in outputs)
+    assert any(text and not kinds for text, kinds in outputs)
