@@ -12,7 +12,7 @@ import sys
 import time
 
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import DeploymentKey, LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
@@ -23,6 +23,7 @@ from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.field import FieldNode
 from kbnitp_ros.nodes.namesakes import Namesakes
 from kbnitp_ros.nodes.orders import Orders
+from kbnitp_ros.nodes.parameters import value_for
 from kbnitp_ros.nodes.shell import run
 from kbnitp_ros.nodes.transforms import Place, Transforms
 from kbnitp_ros.robot import (
@@ -370,7 +371,16 @@ class RobotNode(FieldNode):
         self.get_logger().info(f'home from {self._key(trip)} after {len(trip.steps)} steps')
 
     def _report(self, trip: Trip) -> None:
-        observation, now = trip.observation(), self.now()
+        most = LONGEST_WALK * value_for(self.values, 'max_steps', self._agent)
+        observation, now = trip.observation(most), self.now()
+        if len(trip.steps) > most:
+            told = (
+                f'{self._key(trip)} has {len(trip.steps)} steps, and a report has at most '
+                f'{LONGEST_WALK} * max_steps = {most}: loops are left out, and '
+                f'{observation.path.size - 1} steps reported; the journal has all'
+            )
+            self.get_logger().warning(told)
+            self.diagnostics.values['long walk'] = told
         self._reports.publish(report_message(self._key(trip), observation, now))
         self._readings.publish(readings_marker(self.grid, observation, now))
 

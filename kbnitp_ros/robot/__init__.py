@@ -5,7 +5,7 @@ from kbnitp_ros.robot.itinerary import Itinerary
 from kbnitp_ros.robot.journal import Journal
 from kbnitp_ros.robot.trip import Step, Trip
 from kbnitp_ros.robot.walk import Walk
-from kbnitp_ros.robot.way import legs_of, shortest_way, without_loops
+from kbnitp_ros.robot.way import legs_of, shortest_way, steps_within, without_loops
 from kbnitp_ros.robot.whereabouts import Whereabouts
 
 __all__ = [
@@ -17,5 +17,6 @@ __all__ = [
     'Whereabouts',
     'legs_of',
     'shortest_way',
+    'steps_within',
     'without_loops',
 ]

@@ -156,7 +156,8 @@ class Journal:
             if not 1 <= number <= len(steps) + 1:
                 raise ValueError(f'step {number} comes after {len(steps)}')
             step = Step(entry['cell'], entry['time'], entry['reading'])
-            self.trips[-1].steps = [*steps[: number - 1], step, *steps[number:]]
+            before = number - 1
+            steps[before:number] = [step]
         else:
             self.trips[-1].is_home = entry['home'] >= 0
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from kbnitp_ros.core import Observation
+from kbnitp_ros.robot.way import steps_within
 import numpy as np
 
 NOT_LOOKED = -1
@@ -69,14 +70,21 @@ class Trip:
         """Return the cells of the walk so far, the base first."""
         return [self.base, *(step.cell for step in self.steps)]
 
-    def observation(self) -> Observation:
+    def observation(self, most: int) -> Observation:
         """
         Return what the robot that is home tells of its field.
 
         One that never left the cell of its base has stayed there for a step, in which it looked
         for nothing.
+
+        Parameters
+        ----------
+        most : int
+            How many steps it may tell of: of a longer walk loops are left out, see `steps_within`.
+
         """
-        steps = self.steps or [Step(self.base, 0)]
+        told = steps_within(self.cells, most)
+        steps = [self.steps[number - 1] for number in told] or [Step(self.base, 0)]
         walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)
         readings = np.array([step.reading for step in steps], dtype=np.int8)
         return Observation(walk, True, readings)

@@ -61,6 +61,45 @@ def without_loops(cells: Iterable[int]) -> list[int]:
     return list(way)
 
 
+def steps_within(cells: Sequence[int], most: int) -> list[int]:
+    """
+    Return which steps of a walk to tell of, if that may be only so many.
+
+    What is left is a walk from the same start to the same end, of steps that were made: the walk
+    as far as it goes, and from there the last way out of each cell, which leads home without
+    loops. A step that is left out is evidence that is not told; no other is told in its place.
+
+    Parameters
+    ----------
+    cells : sequence of int, shape (steps + 1,)
+        The walk; it ends where it starts.
+    most : int
+        How many steps may be left.
+
+    Returns
+    -------
+    list of int
+        Numbers of steps, counted from 1, in order. All if they are not too many; none if no walk
+        but that of no step is short enough.
+
+    """
+    steps = len(cells) - 1
+    if steps <= most:
+        return list(range(1, steps + 1))
+    last = {cell: number for number, cell in enumerate(cells)}
+    steps_home = {cells[steps]: 0}
+    for number in range(steps - 1, -1, -1):
+        if last[cells[number]] == number:
+            steps_home[cells[number]] = 1 + steps_home[cells[number + 1]]
+    kept = max(number for number in range(most + 1) if number + steps_home[cells[number]] <= most)
+    told = list(range(1, kept + 1))
+    at = last[cells[kept]]
+    while at < steps:
+        told.append(at + 1)
+        at = last[cells[at + 1]]
+    return told
+
+
 def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
     """
     Return the cells of a way with the fewest steps, both ends included.

@@ -10,6 +10,7 @@ import time
 
 from fleet import FIELD, Fleet, GRID
 from geometry_msgs.msg import TransformStamped
+from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.nodes import qos
@@ -67,6 +68,44 @@ def test_positions_that_none_can_be_make_no_step(field):
     stand(0.5, 0.5, lambda: reports, 'report')
     report = fleet.report_of(reports, fleet.key(1))
     assert report.readings == ((1, -1), (2, -1), (1, -1), (0, -1))
+
+
+def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
+    """The robot was lost for hours and is at its base, where its power was off."""
+    fleet = Fleet(field)
+    trip = Trip(10**9, 5, (0, 1, 2, 1, 0))
+    journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
+    journal.depart(trip)
+    for number in range(1, 302):
+        trip.steps.append(Step(1 + (number + 1) % 2, number, reading=1))
+        journal.step(trip, number)
+    journal.close()
+    reports, beliefs = fleet.reports(), field.listen(BeliefMaps, '/belief')
+    field.start('estimator', {**FIELD, 'await_nodes': ['test']})
+    paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
+    paths.publish(path_message(GRID, trip.orders, trip.stamp, trip.mission))
+    poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 10)
+    words = 'has 302 steps, and a report has at most 10 * max_steps = 200: loops are left out'
+    for starts in (1, 2):
+        fleet.start()
+
+        def is_told(starts=starts):
+            poses.publish(transform(field, 0.5, 0.5))
+            return len(reports) == starts
+
+        field.until(is_told, 'report')
+        field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
+        field.until(lambda: words in str(field.diagnosed('/scout_1/robot').values), 'word of it')
+        assert field.said('/scout_1/robot').count(words) == starts
+        field.kill('/scout_1/robot')
+    field.until(lambda: '1 messages said nothing new' in field.state('/estimator'), 'repetition')
+    assert field.count('/estimator', 'refused') == 0
+    report = fleet.report_of(reports, fleet.key(1))
+    assert report.readings == (*[(1, 1), (2, 1)] * 99, (1, 1), (0, -1))
+    kept = Journal(journal.path, 'scout_1', GRID)
+    kept.close()
+    assert [len(each.steps) for each in kept.trips] == [302]
+    assert kept.trips[0].is_home
 
 
 def test_detections_at_1_khz_and_none_at_all(field):

@@ -7,7 +7,14 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot import Itinerary, legs_of, shortest_way, Walk, without_loops
+from kbnitp_ros.robot import (
+    Itinerary,
+    legs_of,
+    shortest_way,
+    steps_within,
+    Walk,
+    without_loops,
+)
 import numpy as np
 import pytest
 
@@ -54,6 +61,41 @@ def test_a_way_without_loops_goes_where_the_way_went(data, steps):
     assert len(set(cut)) == len(cut)
     assert set(cut) <= set(way)
     assert all(after in GRID.neighbors(before) for before, after in pairwise(cut))
+
+
+@given(data=st.data(), steps=st.integers(0, 40), most=st.integers(1, 45))
+def test_of_a_long_walk_steps_are_told_that_were_made_and_make_a_walk(data, steps, most):
+    cells = home(GRID, wander(data, GRID, steps))
+    told = steps_within(cells, most)
+    if len(cells) - 1 <= most:
+        assert told == list(range(1, len(cells)))
+        return
+    assert len(told) <= most
+    assert all(before < after for before, after in pairwise(told))
+    walk = [GRID.base, *(cells[number] for number in told)]
+    # Each step begins where it truly began, and the last one ends at the base.
+    assert [cells[number - 1] for number in told] == walk[:-1]
+    assert walk[-1] == GRID.base
+    # As far as it goes: no walk of more of its first steps has a way home of steps that follow.
+    first = sum(number == place for place, number in enumerate(told, 1))
+    for further in range(first + 1, most + 1):
+        assert further + shortest_of_later_steps(cells, further) > most
+
+
+def shortest_of_later_steps(cells, start):
+    """Return how many steps the last ways out of the cells take home, one after another."""
+    steps, cell = 0, cells[start]
+    while cell != GRID.base:
+        last = max(number for number, each in enumerate(cells) if each == cell)
+        cell, steps = cells[last + 1], steps + 1
+    return steps
+
+
+def test_the_loops_of_a_walk_that_come_last_are_left_out():
+    lost = [0, 1, *[2, 3] * 50, 2, 1, 0]
+    assert steps_within(lost, 10) == [1, 2, 3, 4, 5, 6, 7, 8, 103, 104]
+    # There and back by another way: no part of it leads home sooner.
+    assert steps_within([0, 1, 2, 3, 9, 8, 7, 6, 0], 7) == []
 
 
 def test_the_shortest_way_is_as_long_as_the_grid_says():
