@@ -55,7 +55,7 @@ class Rounds:
 
     def note_path(self, path: NDArray[np.intp]) -> None:
         """Take note of the path of a robot that leaves, shape (steps + 1,)."""
-        self._visited += count_visits(self._grid, [path])
+        np.add.at(self._visited, path[1:], 1)
 
     def plan(
         self,
@@ -64,6 +64,7 @@ class Rounds:
         out: Paths,
         stamp: int,
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+        noted: Sequence[NDArray[np.intp]] = (),
     ) -> Plans:
         """
         Return the plans of robots that leave together.
@@ -80,6 +81,8 @@ class Rounds:
             Names the first of these deployments, in nanoseconds.
         refused : sequence of sequence of ndarray
             The paths of each round that was refused in place of this one.
+        noted : sequence of ndarray
+            The paths of this round that were taken note of before it is planned.
 
         """
         start = time.monotonic()
@@ -98,7 +101,7 @@ class Rounds:
             kinds=[kind_of(self._values, agent) for agent in agents],
             out=list(out.values()),
             kinds_out=[kind_of(self._values, key.agent) for key in out],
-            visited=self._visited,
+            visited=self._visited - count_visits(self._grid, noted),
             keep_off=kept_off(self._grid, most_steps, len(agents), refused),
         )
         away = [
@@ -139,11 +142,8 @@ class Rounds:
         if len(recorded) >= len(agents):
             return {}
         first = next_name(planned_on.stamp, planned_on.mission)
-        # The round was planned before its own paths were visited.
-        of_round = count_visits(self._grid, list(recorded.values()))
-        self._visited -= of_round
-        planned = self.plan(planned_on, agents, {}, first, refused)
-        self._visited += of_round
+        noted = list(recorded.values())
+        planned = self.plan(planned_on, agents, {}, first, refused, noted)
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)

@@ -93,11 +93,12 @@ def team_information(
 
     """
     fates = nobody_sent(belief) if fates is None else fates
+    models = [kind.model(model) for kind in of_each(len(paths), kinds)]
     information = 0.0
-    for path, kind in zip(paths, of_each(len(paths), kinds)):
-        own = kind.model(model)
+    for number, (path, own) in enumerate(zip(paths, models)):
+        if number:
+            fates = after_sending(fates, models[number - 1], paths[number - 1])
         information += added_information(belief, own, path, fates)
-        fates = after_sending(fates, own, path)
     return information
 
 
