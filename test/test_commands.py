@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 
+from extent import some
 from kbnitp_ros import __main__ as commands
 import pytest
 
@@ -32,7 +33,7 @@ def test_the_names_are_listed(arguments, status):
     assert all(name in told for name in commands.COMMANDS)
 
 
-@pytest.mark.parametrize('name', ['', *commands.COMMANDS])
+@pytest.mark.parametrize('name', some(['', *commands.COMMANDS], 2))
 def test_every_command_tells_its_version_and_how_to_use_it(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = ROOT / 'docs/tutorials'
 BLOCK = re.compile(r'^```(\w+)\n(.*?)^```', re.MULTILINE | re.DOTALL)
 # Missions over DDS take a while; the other tests run the same commands with other values.
-LONG = ('first_mission', 'your_map', 'own_method', 'own_planner')
+LONG = ('first_mission', 'your_map', 'own_method', 'own_planner', 'study_on_a_cluster')
 
 
 def follow(page, folder):

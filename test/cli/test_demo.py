@@ -79,16 +79,22 @@ def nodes_of(process):
     }
 
 
-def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
-    out = tmp_path / 'made' / 'by demo'
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    """Return the folder of a whole mission."""
+    out = tmp_path_factory.mktemp('made') / 'by demo'
     done = run_demo(
-        '--robots', 12, '--lethality', 0.3, '--size', '5x4', '--max-steps', 8,
+        '--robots', 6, '--lethality', 0.3, '--size', '5x4', '--max-steps', 8,
         '--method', 'kappa_bnitp_published', '--planner', 'relaxed', '--seed', 3, '--out', out,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert '/belief: 13 of 13 reproduced' in done.stdout
+    assert '/belief: 7 of 7 reproduced' in done.stdout
+    return out
+
+
+def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole):
     for name in ('maps.png', 'progress.png'):
-        assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
+        assert (whole / 'report' / name).read_bytes().startswith(b'\x89PNG')
 
     grid, model = Grid(5, 4), SensorModel(0.3)
     rng = np.random.default_rng(3)
@@ -96,9 +102,9 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
     method = 'kappa_bnitp_published'
     expected = run_mission(
-        grid, prior, model, world, 12, rng, method, max_steps=8, planner='relaxed'
+        grid, prior, model, world, 6, rng, method, max_steps=8, planner='relaxed'
     )
-    history = read_history(out / 'mission.mcap')
+    history = read_history(whole / 'mission.mcap')
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]
@@ -107,9 +113,9 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(tmp_path):
     assert np.array_equal(history.world.hazard, world.hazard)
     assert np.array_equal(history.world.target, world.target)
 
-    again = run_demo('--robots', 1, '--out', out)
+    again = run_demo('--robots', 1, '--out', whole)
     assert again.returncode == 2
-    assert str(out) in again.stderr
+    assert str(whole) in again.stderr
 
 
 def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
@@ -167,26 +173,19 @@ def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
     assert 'mission.mcap ends before the first robot left' in done.stderr
 
 
-def test_a_mission_that_died_before_its_first_robot_left_is_resumed(tmp_path):
-    small = ['--robots', 1, '--size', 3, '--max-steps', 4]
-    assert run_demo(*small, '--out', tmp_path / 'whole').returncode == 0
-    begun = [
-        each for each in read_recorded(tmp_path / 'whole') if isinstance(each, RecordedMetadata)
-    ]
+def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_path):
+    begun = [each for each in read_recorded(whole) if isinstance(each, RecordedMetadata)]
     log = tmp_path / 'mission.mcap'
     copy(begun, log, log.name, 'none')
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
-    assert '1 deployments' in resumed.stdout
+    assert '6 deployments' in resumed.stdout
 
 
 @pytest.mark.full
-def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
-    small = ['--robots', 1, '--size', 3, '--max-steps', 4]
-    assert run_demo(*small, '--out', tmp_path / 'open').returncode == 0
-
+def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
     def hidden():
-        for each in read_recorded(tmp_path / 'open'):
+        for each in read_recorded(whole):
             if not isinstance(each, RecordedMetadata):
                 if '/truth/' not in each.channel.topic:
                     yield each
@@ -202,6 +201,7 @@ def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(tmp_path):
     assert read_history(log).world is not None
 
 
+@pytest.mark.full
 def test_a_team_that_loses_robots_in_silence(tmp_path):
     options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
     known = ['--set', 'learn=[]']
@@ -299,12 +299,15 @@ def test_the_lethality_is_learnt_unless_something_else_is_said(options, method, 
     assert (estimator['method'], estimator['learn']) == (method, learn)
 
 
-def test_a_demo_learns_the_lethality_and_shows_it(tmp_path):
+def test_a_demo_says_how_far_its_paths_reach_learns_the_lethality_and_shows_it(tmp_path):
     done = run_demo(
-        '--robots', 6, '--size', 4, '--max-steps', 6, '--planner', 'relaxed', '--lethality', 0.9,
-        '--out', tmp_path,
+        '--robots', 6, '--size', '6x4', '--max-steps', 6, '--planner', 'relaxed',
+        '--lethality', 0.9, '--out', tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[0] == (
+        '6 steps reach 4x4 of 6x4 cells, 16 of 24: max_steps 10 reaches them all.'
+    )
     assert '/model: 7 of 7 reproduced' in done.stdout
     history = read_history(tmp_path)
     assert len(history.learnt) == len(history.beliefs) == 7
@@ -339,12 +342,7 @@ def test_a_simulated_clock_is_refused(tmp_path):
     assert 'use_sim_time is true' in done.stderr
 
 
-def test_a_field_larger_than_its_paths_is_said_to_be(tmp_path):
-    done = run_demo('--size', '12x8', '--max-steps', 4, '--robots', 1, '--out', tmp_path / 'out')
-    told = '4 steps reach 3x3 of 12x8 cells, 9 of 96: max_steps 22 reaches them all.'
-    assert done.stdout.splitlines()[0] == told
-
-
+@pytest.mark.full
 def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
     page = (ROOT / 'docs/maps.md').read_text()
     (line,) = re.findall(r'python3 -m kbnitp_ros demo (.* --set robots\..*) --out ', page)
@@ -357,25 +355,33 @@ def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
     assert belief.deployments == 6
 
 
-def test_a_mission_on_a_map(tmp_path):
+@pytest.fixture
+def on_a_map(tmp_path):
+    """Return the options of a small mission on a map, without those that say where its base is."""
     (tmp_path / 'field.pgm').write_text('P2 4 3 255 254 254 254 254 254 0 0 254 254 254 254 254')
     (tmp_path / 'field.yaml').write_text(
         'image: field.pgm\nresolution: 0.2\norigin: [3.0, -1.0, 0.0]\nnegate: 0\n'
         'occupied_thresh: 0.65\nfree_thresh: 0.25\n'
     )
-    options = ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'max_steps=8', '--robots', 3]
-    done = run_demo(*options, '--set', 'grid.base_position=[3.7, -0.9]', '--out', tmp_path / 'out')
+    return ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'max_steps=8', '--robots', '3']
+
+
+@pytest.mark.full
+def test_a_mission_on_a_map(on_a_map, tmp_path):
+    at = ['--set', 'grid.base_position=[3.7, -0.9]']
+    done = run_demo(*on_a_map, *at, '--out', tmp_path / 'out')
     assert done.returncode == 0, done.stdout + done.stderr
     history = read_history(tmp_path / 'out' / 'mission.mcap')
     assert history.grid == Grid(4, 3, 3, 0.2, (3.0, -1.0), (5, 6), through_corners=False)
     assert len(history.observations) == 3
 
-    off = run_demo(*options, '--set', 'grid.base_position=[3.3, -0.7]', '--out', tmp_path / 'off')
-    assert off.returncode == 2
-    assert 'the base, cell 5 around (3.3, -0.7), is blocked' in off.stderr
-    heard = run_demo('--set', 'map_topic=/map', '--out', tmp_path / 'heard')
-    assert heard.returncode == 2
-    assert 'no map reaches the demo' in heard.stderr
+
+def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, tmp_path, capsys):
+    off = ['--set', 'grid.base_position=[3.3, -0.7]']
+    assert main([*on_a_map, *off, '--out', str(tmp_path / 'off')]) == 2
+    assert 'the base, cell 5 around (3.3, -0.7), is blocked' in capsys.readouterr().err
+    assert main(['--set', 'map_topic=/map', '--out', str(tmp_path / 'heard')]) == 2
+    assert 'no map reaches the demo' in capsys.readouterr().err
 
 
 def test_a_demo_that_an_earlier_version_recorded_is_resumed(tmp_path):

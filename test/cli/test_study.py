@@ -17,6 +17,7 @@ import sys
 import termios
 import time
 
+from extent import FULL, some
 from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study.scenario import ALONE, NUMBERS
 from pyarrow import parquet
@@ -149,8 +150,8 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
 
 
 def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_path):
-    """Twice, at moments that nobody chose."""
-    for _ in range(2):
+    """At moments that nobody chose."""
+    for _ in range(3 if FULL else 1):
         done_before = len(list(tmp_path.glob('trials/*.npz')))
         process = start(scenario, tmp_path, random.randint(done_before + 1, done_before + 10))
         time.sleep(random.uniform(0, 0.05))
@@ -158,7 +159,7 @@ def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_pa
         process.communicate()
         assert not (tmp_path / 'table.parquet').exists()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob('trials/*.npz')}
-    assert 2 <= len(kept) < TRIALS
+    assert 1 <= len(kept) < TRIALS
     done = run_study(scenario, tmp_path, '--workers', 2)
     assert done.returncode == 0, done.stderr
     for name in LEFT:
@@ -167,7 +168,7 @@ def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_pa
     assert not list(tmp_path.glob('**/*.part'))
 
 
-@pytest.mark.parametrize('number, status', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize('number, status', some([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 2))
 def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
     start, scenario, tmp_path, number, status
 ):

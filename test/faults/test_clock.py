@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pytest
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 import rosgraph_msgs.msg
@@ -36,6 +37,7 @@ class SimulatedClock:
         self._publisher.publish(message)
 
 
+@pytest.mark.full
 def test_no_deployment_is_lost_when_the_clock_jumps_back(set_out):
     mission = set_out(PARAMETERS)
     clock = SimulatedClock(mission.node, 1000.0)

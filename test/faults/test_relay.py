@@ -42,11 +42,15 @@ def relay(seed, source, target):
 
 
 # Methods that depend on the order of the deployments, and the one that does not.
-@pytest.mark.parametrize('method, learn', [
-    pytest.param('kappa_bnitp_published', [], marks=pytest.mark.full),
-    pytest.param('kappa_bnitp_smoothed', [], marks=pytest.mark.full),
-    ('kappa_bnitp_sampled', ['lethality', 'malfunction']),
-])  # fmt: skip
+@pytest.mark.full
+@pytest.mark.parametrize(
+    'method, learn',
+    [
+        ('kappa_bnitp_published', []),
+        ('kappa_bnitp_smoothed', []),
+        ('kappa_bnitp_sampled', ['lethality', 'malfunction']),
+    ],
+)
 def test_an_estimator_behind_a_relay(set_out, method, learn):
     parameters = PARAMETERS | {'method': method, 'learn': learn}
     mission = set_out(

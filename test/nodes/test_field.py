@@ -6,7 +6,9 @@ from __future__ import annotations
 from array import array
 from copy import deepcopy
 from dataclasses import replace
+from itertools import product
 
+from extent import some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.replay import replay
@@ -195,8 +197,9 @@ def test_who_waits_for_a_map_can_be_ended(field):
     assert field.processes.stop() == {'/planner': 0}
 
 
-@pytest.mark.parametrize('connectivity', [4, 8])
-@pytest.mark.parametrize('corners', ['auto', 'avoid', 'cut'])
+@pytest.mark.parametrize(
+    'corners, connectivity', some(product(['auto', 'avoid', 'cut'], [4, 8]), 2)
+)
 def test_steps_past_corners_are_a_choice(field, file, connectivity, corners):
     field.start(
         'estimator',

@@ -119,11 +119,11 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
     [
         {'seed': 3, 'robots': 40},
         {**ODD, 'seed': 4, 'robots': 25},
-        {**LEARNING, 'seed': 5, 'robots': 25},
+        pytest.param({**LEARNING, 'seed': 5, 'robots': 25}, marks=pytest.mark.full),
         {**WILFUL, 'seed': 6, 'robots': 25},
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         {**HUGE, 'seed': 8, 'robots': 3},
-        {'planner': 'coverage', 'seed': 9, 'robots': 10},
+        pytest.param({'planner': 'coverage', 'seed': 9, 'robots': 10}, marks=pytest.mark.full),
     ],
     ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge', 'coverage'],
 )
@@ -206,6 +206,7 @@ def test_missions_in_two_namespaces_do_not_meet(field):
         assert replay(log).reproduced
 
 
+@pytest.mark.full
 def test_the_same_seed_gives_the_same_deployments(field):
     parameters = {**SMALL, 'seed': 5, 'robots': 12}
     heard = {}

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from extent import some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
 from kbnitp_ros.log.bag import LogWriter, read_log
@@ -77,12 +78,12 @@ def folded(log):
     return register.belief.joint.tobytes()
 
 
-@pytest.mark.parametrize('refused', [
+@pytest.mark.parametrize('refused', some([
     changed(lost(2), survived=True),
     returned(2, [0, 6, 0]),
     changed(lost(2), readings=returned(2).readings),
     changed(lost(2), steps_survived=4),
-])  # fmt: skip
+], 2))  # fmt: skip
 def test_a_refused_report_takes_no_deployment_away(field, refused):
     log = field.folder / 'mission.mcap'
     reports = [lost(1), refused, lost(2), returned(3)]

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 
+from extent import some
 from kbnitp_ros.core import Belief, Grid, plan_team, SensorModel
 from kbnitp_ros.log.bag.reader import is_finished
 from kbnitp_ros.nodes.given import check_given
@@ -30,27 +31,46 @@ def run(*arguments):
 
 @pytest.mark.parametrize(
     'name, given, told',
-    [
-        ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
-        ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
-        ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
-        ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
-        ('agent', 'sensor.lethality:=1.5', 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
-        ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
-        ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
-        ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
-        ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
-        ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
-        ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
-        ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
-        ('estimator', 'learn:=[lethalty]', "learn is 'lethalty': did you mean lethality? it must"),
-        ('estimator', 'learn:=[kappa]', 'kappa cannot be unknown to kappa_bnitp, which takes all'),
-        ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
-        ('recorder', 'file:=/', "'/'"),
-        ('recorder', 'file', "Couldn't parse parameter override rule"),
-        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-        ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
-    ],
+    some(
+        [
+            ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
+            ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
+            ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
+            ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
+            (
+                'agent',
+                'sensor.lethality:=1.5',
+                'sensor.lethality is 1.5: it must be from 0.0 to 1.0',
+            ),
+            ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
+            ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
+            ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
+            ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
+            ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
+            ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
+            ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
+            (
+                'estimator',
+                'learn:=[lethalty]',
+                "learn is 'lethalty': did you mean lethality? it must",
+            ),
+            (
+                'estimator',
+                'learn:=[kappa]',
+                'kappa cannot be unknown to kappa_bnitp, which takes all',
+            ),
+            ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
+            ('recorder', 'file:=/', "'/'"),
+            ('recorder', 'file', "Couldn't parse parameter override rule"),
+            ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+            (
+                'recorder',
+                'step_period:=1.0',
+                'step_period is unknown to the recorder: it is one of',
+            ),
+        ],
+        2,
+    ),
 )
 def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
     ended = run(name, '--ros-args', '--disable-rosout-logs', '-p', given)
@@ -109,7 +129,7 @@ def complaints(said):
     return [line for line in said.splitlines() if not line.startswith('[INFO]')]
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+@pytest.mark.parametrize('number', some([signal.SIGTERM, signal.SIGINT], 2), ids=lambda s: s.name)
 def test_a_signal_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
     # A team and a robot would answer for the agent as well.
@@ -125,7 +145,7 @@ def test_a_signal_ends_every_node_well(field, number):
     assert is_finished(log)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+@pytest.mark.parametrize('number', some([signal.SIGINT, signal.SIGTERM], 2), ids=lambda s: s.name)
 def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
     # Kernels that are compiled for the first time are told of on the terminal.
@@ -151,7 +171,7 @@ def test_the_second_signal_changes_nothing(field):
     assert is_finished(field.folder / 'mission.mcap')
 
 
-@pytest.mark.parametrize('gap', [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize('gap', some([0.0, 0.3, 0.6, 0.9], 2))
 def test_interrupts_do_not_kill_what_ends_well(field, gap):
     agent = field.start('agent')
     field.until(lambda: field.diagnosed('/agent').values, 'diagnostics')

@@ -120,9 +120,9 @@ def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
 
 def test_sixty_four_agents_in_one_process(field):
     size = {'grid.width': 9, 'grid.height': 9, 'allocation': 'independent'}
-    team = Team(field, 64, {**size, 'robots': 150})
+    team = Team(field, 64, {**size, 'robots': 100})
     team.until_done()
-    assert len({key for key, _ in team.told}) == 150
+    assert len({key for key, _ in team.told}) == 100
     team.assert_is_the_fold_of_its_reports()
 
 
@@ -288,6 +288,7 @@ def test_an_agent_that_answers_for_another_is_refused(field):
     team.assert_is_the_fold_of_its_reports()
 
 
+@pytest.mark.full
 def test_two_teams_do_not_meet(field):
     teams = [
         Team(field, agents, {'robots': 9, 'seed': agents}, namespace=f'/team_{agents}')
