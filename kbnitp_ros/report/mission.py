@@ -309,7 +309,9 @@ def notes_of(log: str | Path, evidence: Evidence) -> Iterator[str]:
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
     if evidence.without_report:
-        yield f'{len(evidence.without_report)} robots were still out when the log ends.'
+        number = len(evidence.without_report)
+        robots = '1 robot was' if number == 1 else f'{number} robots were'
+        yield f'{robots} still out when the log ends.'
     if evidence.without_path:
         yield f'{len(evidence.without_path)} deployments have no path on record.'
     for refusal in evidence.refused[:REFUSALS]:

@@ -29,6 +29,12 @@ MOST_BYTES = 15_000_000
 
 SECOND = 10**9
 
+# Of the curves of missions whose truth is on record.
+SCORED = (
+    ' Log loss is how far the belief is from the truth: 0 where it is certain and right. Both '
+    'should fall.'
+)
+
 
 @dataclass(frozen=True)
 class Column:
@@ -45,13 +51,13 @@ TABLE = (
     Column('agent', 'agent', is_text=True),
     Column('outcome', 'outcome', is_text=True),
     Column('steps', 'steps'),
-    Column('survived', 'steps_survived'),
+    Column('steps survived', 'steps_survived'),
     Column('targets read', 'detected'),
     Column('expected (nats)', 'information_expected', 2),
     Column('gained (nats)', 'information_gained', 2),
     Column('entropy (nats)', 'entropy', 1),
     Column('log loss (nats)', 'log_loss', 1),
-    Column('told after (s)', 'duration', 1),
+    Column('reported after (s)', 'duration', 2),
 )
 
 
@@ -125,11 +131,12 @@ def filled(
         style=assets['css'],
         notes='\n'.join(f'<p class="note">{escape(note)}</p>' for note in notes),
         beside=' and what is there' if mission.world else '',
+        scored=SCORED if mission.world else '',
         columns='beside' if mission.world else 'alone',
         maps='\n'.join(map_figures(mission)),
         returned=RETURNED.colour,
         lost=LOST.colour,
-        headings=''.join(heading(column) for column in TABLE),
+        headings=''.join(heading(column) for column in columns_of(mission)),
         rows='\n'.join(row(table[each], each, kept, mission) for each in shown),
         configuration=configuration(mission),
         mission=packed_json(data_of(mission, curves, table, kept, shown)),
@@ -316,9 +323,8 @@ def facts_of(
         yield 'deployment', f'no. {moment.sortie + 1} of {table[moment.sortie]["agent"]}'
         if seen.readings is not None:
             read = seen.readings.astype(int)
-            looked = f'{(read == 1).sum()} targets in {(read >= 0).sum()} looks'
             yield 'outcome', f'returned after {seen.steps} steps'
-            yield 'readings', looked
+            yield 'targets read', f'{(read == 1).sum()} in {(read >= 0).sum()} looks'
         else:
             yield 'outcome', f'lost on a path of {seen.steps} steps'
             if seen.steps_survived:
@@ -337,6 +343,11 @@ def facts_of(
         yield name.replace('_', ' '), f'{known.mean:.3f} ± {known.sd:.3f}'
 
 
+def columns_of(mission: Mission) -> list[Column]:
+    """Return the columns of the table; without the truth there is no log loss."""
+    return [each for each in TABLE if mission.world or each.name != 'log_loss']
+
+
 def heading(column: Column) -> str:
     """Return a heading of the table."""
     kind = ' class="text"' if column.is_text else ''
@@ -351,7 +362,7 @@ def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission:
     if sortie.sent is not None and sortie.told is not None:
         duration = (sortie.told - sortie.sent) / SECOND
     known = {**values, 'duration': duration}
-    first, *others = TABLE
+    first, *others = columns_of(mission)
     button = f'<button type="button">{known[first.name]}</button>' if moment else number + 1
     cells = ''.join(cell(column, known[column.name]) for column in others)
     return (

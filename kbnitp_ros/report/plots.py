@@ -88,6 +88,7 @@ def map_plot(grid: Grid, name: str, values: NDArray[np.float64] | None = None) -
     )
     figure = graph_objects.Figure(traces)
     axis = {'showgrid': False, 'zeroline': False, 'constrain': 'domain', 'ticks': 'outside'}
+    axis |= {'nticks': 6, 'automargin': True}
     figure.update_layout(
         template='none',
         showlegend=False,
@@ -166,6 +167,7 @@ def curve_plot(mission: Mission, curves: Curves, kept: NDArray[np.intp]) -> str:
         for row in range(1, rows + 1)
     }
     figure.update_xaxes(title_text='reports taken in', row=rows, col=1)
+    figure.update_yaxes(automargin=True, title_standoff=6)
     figure.update_layout(
         **places,
         template='none',

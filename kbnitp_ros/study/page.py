@@ -46,7 +46,8 @@ def bring(drawn: Path, shown: Path) -> None:
     """Bring a figure, as large as a page shows it and in as few colours as it needs."""
     with Image.open(drawn) as image:
         image.thumbnail((WIDTH, 2 * WIDTH))
-        image.convert('RGB').quantize(COLOURS).save(shown, optimize=True)
+        # Refined, since the median cut alone turns the colours of lines into others.
+        image.convert('RGB').quantize(COLOURS, kmeans=3).save(shown, optimize=True)
 
 
 if __name__ == '__main__':

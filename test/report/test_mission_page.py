@@ -157,6 +157,17 @@ def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, sho
     expected = [each.belief.hazard[cell] for each in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
     assert page.locator('#hazard .hoverlayer').text_content()
+    # A frame is round it in all maps.
+    x, y = mission.grid.centers([cell])[0]
+    assert f'At x {x:g} m, y {y:g} m' in page.locator('#cell').inner_text()
+    for name in (*NAMES, *(f'true-{each}' for each in NAMES)):
+        page.wait_for_function(
+            'name => document.getElementById(name)._fullLayout.shapes.length', arg=name
+        )
+        for frame in page.evaluate(f'document.getElementById("{name}").layout.shapes'):
+            assert (frame['x0'] + frame['x1']) / 2 == pytest.approx(x)
+            assert (frame['y0'] + frame['y1']) / 2 == pytest.approx(y)
+            assert frame['x1'] - frame['x0'] == pytest.approx(mission.grid.resolution)
     page.locator('#column').fill('0')
     page.locator('#column').press('Enter')
     page.wait_for_function(
@@ -168,7 +179,7 @@ def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, sho
 def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
     mission, _ = shown
     page = opened()
-    heading = page.locator('#deployments th button', has_text='steps')
+    heading = page.locator('#deployments th').nth(3).locator('button')
     cells = page.locator('#deployments tbody tr td:nth-child(4)')
     unsorted = [int(text) for text in cells.all_inner_texts()]
     heading.click()
@@ -184,6 +195,18 @@ def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
         assert page.locator('#deployments tr[aria-current]').get_attribute('id') == (
             f'deployment-{number}'
         )
+
+
+def test_the_row_of_the_moment_is_in_view_and_the_page_stays(opened, shown):
+    mission, _ = shown
+    page = opened()
+    for number in (0, 29, 11):
+        move(page, mission.sorties[number].moment)
+        row = page.locator(f'#deployment-{number}').bounding_box()
+        box = page.locator('#deployments').locator('xpath=..').bounding_box()
+        assert row['y'] >= box['y']
+        assert row['y'] + row['height'] <= box['y'] + box['height'] + 1
+    assert page.evaluate('scrollY') == 0
 
 
 @pytest.mark.parametrize('width', [400, 1600])

@@ -163,7 +163,7 @@ def test_robots_that_are_still_out(tmp_path):
     whole.send_out(whole.walk().path)
     log = record(tmp_path / 'mission.mcap', whole.sent)
     _, _, html, (*_, row) = told(log)
-    assert '1 robots were still out' in html
+    assert '1 robot was still out' in html
     assert row['outcome'] == 'out'
     assert row['told'] is row['moment'] is row['entropy'] is None
 
@@ -173,6 +173,7 @@ def test_a_log_with_no_truth(tmp_path):
     assert report(log, tmp_path / 'out') == FILES
     _, curves, html, _ = told(log)
     assert 'id="true-hazard"' not in html
+    assert 'og loss' not in html.partition('<script')[0]
     assert np.isnan(curves.hazard_loss).all()
 
 

@@ -15,6 +15,7 @@ async function start() {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
+  const ALL = NAMES.flatMap((name) => [name, `true-${name}`]).filter((id) => plots[id]);
   const { width, height } = mission.grid;
   const cells = width * height;
   const size = NAMES.length * cells;
@@ -60,7 +61,7 @@ async function start() {
   }
 
   // Plotly has no hatching for maps, so cells that nobody was sent into are drawn over as a picture.
-  const side = Math.max(3, Math.min(32, Math.floor(900 / Math.max(width, height))));
+  const side = Math.max(3, Math.floor(900 / Math.max(width, height)));
   const canvas = document.createElement('canvas');
   canvas.width = width * side;
   canvas.height = height * side;
@@ -79,12 +80,18 @@ async function start() {
     context.clip();
     context.beginPath();
     const reach = canvas.width + canvas.height;
-    for (let begin = 0; begin < reach; begin += Math.max(6, side / 3)) {
+    // The picture is about 300 pixels wide in the page.
+    const pixel = Math.max(canvas.width, canvas.height) / 300;
+    for (let begin = 0; begin < reach; begin += 14 * pixel) {
       context.moveTo(begin, 0);
       context.lineTo(begin - canvas.height, canvas.height);
     }
-    context.strokeStyle = '#707070';
-    context.stroke();
+    // Dark lines within light ones show on light maps and on dark ones.
+    for (const [style, wide] of [['rgba(255, 255, 255, 0.5)', 2.5], ['#505050', 1]]) {
+      context.strokeStyle = style;
+      context.lineWidth = wide * pixel;
+      context.stroke();
+    }
     context.restore();
     return unvisited ? [{
       source: canvas.toDataURL(), xref: 'x', yref: 'y', sizing: 'stretch', layer: 'above',
@@ -136,6 +143,16 @@ async function start() {
     y0: 0, y1: 1, line: { color: colours().text, width: 1 },
   }];
 
+  // A frame round the cell that is told of: black within white, for light maps and dark ones.
+  function frame() {
+    const [x, y] = center(cell);
+    const half = mission.grid.resolution / 2;
+    return [['#ffffff', 5], ['#000000', 2]].map(([color, wide]) => ({
+      type: 'rect', xref: 'x', yref: 'y', x0: x - half, x1: x + half, y0: y - half, y1: y + half,
+      line: { color, width: wide },
+    }));
+  }
+
   function drawMaps() {
     const images = hatching(now);
     const traces = overlays(now);
@@ -143,7 +160,7 @@ async function start() {
       const { data, layout } = plots[name];
       data[0].z = map(now, name);
       mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
-      Plotly.react(page(name), data, { ...themed(layout), images }, config);
+      Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
     });
   }
 
@@ -161,7 +178,9 @@ async function start() {
       + `${mission.truth.target[cell] ? 'a target' : 'no target'}.` : '';
     const first = mission.visited[cell];
     const visited = first >= 0 && first <= now ? '' : ' No robot was sent here so far.';
-    page('cell').textContent = blocked.has(cell) ? 'Blocked: no robot can enter.' : `${values}.${truth}${visited}`;
+    const [x, y] = center(cell).map((each) => Number(each.toPrecision(6)));
+    const told = blocked.has(cell) ? 'blocked, no robot can enter.' : `${values}.${truth}${visited}`;
+    page('cell').textContent = `At x ${x} m, y ${y} m: ${told}`;
   }
 
   function drawCurves() {
@@ -181,7 +200,15 @@ async function start() {
     }
     document.querySelectorAll('#deployments tr[aria-current]').forEach((row) => row.removeAttribute('aria-current'));
     const row = moment.sortie === null ? null : page(`deployment-${moment.sortie}`);
-    if (row) row.setAttribute('aria-current', 'true');
+    if (row) {
+      row.setAttribute('aria-current', 'true');
+      // Within the box of the table alone: the page stays where it is.
+      const box = row.closest('.wide');
+      const head = box.querySelector('thead').offsetHeight;
+      if (row.offsetTop < box.scrollTop + head) box.scrollTop = row.offsetTop - head;
+      const below = row.offsetTop + row.offsetHeight - box.clientHeight;
+      if (box.scrollTop < below) box.scrollTop = below;
+    }
   }
 
   function show(moment) {
@@ -222,6 +249,7 @@ async function start() {
     requestAnimationFrame(() => {
       asked = false;
       drawCell();
+      ALL.forEach((id) => Plotly.relayout(page(id), { shapes: frame() }));
     });
   }
 
@@ -264,7 +292,7 @@ async function start() {
     page('theme').textContent = isDark() ? 'Light' : 'Dark';
     NAMES.forEach((name) => {
       const { data, layout } = plots[`true-${name}`] || {};
-      if (data) Plotly.react(page(`true-${name}`), data, themed(layout), config);
+      if (data) Plotly.react(page(`true-${name}`), data, { ...themed(layout), shapes: frame() }, config);
     });
     drawCurves();
     show(now);
@@ -275,11 +303,7 @@ async function start() {
   page('row').max = height - 1;
   now = last;
   paint();
-  NAMES.forEach((name) => {
-    for (const id of [name, `true-${name}`]) {
-      if (plots[id]) page(id).on('plotly_hover', pointed).on('plotly_click', pointed);
-    }
-  });
+  ALL.forEach((id) => page(id).on('plotly_hover', pointed).on('plotly_click', pointed));
   page('curves').on('plotly_click', (event) => {
     const place = event.points[0].x;
     show(mission.moments.findIndex((moment) => moment.place >= place));
