@@ -58,9 +58,3 @@ def test_the_python_example(snippet):
         [sys.executable, '-c', snippet], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert snippet.endswith(f'# {printed}')
-
-
-def test_what_it_links_to_is_there():
-    links = re.findall(r'\]\(([^)#]+)\)', (ROOT / 'README.md').read_text())
-    missing = [link for link in links if '://' not in link and not (ROOT / link).exists()]
-    assert not missing
