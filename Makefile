@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks docs linkcheck test check clean
+.PHONY: build demo results benchmarks docs linkcheck test coverage check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -43,6 +43,11 @@ benchmarks: build .venv/.benchmarks
 docs: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs/html
 	@echo 'wrote build/docs/html/index.html'
+
+# How much of the package the tests run; what they leave out stands in build/coverage/html.
+coverage: build .venv/.dev
+	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal --cov --cov-config setup.cfg \
+	  --cov-report term --cov-report html:build/coverage/html
 
 # Whether the links of the pages to other sites still lead there; this needs the network.
 linkcheck: build .venv/.docs
