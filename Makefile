@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks docs linkcheck test coverage check clean
+.PHONY: build demo results benchmarks docs linkcheck test test-full coverage check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -53,8 +53,14 @@ coverage: build .venv/.dev
 linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
+# Nodes start sooner where Python may keep what it compiled.
 test: build .venv/.dev
-	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal
+	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
+
+# What `test` leaves out, but for what takes minutes a test.
+test-full: build .venv/.dev
+	. ./env.sh && PYTHONDONTWRITEBYTECODE= KBNITP_TESTS=full \
+	  python3 -m pytest -n $(WORKERS) --dist worksteal -m 'full and not campaign'
 
 check: .venv/.dev
 	.venv/bin/ruff check .

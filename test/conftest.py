@@ -2,10 +2,14 @@
 """Which tests run: those of the marker `full` only when all are asked for; and how they draw."""
 
 import os
+from pathlib import Path
 
 import extent
 from hypothesis import HealthCheck, settings
 import pytest
+
+# Folders whose tests mostly start processes, and take seconds.
+PROCESSES = ('cli', 'faults', 'nodes', 'plugins', Path(__file__).parent.name)
 
 # How long something takes is the machine's affair.
 settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -19,7 +23,12 @@ def pytest_configure():
 
 
 def pytest_collection_modifyitems(items):
-    """Skip the tests of the marker `full` unless all are asked for."""
+    """
+    Skip the tests of the marker `full` unless all are asked for.
+
+    Tests of processes come first, so that several workers end at about the same time.
+    """
+    items.sort(key=lambda item: item.path.parent.name not in PROCESSES)
     if extent.FULL:
         return
     skip = pytest.mark.skip(reason=f'only with {extent.VARIABLE}=full')

@@ -13,6 +13,9 @@ VARIABLE = 'KBNITP_TESTS'
 
 FULL = os.environ.get(VARIABLE) == 'full'
 
+# Marks of a case that takes minutes, or networks of its own.
+LONG = [pytest.mark.full, pytest.mark.campaign]
+
 
 def some(cases: Iterable[Any], every: int = 4) -> list[Any]:
     """

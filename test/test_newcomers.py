@@ -85,5 +85,6 @@ def test_newcomers_are_held_to_what_holds_of_all_and_disturb_nobody(environment)
 
 
 @pytest.mark.full
+@pytest.mark.campaign
 def test_every_test_holds_with_newcomers(environment):
     check(environment, *CONCERNED)

@@ -120,7 +120,12 @@ def _forge(mission, parameters, outcome, scale):
         return all(outcome.refused[name] >= outcome.required[name] for name in NODES)
 
     mission.until(are_refused, 'refusal of all that was forged')
-    mission.wait(1.0)
+
+    def is_recorded():
+        *_, last = read_log(mission.log, (BELIEF,))
+        return last.message.deployments == parameters['robots']
+
+    mission.until(is_recorded, 'last belief on record')
 
 
 def wrong_beliefs(log, parameters):

@@ -49,6 +49,7 @@ def test_of_two_robots_on_one_path_the_first_that_is_home_counts(field):
 
 
 @pytest.mark.full
+@pytest.mark.campaign
 def test_two_robots_that_do_not_hear_each_other_are_reported_as_one(tmp_path):
     robots = 4
     with apart(tmp_path, robots, namesakes=2) as mission:

@@ -176,7 +176,14 @@ def test_a_volatile_path_is_heard_before_its_node_has_told_its_parameters(field)
     log = record(field)
     silent = rclpy.create_node('silent', context=field.node.context, namespace='/m')
     paths = silent.create_publisher(Path, '/m/scout_1/path', RELIABLE)
-    field.until(lambda: paths.get_subscription_count() > 0, 'reader', patience=4.0)
+
+    def asked():
+        services = field.node.get_client_names_and_types_by_node('recorder', '/m')
+        return '/m/silent/get_parameters' in dict(services)
+
+    field.until(asked, 'question to the silent node')
+    field.until(lambda: paths.get_subscription_count() > 0, 'reader')
+    assert asked()
     paths.publish(path(1))
     field.until(lambda: len(recorded(log)['/m/scout_1/path']) == 1, 'path')
     silent.destroy_node()
@@ -395,11 +402,18 @@ def until_failed(field, name, exit_code):
     return complaint
 
 
+def refusal(field, parameters):
+    """Return what a recorder that cannot start says on its terminal."""
+    assert field.start('recorder', parameters).wait(60) == 2
+    (complaint,) = field.said('/recorder').splitlines()
+    assert complaint.startswith('recorder: ')
+    return complaint
+
+
 def test_a_file_that_is_there_is_left_alone(field):
     log = field.folder / 'mission.mcap'
     log.write_text('precious')
-    field.start('recorder', {'file': str(log)})
-    assert 'mission.mcap exists' in until_failed(field, '/recorder', 2)
+    assert 'mission.mcap exists' in refusal(field, {'file': str(log)})
     assert log.read_text() == 'precious'
 
 
@@ -415,8 +429,7 @@ def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
         content = log.read_bytes().replace(b'xxx', b'yyy', 1)[:-200]
     if content:
         log.write_bytes(content)
-    field.start('recorder', {'resume': str(log)})
-    assert told in until_failed(field, '/recorder', 2)
+    assert told in refusal(field, {'resume': str(log)})
     assert [file.name for file in field.folder.glob('*.mcap')] == [log.name][: content is not None]
     assert not content or log.read_bytes() == content
 

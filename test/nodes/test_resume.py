@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from extent import some
+from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
 from kbnitp_ros.log.bag import LogWriter, read_log
@@ -106,7 +106,7 @@ def test_a_refused_report_takes_no_deployment_away(field, refused):
     [
         60,
         pytest.param(qos.DEPTH + 60, marks=pytest.mark.full),
-        pytest.param(MOST_ROBOTS - 10, marks=pytest.mark.full),
+        pytest.param(MOST_ROBOTS - 10, marks=LONG),
     ],
 )
 def test_deployments_survive_every_restart(field, before):

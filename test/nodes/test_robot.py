@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from itertools import count
 
-from extent import FULL
+from extent import FULL, LONG
 from fleet import Fleet, moves, TARGETS
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def fail(fleet, how, driver, when):
             pytest.param(
                 driver,
                 ['reject', 'abort', 'cancel', 'silent', 'lie', 'die'],
-                marks=pytest.mark.full,
+                marks=LONG,
             )
             for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
         ),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from extent import LONG
 from fleet import FIELD, Fleet
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import read_report
@@ -17,7 +18,7 @@ MISSION = '/mission'
     [
         ('navigate_through_poses', ['scout_1'], 3, 8),
         *(
-            pytest.param(driver, ['scout_1', 'scout_2'], 10, 18, marks=pytest.mark.full)
+            pytest.param(driver, ['scout_1', 'scout_2'], 10, 18, marks=LONG)
             for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
         ),
     ],

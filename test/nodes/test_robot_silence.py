@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 
 from apart import apart
+from extent import LONG
 from kbnitp_ros.log.replay import replay
 import numpy as np
 import pytest
@@ -34,8 +35,8 @@ def flap(mission, number, times, rng):
     'robots, longest, flaps',
     [
         (2, 1.5, 3),
-        pytest.param(20, 90.0, 0, marks=pytest.mark.full),
-        pytest.param(20, 1.5, 12, marks=pytest.mark.full),
+        pytest.param(20, 90.0, 0, marks=LONG),
+        pytest.param(20, 1.5, 12, marks=LONG),
     ],
 )
 def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, longest, flaps):
