@@ -68,6 +68,7 @@ check: .venv/.dev
 	.venv/bin/mypy
 	.venv/bin/ament_flake8 kbnitp_ros launch test setup.py
 	.venv/bin/ament_pep257 kbnitp_ros launch test setup.py
+	.venv/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 
 clean:
 	rm -rf .venv build install log
