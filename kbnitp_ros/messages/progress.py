@@ -87,7 +87,5 @@ def expected(ledger: Ledger, before: Held | None) -> float:
         return nan
     if len(ledger.deployments) != before.deployments + 1:
         return nan
-    agent, model = ledger.newest.agent, before.model
-    if agent in ledger.kinds:
-        model = ledger.kinds[agent].model(model)
+    model = ledger.kind(ledger.newest).model(before.model)
     return path_information(before.belief, model, ledger.path(ledger.newest))

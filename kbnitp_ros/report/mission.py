@@ -17,6 +17,7 @@ from kbnitp_ros.core import (
     Kind,
     Observation,
     observation_of,
+    ORDINARY,
     SensorModel,
     World,
 )
@@ -75,7 +76,7 @@ class Moment:
 
     def model_of(self, agent: str) -> SensorModel:
         """Return what the robots of an agent were believed to be like."""
-        return self.kinds[agent].model(self.model) if agent in self.kinds else self.model
+        return self.kinds.get(agent, ORDINARY).model(self.model)
 
 
 @dataclass(frozen=True, eq=False)

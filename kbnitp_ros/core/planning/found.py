@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import log_predicted_survival, Visits
-from kbnitp_ros.core.planning.information import added_information
+from kbnitp_ros.core.planning.information import added_information, path_log_survival
 from kbnitp_ros.core.planning.objective import Objective
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +34,6 @@ class Found(NamedTuple):
     def along(cls, path: NDArray[np.intp], objective: Objective) -> Found:
         """Return a path, shape (steps + 1,), that was not sought for its worth, with its worth."""
         belief, model = objective.belief, objective.model
-        visits = Visits.of(path)
-        survival = log_predicted_survival(
-            belief.hazard[visits.cells], visits.counts, model.log_survival
-        )
-        lost = -np.expm1(survival.sum())
+        lost = -np.expm1(path_log_survival(belief, model, path))
         information = added_information(belief, model, path, objective.fates)
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)

@@ -19,7 +19,31 @@ from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
 from kbnitp_ros.core.planning.information_kernels import left_open
 from kbnitp_ros.core.planning.readings import Readings
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+
+
+def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
+    """
+    Return the log of the chance that a robot comes back, with the hazards as believed.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment.
+    model : SensorModel
+        What the robot is believed to be like.
+    path : ndarray of int, shape (steps + 1,)
+        The cells in order.
+
+    Returns
+    -------
+    float
+        log P0 = sum_i log S_i, in [-inf, 0].
+
+    """
+    visits = Visits.of(path)
+    hazard = belief.hazard[visits.cells]
+    return float(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
 
 
 def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Belief, frozen, Grid, log_predicted_survival, SensorModel, Visits
-from kbnitp_ros.core.planning.information import path_information
+from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel
+from kbnitp_ros.core.planning.information import path_information, path_log_survival
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.planners import PathFinder
 import numpy as np
@@ -39,11 +39,8 @@ class Plan:
     @classmethod
     def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
         """Return the plan to take `path`, shape (steps + 1,)."""
-        visits = Visits.of(path)
-        survival = log_predicted_survival(
-            belief.hazard[visits.cells], visits.counts, model.log_survival
-        )
-        return cls(path, path_information(belief, model, path), float(np.exp(survival.sum())))
+        survival = float(np.exp(path_log_survival(belief, model, path)))
+        return cls(path, path_information(belief, model, path), survival)
 
 
 def plan(
