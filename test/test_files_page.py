@@ -69,6 +69,7 @@ def test_a_scenario_with_every_key(shown):
     assert missing == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('command', COMMANDS)
 def test_the_commands(shown, tmp_path, command):
     shown('world', 'hidden.yaml')

@@ -12,8 +12,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / 'docs/tutorials'
 BLOCK = re.compile(r'^```(\w+)\n(.*?)^```', re.MULTILINE | re.DOTALL)
-# Missions over DDS take a while; the other tests run the same commands with other values.
-LONG = ('first_mission', 'your_map', 'own_method', 'own_planner', 'study_on_a_cluster')
 
 
 def follow(page, folder):
@@ -37,12 +35,8 @@ def follow(page, folder):
             folder.joinpath(file[1]).write_text(block)
 
 
-@pytest.mark.parametrize(
-    'name',
-    [
-        pytest.param(page.stem, marks=[pytest.mark.full] if page.stem in LONG else [])
-        for page in sorted(PAGES.glob('*.md'))
-    ],
-)
+# Missions over DDS take a while; the other tests run the same commands with other values.
+@pytest.mark.full
+@pytest.mark.parametrize('name', sorted(page.stem for page in PAGES.glob('*.md')))
 def test_a_tutorial(name, tmp_path):
     follow(PAGES / f'{name}.md', tmp_path)

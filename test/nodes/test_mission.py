@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.core import Report
 from kbnitp_ros.log.bag.reader import read_log
@@ -117,7 +118,7 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
 @pytest.mark.parametrize(
     'parameters',
     [
-        {'seed': 3, 'robots': 40},
+        {'seed': 3, 'robots': 40 if FULL else 15},
         {**ODD, 'seed': 4, 'robots': 25},
         pytest.param({**LEARNING, 'seed': 5, 'robots': 25}, marks=pytest.mark.full),
         {**WILFUL, 'seed': 6, 'robots': 25},

@@ -2,7 +2,7 @@
 """
 A recorder that is killed again and again loses no deployment.
 
-With KBNITP_TESTS=full in the environment it is killed while recording 50 times instead of 5, in
+With KBNITP_TESTS=full in the environment it is killed while recording 50 times instead of 3, in
 three minutes.
 """
 
@@ -26,7 +26,7 @@ from rclpy.serialization import serialize_message
 from samples import key, lost, path
 from std_msgs.msg import UInt8MultiArray
 
-KILLS = 50 if FULL else 5
+KILLS = 50 if FULL else 3
 
 # All that a publisher keeps for a recorder that comes back.
 DEPLOYMENTS = qos.DEPTH
