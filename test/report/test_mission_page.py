@@ -3,11 +3,14 @@
 
 from pathlib import Path
 import shutil
+import subprocess
+import sys
 
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.page import page_of
 from missions import single, team
 import numpy as np
+from PIL import Image
 from playwright.sync_api import sync_playwright
 import pytest
 
@@ -250,6 +253,23 @@ def test_everybody_can_use_it(opened, scheme):
         if each['impact'] in ('serious', 'critical')
     ]
     assert serious == []
+
+
+def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
+    report, images = tmp_path / 'report', tmp_path / 'images'
+    report.mkdir()
+    images.mkdir()
+    shutil.copy(shown[1], report / 'report.html')
+    Image.new('RGB', (3150, 1620)).save(report / 'maps.png')
+    tool = Path(__file__).parents[2] / 'tools/page_pictures.py'
+    subprocess.run([sys.executable, tool, report, images], check=True)
+    taken = {each.stem: Image.open(each) for each in images.iterdir()}
+    assert taken.keys() == {'page', 'page_early', 'page_dark', 'page_curves', 'maps'}
+    assert taken['maps'].width == 1600
+    assert taken['page'].size == taken['page_early'].size == taken['page_dark'].size
+    assert taken['page'].tobytes() != taken['page_early'].tobytes()
+    corners = [sum(taken[name].getpixel((0, 0))[:3]) for name in ('page', 'page_dark')]
+    assert corners[0] > 700 > 100 > corners[1]
 
 
 def test_a_team_shows_who_is_out(opened, tmp_path):
