@@ -2,12 +2,15 @@
 """`python3 -m kbnitp_ros NAME` finds the command."""
 
 from importlib import metadata
+import json
 import re
 import subprocess
 import sys
 
 from extent import some
 from kbnitp_ros import __main__ as commands
+from kbnitp_ros.nodes.command_line import node_parser
+from kbnitp_ros.nodes.parameters import NODES, parameter_of, parameters_of
 import pytest
 
 # Options that stand for nothing when they are not given.
@@ -47,9 +50,40 @@ def test_every_command_tells_its_version_and_how_to_use_it(name):
     assert sentence[0].isupper() or not name
     assert sentence.endswith('.')
     assert 'example' in told
-    options = re.findall(r'(?m)^  (--[\w-]+) (\S.*\n(?: {20,}.*\n)*)', told)
-    valued = [(flag, ' '.join(text.split())) for flag, text in options]
-    assert all('efault' in text or flag in FREE for flag, text in valued), valued
+    options = options_of(told)
+    assert all('efault' in text or flag in FREE for flag, text in options.items()), options
+
+
+def options_of(told):
+    """Return what a help says of each option of its command, by the option."""
+    options = re.findall(r'(?m)^  (--[\w-]+) (.*\n(?: {19,}.*\n)*)', told)
+    return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
+
+
+@pytest.mark.parametrize('name', ['demo', 'study', 'replay', 'report'])
+def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(name, capsys):
+    with pytest.raises(SystemExit):
+        commands.main([name, '--help'])
+    told, examples = capsys.readouterr().out.split('\nexamples:\n')
+    options = options_of(told)
+    numbers = {flag: text for flag, text in options.items() if text[:2] in ('N ', 'X ')}
+    ranges = re.compile('from .* to |one of |at least ')
+    assert all(ranges.search(text) for text in numbers.values()), numbers
+    for line in examples.splitlines():
+        assert line.startswith(f'  python3 -m kbnitp_ros {name} ')
+        assert set(re.findall(r'--[\w-]+', line)) <= options.keys()
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_the_help_of_a_node_has_its_parameters_with_defaults_and_what_they_must_be(name):
+    parser = node_parser(name, 'Does it.')
+    told = ' '.join(parser.format_help().split())
+    for parameter in parameters_of(name).values():
+        default = ' '.join(json.dumps(parameter.default).split())
+        assert f' {parameter.name} {parameter.description} Default {default}; ' in told
+        assert parameter.must_be in told
+    (example,) = re.findall(r'-p ([a-z][\w.]*):=', told)
+    assert parameter_of(name, example)
 
 
 def test_an_unknown_name_is_named(capsys):

@@ -41,6 +41,7 @@ from kbnitp_ros.nodes.parameters import (
     check_search,
     estimator_of,
     grid_of,
+    MOST_AGENTS,
     most_steps,
     nearest,
     own_name,
@@ -180,7 +181,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         parameter, flag = replace(table[name], default=default), f'--{option.replace("_", "-")}'
         if parameter.default is False:
             parser.add_argument(
-                flag, action='store_true', default=None, help=parameter.description
+                flag,
+                action='store_true',
+                default=None,
+                help=f'{parameter.description} Default false.',
             )
         else:
             parser.add_argument(
@@ -194,7 +198,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--agents',
         metavar='N',
         type=int,
-        help='agents whose robots leave together, at least 1; default 1',
+        help=f'agents whose robots leave together, from 1 to {MOST_AGENTS}; default 1',
     )
     parser.add_argument(
         '--params',

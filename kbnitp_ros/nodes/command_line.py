@@ -70,6 +70,7 @@ def node_parser(name: str, description: str) -> argparse.ArgumentParser:
         f'ros2 run kbnitp_ros {name} --ros-args --params-file config/mission.yaml',
         f'ros2 run kbnitp_ros {name} --ros-args -p {EXAMPLES[name]}',
     )
+    parser.usage = '%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE]]'
     parameters = [
         f'  {each.name}\n'
         + fill(
