@@ -43,6 +43,8 @@ OPTIONS = (
     'beam_width',
     'max_visits',
     'allocation',
+    'objective',
+    'alpha',
     'loss_cost',
     'rolling',
     'step_period',

@@ -37,9 +37,12 @@ from kbnitp_ros.core.inference import (
 from kbnitp_ros.core.mission import Deployment, run_mission
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
+    ALPHAS,
+    behavioral_information,
     check_team,
     count_visits,
     kept_off,
+    OBJECTIVES,
     path_information,
     PathFinder,
     Plan,
@@ -47,6 +50,7 @@ from kbnitp_ros.core.planning import (
     plan_team,
     PLANNERS,
     Regions,
+    sought_by,
     team_information,
     team_size,
     TeamPlan,
@@ -54,9 +58,11 @@ from kbnitp_ros.core.planning import (
 
 __all__ = [
     'ALLOCATIONS',
+    'ALPHAS',
     'LONGEST_WALK',
     'METHODS',
     'OBEDIENT',
+    'OBJECTIVES',
     'ORDINARY',
     'PLANNERS',
     'Belief',
@@ -82,6 +88,7 @@ __all__ = [
     'Traverse',
     'Unknowns',
     'World',
+    'behavioral_information',
     'binary_entropy',
     'brier_score',
     'check_team',
@@ -94,6 +101,7 @@ __all__ = [
     'plan',
     'plan_team',
     'run_mission',
+    'sought_by',
     'team_information',
     'team_size',
     'update',

@@ -71,6 +71,8 @@ def run_mission(
     seed: int = 0,
     conduct: Conduct = OBEDIENT,
     kinds: Sequence[Kind] = (),
+    objective: str = 'information',
+    alpha: float = 1.0,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -96,7 +98,7 @@ def run_mission(
         The only source of randomness: ``rng.spawn(1)`` for each robot.
     method : str
         The estimator's, one of `METHODS`.
-    max_steps, planner, width, max_visits, allocation, loss_cost
+    max_steps, planner, width, max_visits, allocation, loss_cost, objective, alpha
         As for `plan_team`.
     agents : int
         How many leave together, from 1 to the number of free cells; fewer in the last round if
@@ -146,6 +148,8 @@ def run_mission(
             loss_cost=loss_cost,
             kinds=leaving,
             visited=visited,
+            objective=objective,
+            alpha=alpha,
         )
         visited += count_visits(grid, [planned.path for planned in team.plans])
         for planned, kind in zip(team.plans, leaving):

@@ -103,6 +103,8 @@ class Rounds:
             kinds_out=[kind_of(self._values, key.agent) for key in out],
             visited=self._visited - count_visits(self._grid, noted),
             keep_off=kept_off(self._grid, most_steps, len(agents), refused),
+            objective=self._values['objective'],
+            alpha=self._values['alpha'],
         )
         away = [
             value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from kbnitp_ros.files import open_file
-from kbnitp_ros.study.scenario import NUMBERS, read_scenario, Scenario
+from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
 from kbnitp_ros.study.trial import LEARNT, MEASURES, Outcome, Trial, trials_of
 import numpy as np
 import yaml
@@ -101,11 +101,11 @@ class Folder:
     def _file(self, trial: Trial) -> Path:
         told = vars(trial.team).items()
         # Without these the names are those of studies that had none.
-        later = ('last_contact', 'planner', 'survey', 'trusted')
+        later = ('last_contact', 'planner', 'survey', 'trusted', 'objective', 'alpha')
         team = '-'.join(
             f'{name if name in later[2:] else ""}{value}'
             for name, value in told
-            if value or name not in later
+            if name not in later or value != getattr(ALONE, name)
         )
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 

@@ -41,6 +41,9 @@ def _label(contender: Contender, scenario: Scenario, differ: set[str]) -> str:
         parts.append(f'last contact {team.last_contact:.4g}')
     if 'planner' in differ:
         parts.append(team.planner or scenario.planning.planner)
+    if differ & {'objective', 'alpha'}:
+        is_behavioral = team.objective == 'behavioral'
+        parts.append(f'alpha {team.alpha:.4g}' if is_behavioral else team.objective)
     if differ & {'survey', 'trusted'}:
         trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
         parts.append(f'map {team.survey:.4g}{trusted}' if team.survey else 'no map')

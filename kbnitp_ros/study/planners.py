@@ -8,15 +8,7 @@ from typing import Any
 
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_short
-from kbnitp_ros.study.summary import (
-    after_robots,
-    as_json,
-    differences,
-    LOG_LOSS,
-    mean_of,
-    shown,
-    table,
-)
+from kbnitp_ros.study.summary import after_robots, against, shown, table
 
 # After how many robots missions are compared, and after the last one.
 ROBOTS = (10, 25, 50)
@@ -40,21 +32,12 @@ def summarise_planners(results: Results) -> dict[str, Any]:
     robots = after_robots(ROBOTS, scenario.robots)
     rows = []
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
-        of_first, this = (
-            results.series(lethality, method, *LOG_LOSS, team=of) for of in (first, team)
-        )
-        lost_by_first, lost = (
-            results.series(lethality, method, 'robots_lost', team=of)[:, -1]
-            for of in (first, team)
-        )
         rows.append(
             {
                 'lethality': lethality,
                 'method': method,
                 'planner': team.planner or scenario.planning.planner,
-                'difference': differences(this, of_first, robots),
-                'lost': as_json(mean_of(lost)),
-                'lost_more': as_json(mean_of(lost - lost_by_first)),
+                **against(results, lethality, method, (first, team), robots),
             }
         )
     return {'first': first.planner or scenario.planning.planner, 'robots': robots, 'rows': rows}

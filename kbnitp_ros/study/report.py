@@ -21,6 +21,11 @@ from kbnitp_ros.study.loss_cost import (
     loss_cost_markdown,
     summarise_loss_cost,
 )
+from kbnitp_ros.study.objectives import (
+    differ_in_objective,
+    objectives_markdown,
+    summarise_objectives,
+)
 from kbnitp_ros.study.planners import planners_markdown, summarise_planners
 from kbnitp_ros.study.prior_maps import maps_markdown, summarise_maps
 from kbnitp_ros.study.results import Results
@@ -38,7 +43,7 @@ def figures_of(results: Results) -> dict[str, Figure]:
     charts['reliability'] = reliability_chart
     if differ_in_size(results.scenario):
         charts['by_round'] = teams_chart
-    if differ_only_in(results.scenario, 'loss_cost'):
+    if differ_only_in(results.scenario, 'loss_cost') or differ_in_objective(results.scenario):
         charts['robots_lost'] = loss_cost_chart
     if LEARNING in results.scenario.methods:
         charts['numbers'] = numbers_chart
@@ -73,6 +78,9 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     if differ_only_in(results.scenario, 'planner'):
         summary['planners'] = summarise_planners(results)
         tables.append(planners_markdown(summary['planners']))
+    if differ_in_objective(results.scenario):
+        summary['objectives'] = summarise_objectives(results)
+        tables.append(objectives_markdown(summary['objectives']))
     if differ_only_in(results.scenario, 'survey', 'trusted'):
         summary['prior_maps'] = summarise_maps(results)
         tables.append(maps_markdown(summary['prior_maps']))

@@ -71,8 +71,8 @@ class Results:
         pyarrow.Table
             Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
             ``agents``, ``allocation``, ``loss_cost``, ``last_contact``, ``planner``, ``survey``,
-            ``trusted`` and `MEASURES`, by lethality, method, team, trial and deployment in the
-            scenario's order.
+            ``trusted``, ``objective``, ``alpha`` and `MEASURES`, by lethality, method, team, trial
+            and deployment in the scenario's order.
 
         """
         trials = trials_of(self.scenario)
@@ -90,6 +90,8 @@ class Results:
             'planner': np.repeat([trial.team.planner for trial in trials], rows),
             'survey': np.repeat([trial.team.survey for trial in trials], rows),
             'trusted': np.repeat([trial.team.trusted for trial in trials], rows),
+            'objective': np.repeat([trial.team.objective for trial in trials], rows),
+            'alpha': np.repeat([trial.team.alpha for trial in trials], rows),
             **dict(zip(MEASURES, measures.T)),
         }
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())

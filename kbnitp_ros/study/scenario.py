@@ -11,14 +11,17 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTu
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
+    ALPHAS,
     Belief,
     Beta,
     Conduct,
     Grid,
     METHODS,
+    OBJECTIVES,
     PathFinder,
     PLANNERS,
     SensorModel,
+    sought_by,
     team_size,
     Unknowns,
 )
@@ -98,6 +101,10 @@ class Team:
         to 1; 0 for no map.
     trusted : float
         The part of which it is believed to be, 0 to 1; 0 for as many as it is.
+    objective : str
+        Of `OBJECTIVES`.
+    alpha : float
+        Of the objective 'behavioral', 0.2 to 5.
 
     """
 
@@ -108,6 +115,8 @@ class Team:
     planner: Annotated[str, ANY_PLANNER] = ''
     survey: Probability = 0.0
     trusted: Probability = 0.0
+    objective: Annotated[str, OBJECTIVES] = 'information'
+    alpha: Annotated[float, ALPHAS] = 1.0
 
     def __str__(self) -> str:
         """Return what tells it from other teams; robots one by one share nothing out."""
@@ -117,7 +126,8 @@ class Team:
         planner = f', {self.planner}' if self.planner else ''
         known = f', map {self.survey:.4g}' if self.survey else ''
         trusted = f' trusted as {self.trusted:.4g}' if self.trusted else ''
-        return name + cost + contact + planner + known + trusted
+        sought = '' if self.objective == 'information' else f', {self.objective} {self.alpha:.4g}'
+        return name + cost + contact + planner + known + trusted + sought
 
     def options(self) -> dict[str, Any]:
         """Return what `run_mission` is told of it, by name."""
@@ -126,6 +136,8 @@ class Team:
             'allocation': self.allocation,
             'loss_cost': self.loss_cost,
             'conduct': Conduct(last_contact=self.last_contact),
+            'objective': self.objective,
+            'alpha': self.alpha,
             **({'planner': self.planner} if self.planner else {}),
         }
 
@@ -275,10 +287,12 @@ class Scenario:
             team_size(self.field(), team.agents)
 
     def check_search(self) -> None:
-        """Refuse paths that cannot be searched for within the memory allowed."""
+        """Refuse paths that cannot be searched for, or not within the memory allowed."""
         for team in self.teams:
-            limits = vars(self.planning) | {'planner': team.planner or self.planning.planner}
-            PathFinder(self.field(), **limits).check_memory(team.agents)
+            planner = team.planner or self.planning.planner
+            alpha = sought_by(planner, team.objective, team.alpha)
+            limits = vars(self.planning) | {'planner': planner}
+            PathFinder(self.field(), **limits).check_memory(team.agents, alpha=alpha)
 
     def field(self) -> Grid:
         """Return the grid, with cells of 1 m."""

@@ -169,6 +169,39 @@ def information(joint, model, path):
     return float((together[seen] * np.log(together[seen] / apart[seen])).sum())
 
 
+def behavioral_entropy(chance, alpha):
+    """Behavioral entropy of a coin: that of Shannon, of the Prelec weights of both sides."""
+    beta = log(2) ** (1 - alpha)
+    weights = [np.exp(-beta * (-log(p)) ** alpha) for p in (chance, 1 - chance) if p > 0]
+    return -sum(w * log(w) for w in weights if w > 0)
+
+
+def behavioral_information(joint, model, path, alpha):
+    """
+    Sum by how much two entropies fall, nats, over all states and all outcomes.
+
+    That of the robot's fate once the hazards are known, and if it returns those of all targets
+    once all readings are.
+    """
+    cells, states, prior = enumerate_states(joint, path[1:])
+    _, returned = fates(model, cells, states, path)
+    survival = float(prior @ returned)
+    fallen = behavioral_entropy(survival, alpha)
+    fallen -= sum(p * behavioral_entropy(r, alpha) for p, r in zip(prior, returned))
+    if survival == 0:
+        return fallen
+    back = prior * returned
+    for i in range(len(cells)):
+        there = states[:, i, 1] == 1
+        fallen += survival * behavioral_entropy(back[there].sum() / survival, alpha)
+        for readings in product((False, True), repeat=len(path) - 1):
+            seen = back * readings_likelihood(model, cells, states, path, np.array(readings))
+            if seen.sum() > 0:
+                target = min(seen[there].sum() / seen.sum(), 1.0)
+                fallen -= seen.sum() * behavioral_entropy(target, alpha)
+    return fallen
+
+
 # The published update, equation by equation
 
 

@@ -87,6 +87,8 @@ def core_mission(parameters):
         seed=values['seed'],
         conduct=conduct_of(values),
         kinds=list(kinds_of(values).values()),
+        objective=values['objective'],
+        alpha=values['alpha'],
     )
 
 

@@ -125,8 +125,9 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         {**HUGE, 'seed': 8, 'robots': 3},
         pytest.param({'planner': 'coverage', 'seed': 9, 'robots': 10}, marks=pytest.mark.full),
+        {**SMALL, 'objective': 'behavioral', 'alpha': 2.0, 'seed': 10, 'robots': 10},
     ],
-    ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge', 'coverage'],
+    ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge', 'coverage', 'behavioral'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'

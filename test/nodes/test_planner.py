@@ -449,6 +449,17 @@ def test_a_search_beyond_memory_is_refused(field):
     assert told in field.said('/a/planner')
 
 
+def test_an_objective_that_is_not_sought_is_refused(field):
+    for namespace, parameters, told in (
+        ('/a', {'planner': 'coverage', 'objective': 'behavioral'}, 'the planner coverage seeks'),
+        ('/b', {'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
+        ('/c', {'objective': 'behavioral', 'alpha': 9.0}, 'alpha is 9.0: it must be'),
+    ):
+        planner = field.start('planner', parameters, namespace)
+        assert planner.wait(timeout=60) == 2
+        assert told in field.said(f'{namespace}/planner')
+
+
 def test_fewer_robots_than_have_left_are_refused(field):
     mission = Mission(field, {'robots': 5})
     for number in range(3):

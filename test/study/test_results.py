@@ -19,6 +19,8 @@ def test_the_table_is_tidy(results):
         'planner': 'string',
         'survey': 'double',
         'trusted': 'double',
+        'objective': 'string',
+        'alpha': 'double',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from kbnitp_ros.core.planning.behavioral import behavioral_information, SHANNON
 from kbnitp_ros.core.planning.information import added_information, path_log_survival
 from kbnitp_ros.core.planning.objective import Objective
 import numpy as np
@@ -32,8 +33,13 @@ class Found(NamedTuple):
 
     @classmethod
     def along(cls, path: NDArray[np.intp], objective: Objective) -> Found:
-        """Return a path, shape (steps + 1,), that was not sought for its worth, with its worth."""
+        """Return a path, shape (steps + 1,), with its exact worth."""
         belief, model = objective.belief, objective.model
         lost = -np.expm1(path_log_survival(belief, model, path))
-        information = added_information(belief, model, path, objective.fates)
+        if objective.alpha == SHANNON:
+            information = added_information(belief, model, path, objective.fates)
+        else:
+            information = behavioral_information(
+                belief, model, path, objective.alpha, objective.fates, objective.interest
+            )
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)

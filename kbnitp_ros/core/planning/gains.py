@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.planning import behavioral
 from kbnitp_ros.core.planning.moments import EXPONENTS
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.readings import Readings
@@ -23,10 +24,12 @@ class Gains:
     factor : ndarray, shape (cells, max_visits, powers + fates)
         E[p^a] after it over E[p^a] before it for each of `EXPONENTS`, where p is the chance to
         survive the path given the hazards; then the same of the survival in each fate. 0 where
-        nobody survives.
+        nobody survives. With behavioral entropies the powers are those of `behavioral`, first of p
+        and then of the survival in each fate.
     term : ndarray, shape (cells, max_visits, 1 + fates)
         The change of E[p ln p] / E[p]; then in each fate that of the information of readings,
-        nats, less that of the log of the survival.
+        nats, less that of the log of the survival. With behavioral entropies all but what is read
+        is in the powers.
 
     """
 
@@ -47,7 +50,9 @@ class Gains:
         ).copy()
         readings = Readings.of(model, max_visits, fates.most_readings)
         read = np.zeros(shape)
-        read[..., 1:] = _read(readings, belief.joint[cells], nothing_read.repeat(cells.size, 0))
+        read[..., 1:] = _read(
+            readings, belief.joint[cells], nothing_read.repeat(cells.size, 0), objective.alpha
+        )
         here, there = fates.places_of(cells)
         if here.size:
             joint = fates.joint[:, there]
@@ -55,39 +60,52 @@ class Gains:
                 joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
             )
             _, earlier = fates.of_cells(cells[here])
-            read[:, here, 1:] = _read(readings, joint, earlier)
+            read[:, here, 1:] = _read(readings, joint, earlier, objective.alpha)
 
         alive = log_survival[..., 1:] > -np.inf
         with np.errstate(invalid='ignore'):
             # Once nobody survives nothing more can be lost.
             log_ratio = np.where(alive, np.diff(log_survival), 0.0)
-        added = np.diff(read) * objective.interest[cells, None] - log_ratio
-        moment, spread = _moments(hazard, model, visits)
-        factor = [moment, np.moveaxis(np.exp(log_ratio) * alive, 0, -1)]
+        added = np.diff(read) * objective.interest[cells, None]
+        survival = np.moveaxis(np.exp(log_ratio) * alive, 0, -1)
+        if objective.alpha == behavioral.SHANNON:
+            added -= log_ratio
+            moment, spread = _moments(hazard, model, visits, EXPONENTS)
+            factor = [moment, survival]
+        else:
+            moment, spread = _moments(hazard, model, visits, behavioral.EXPONENTS)
+            spread = np.zeros_like(spread)
+            powers = survival[..., None] ** behavioral.EXPONENTS
+            factor = [moment, powers.reshape(*survival.shape[:2], -1), survival]
         term = [spread[..., None], np.moveaxis(added, 0, -1)]
         return cls(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
 
 
 def _read(
-    readings: Readings, joint: NDArray[np.float64], earlier: NDArray[np.float64]
+    readings: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    alpha: float,
 ) -> NDArray[np.float64]:
     """Return what 1, 2, ... visits read, shape (..., cells, max_visits)."""
-    return np.stack(
-        [
-            readings.new(joint, earlier, np.full(joint.shape[-3], count))
-            for count in range(1, len(readings.survival))
-        ],
-        axis=-1,
-    )
+    visits = [np.full(joint.shape[-3], count) for count in range(1, len(readings.survival))]
+    if alpha == behavioral.SHANNON:
+        read = [readings.new(joint, earlier, each) for each in visits]
+    else:
+        read = [behavioral.falls(readings, joint, earlier, each, alpha) for each in visits]
+    return np.stack(read, axis=-1)
 
 
 def _moments(
-    hazard: NDArray[np.float64], model: SensorModel, visits: NDArray[np.intp]
+    hazard: NDArray[np.float64],
+    model: SensorModel,
+    visits: NDArray[np.intp],
+    exponents: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors of moments, (cells, max_visits, powers), and the change of spread."""
     safe, deadly = 1.0 - hazard[:, None], hazard[:, None]
     log_power = times_log(visits[:, None], model.log_survival)
-    power = np.exp(times_log(EXPONENTS, log_power[:, :, None]))
+    power = np.exp(times_log(exponents, log_power[:, :, None]))
     moment = safe[..., None] * power[:, 0] + deadly[..., None] * power[:, 1]
     before = moment[:, :-1]
     ratio = np.divide(moment[:, 1:], before, out=np.zeros_like(before), where=before > 0.0)

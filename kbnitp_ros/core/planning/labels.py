@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from math import inf
 
 from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.planning.behavioral import powers_weights, SHANNON
 from kbnitp_ros.core.planning.found import DECIMALS, Found
 from kbnitp_ros.core.planning.gains import Gains
 from kbnitp_ros.core.planning.information_kernels import left_open
@@ -18,7 +19,6 @@ from kbnitp_ros.core.planning.label_kernels import (
     take,
     trace,
 )
-from kbnitp_ros.core.planning.moments import WEIGHTS
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.reach import Reach
 import numpy as np
@@ -99,21 +99,25 @@ class Search:
     def __init__(
         self, grid: Grid, objective: Objective, max_steps: int, width: int, max_visits: int
     ) -> None:
+        self._sought = objective
         fates = objective.fates.probability
         self.reach = Reach.of(grid, max_steps)
         earlier = objective.fates.states
         further = objective.fates.states_after(objective.model, min(max_visits, max_steps))
-        check_memory(self.reach, max_steps, width, max_visits, fates.size, earlier, further)
+        weights = powers_weights(objective.alpha, fates)
+        powers = weights.size
+        check_memory(
+            self.reach, max_steps, width, max_visits, fates.size, earlier, further, powers
+        )
         max_visits = min(max_visits, max_steps)
         gains = Gains.of(objective, self.reach.cells, max_visits)
         self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
         self._hazard = objective.belief.hazard[self.reach.cells]
         self._log_survival = objective.model.log_survival
         self.gains = gains.factor, gains.term
-        self._objective = WEIGHTS, fates, objective.loss_cost, 10.0**DECIMALS
+        self._objective = weights, fates, objective.loss_cost, 10.0**DECIMALS
         self._width = width
         by_promise = width // 2
-        powers = WEIGHTS.size
         home = np.empty((self.reach.within.sum() if by_promise else 0, powers + 4))
         if by_promise:
             self._search(1, 0, home)
@@ -225,6 +229,8 @@ class Search:
 
     def exact(self, path: NDArray[np.intp]) -> float:
         """Return what a closed path is worth, without the error of the moments, rounded."""
+        if self._sought.alpha != SHANNON:
+            return Found.along(self.reach.cells[path], self._sought).worth
         factor, term = (np.empty((1, gain.shape[2])) for gain in self.gains)
         visits = np.empty(self.reach.cells.size, dtype=np.int64)
         take(path, 0, 0, *self.gains, visits, factor, term)
@@ -241,6 +247,7 @@ def check_memory(
     fates: int,
     earlier: int,
     further: int,
+    powers: int,
 ) -> None:
     """
     Check that a search can have the memory that it takes.
@@ -254,6 +261,8 @@ def check_memory(
     fates, earlier, further : int
         How many fates the robots before have, how many numbers of readings of a cell they may
         bring, and how many there are with those of the robot that is planned for.
+    powers : int
+        How many a label carries.
 
     Raises
     ------
@@ -264,10 +273,10 @@ def check_memory(
     number = 8
     visits = min(max_visits, max_steps)
     labels, cells = int(reach.within.sum()), reach.cells.size
-    factors_and_terms = WEIGHTS.size + 1 + 2 * fates
+    factors_and_terms = powers + 1 + 2 * fates
     estimate = (
         # Where each label comes from, and the ways home if some are kept for what they promise.
-        labels * (4 * width + (number * (WEIGHTS.size + 4) if width > 1 else 0))
+        labels * (4 * width + (number * (powers + 4) if width > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
         + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
         # The gains and the chances of readings, while they are made.

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, cost, Grid, SensorModel
+from kbnitp_ros.core.planning.behavioral import SHANNON
 from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ class Objective:
         What counts of the information of readings in each cell, in [0, 1].
     fates : Fates
         Of the robots that leave in the same round and whose paths are known.
+    alpha : float
+        Of the Prelec weight of what is likely and unlikely: 1 for Shannon's entropy, otherwise
+        `behavioral_information` is in the place of the information.
 
     """
 
@@ -36,9 +40,17 @@ class Objective:
     loss_cost: float
     interest: NDArray[np.float64]
     fates: Fates
+    alpha: float = SHANNON
 
     @classmethod
-    def alone(cls, grid: Grid, belief: Belief, model: SensorModel, loss_cost: float) -> Objective:
+    def alone(
+        cls,
+        grid: Grid,
+        belief: Belief,
+        model: SensorModel,
+        loss_cost: float,
+        alpha: float = SHANNON,
+    ) -> Objective:
         """
         Return the objective of a robot that goes alone.
 
@@ -52,7 +64,8 @@ class Objective:
         if belief.cells != grid.cells:
             raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
         interest = np.ones(belief.cells)
-        return cls(belief, model, cost('loss_cost', loss_cost), interest, nobody_sent(belief))
+        priced = cost('loss_cost', loss_cost)
+        return cls(belief, model, priced, interest, nobody_sent(belief), alpha)
 
     def after(self, path: NDArray[np.intp]) -> Fates:
         """Return what may become of the robots once this one takes `path` as well."""

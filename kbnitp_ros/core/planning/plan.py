@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel
 from kbnitp_ros.core.planning.information import path_information, path_log_survival
 from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.planners import PathFinder, sought_by
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -54,6 +54,8 @@ def plan(
     max_visits: int = 3,
     loss_cost: float = 0.0,
     visited: ArrayLike = (),
+    objective: str = 'information',
+    alpha: float = 1.0,
 ) -> Plan:
     """
     Plan the next deployment: a closed path of much information.
@@ -84,6 +86,11 @@ def plan(
     visited : array_like of int, shape (cells,), optional
         How often the paths of earlier deployments entered each cell, for the planners that go by
         it; never unless given.
+    objective : str
+        What is sought: 'information', or 'behavioral', `behavioral_information` in its place.
+    alpha : float
+        Of the Prelec weight of the behavioral objective, from 0.2 to 5; with 1 it is the
+        information.
 
     Returns
     -------
@@ -93,10 +100,11 @@ def plan(
     Raises
     ------
     ValueError
-        If the planner is unknown, a number is out of range, or the belief has another number of
-        cells than the grid.
+        If the planner or the objective is unknown, the planner seeks none, a number is out of
+        range, or the belief has another number of cells than the grid.
 
     """
     finder = PathFinder(grid, planner, max_steps, width, max_visits, np.asarray(visited))
-    best = finder.paths(Objective.alone(grid, belief, model, loss_cost))[0]
+    sought = sought_by(planner, objective, alpha)
+    best = finder.paths(Objective.alone(grid, belief, model, loss_cost, sought))[0]
     return Plan.along(best.path, belief, model)

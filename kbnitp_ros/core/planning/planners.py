@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 from kbnitp_ros.core.field import Grid, whole_number
+from kbnitp_ros.core.planning.behavioral import alpha_of, powers_of, SHANNON
 from kbnitp_ros.core.planning.fates import MOST_FATES
 from kbnitp_ros.core.planning.found import Found
 from kbnitp_ros.core.planning.labels import best_paths, check_memory
@@ -101,7 +102,7 @@ class PathFinder:
         except ValueError as error:
             raise PLANNERS.fault(self.planner, f'returns a path that is none: {error}') from error
 
-    def check_memory(self, robots: int, cameras: int = 1) -> None:
+    def check_memory(self, robots: int, cameras: int = 1, alpha: float = SHANNON) -> None:
         """
         Check that paths can be searched for within the memory allowed, before any is.
 
@@ -111,6 +112,8 @@ class PathFinder:
             How many leave together or are out, at least 1.
         cameras : int
             How many different ones they have.
+        alpha : float
+            Of the objective.
 
         Raises
         ------
@@ -131,7 +134,14 @@ class PathFinder:
             reach = Reach.of(self.grid, self.max_steps)
             width = labels(self.width)
             check_memory(
-                reach, self.max_steps, width, self.max_visits, fates, counts**cameras, further
+                reach,
+                self.max_steps,
+                width,
+                self.max_visits,
+                fates,
+                counts**cameras,
+                further,
+                powers_of(alpha, fates),
             )
 
 
@@ -223,6 +233,28 @@ PLANNERS = Registry(
         'shortest_unvisited': shortest_unvisited,
     },
 )
+
+# Those that seek no information.
+BASELINES = ('random', 'coverage', 'shortest_unvisited')
+
+
+def sought_by(planner: str, objective: str, alpha: float) -> float:
+    """
+    Return the alpha of an objective that a planner is to seek.
+
+    Raises
+    ------
+    ValueError
+        If there is no such objective, or it would change nothing.
+
+    """
+    if objective != 'information' and planner in BASELINES:
+        raise ValueError(
+            f'objective is {objective}, and the planner {planner} seeks none: choose the planner '
+            'beam or relaxed, or leave the objective at information'
+        )
+    return alpha_of(objective, alpha)
+
 
 # How many labels the label searches among them keep, of a width that they are given.
 LABELS: dict[str, Callable[[int], int]] = {'relaxed': lambda _: 1, 'beam': lambda width: width}

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, Kind, SensorModel
+from kbnitp_ros.core.planning.behavioral import SHANNON
 from kbnitp_ros.core.planning.fates import Fates
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.planners import PathFinder
@@ -36,11 +37,12 @@ class Robot:
         belief: Belief,
         model: SensorModel,
         loss_cost: float,
+        alpha: float = SHANNON,
     ) -> Robot:
         """Return a robot that goes alone, of a kind, from what those like all others have."""
         own = finder if kind.max_steps is None else replace(finder, max_steps=kind.max_steps)
         cost = loss_cost if kind.loss_cost is None else kind.loss_cost
-        return cls(own, Objective.alone(finder.grid, belief, kind.model(model), cost))
+        return cls(own, Objective.alone(finder.grid, belief, kind.model(model), cost, alpha))
 
     def given(self, fates: Fates) -> Robot:
         """Return the robot when others have left before."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field import Belief, Grid, Kind, of_each, SensorModel, whole_number
 from kbnitp_ros.core.planning.allocations import allocated, ALLOCATIONS
+from kbnitp_ros.core.planning.behavioral import SHANNON
 from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
 from kbnitp_ros.core.planning.information import team_information
 from kbnitp_ros.core.planning.plan import Plan
-from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.planners import PathFinder, sought_by
 from kbnitp_ros.core.planning.readings import Camera, check_cameras
 from kbnitp_ros.core.planning.refused import without
 from kbnitp_ros.core.planning.regions import Regions
@@ -58,6 +59,8 @@ def plan_team(
     kinds_out: Sequence[Kind] = (),
     visited: ArrayLike = (),
     keep_off: Sequence[int] | NDArray[np.intp] = (),
+    objective: str = 'information',
+    alpha: float = 1.0,
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -82,6 +85,8 @@ def plan_team(
         Of each of those; empty if all are alike.
     keep_off : sequence of int
         Cells that none of the robots enters, besides those that are blocked.
+    objective, alpha
+        As for `plan`.
 
     Returns
     -------
@@ -91,9 +96,10 @@ def plan_team(
     Raises
     ------
     ValueError
-        If the allocation or the planner is unknown, a number is out of range, the belief has
-        another number of cells than the grid, a robot that is out could not have left that way,
-        there is not one kind for each robot, or they have too many different cameras.
+        If the allocation, the planner or the objective is unknown, the planner seeks none, a
+        number is out of range, the belief has another number of cells than the grid, a robot that
+        is out could not have left that way, there is not one kind for each robot, or they have too
+        many different cameras.
 
     """
     ALLOCATIONS.find(allocation)
@@ -102,7 +108,8 @@ def plan_team(
     kinds, kinds_out = of_each(agents, kinds), of_each(len(out), kinds_out)
     check_cameras(len({Camera.of(kind.model(model)) for kind in (*kinds, *kinds_out)}))
     finder = PathFinder(in_use, planner, max_steps, width, max_visits, np.asarray(visited))
-    alone = {kind: Robot.of(kind, finder, belief, model, loss_cost) for kind in kinds}
+    sought = sought_by(planner, objective, alpha)
+    alone = {kind: Robot.of(kind, finder, belief, model, loss_cost, sought) for kind in kinds}
     fates = nobody_sent(belief)
     for path, kind in zip(out, kinds_out):
         fates = after_sending(fates, kind.model(model), grid.check_path(path))
@@ -115,7 +122,12 @@ def plan_team(
     )
 
 
-def check_team(finder: PathFinder, model: SensorModel, kinds: Sequence[Kind]) -> None:
+def check_team(
+    finder: PathFinder,
+    model: SensorModel,
+    kinds: Sequence[Kind],
+    alpha: float = SHANNON,
+) -> None:
     """
     Check that paths for a team can be searched for within the memory allowed, before any is.
 
@@ -127,6 +139,8 @@ def check_team(finder: PathFinder, model: SensorModel, kinds: Sequence[Kind]) ->
         Of robots that have no sensor of their own.
     kinds : sequence of Kind
         Of each robot that may leave or be out.
+    alpha : float
+        Of the objective.
 
     Raises
     ------
@@ -136,7 +150,7 @@ def check_team(finder: PathFinder, model: SensorModel, kinds: Sequence[Kind]) ->
     """
     most = max(kind.max_steps or finder.max_steps for kind in kinds)
     cameras = {Camera.of(kind.model(model)) for kind in kinds}
-    replace(finder, max_steps=most).check_memory(len(kinds), len(cameras))
+    replace(finder, max_steps=most).check_memory(len(kinds), len(cameras), alpha)
 
 
 def team_size(grid: Grid, agents: int) -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of all parameters: names, types, defaults, ranges and meanings."""
 
-from kbnitp_ros.core import ALLOCATIONS, METHODS, PLANNERS
+from kbnitp_ros.core import ALLOCATIONS, ALPHAS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.nodes.parameters.names import NAME
 from kbnitp_ros.nodes.parameters.parameter import Parameter
 
@@ -262,6 +262,24 @@ TABLE = (
         'How the robots of a round share the field.',
         ('planner',),
         choices=ALLOCATIONS,
+        read_only=False,
+    ),
+    Parameter(
+        'objective',
+        'information',
+        'What paths are sought for: the information expected, or with behavioral a fall of '
+        'behavioral entropies, for the planners beam and relaxed.',
+        ('planner',),
+        choices=OBJECTIVES,
+        read_only=False,
+    ),
+    Parameter(
+        'alpha',
+        1.0,
+        'The Prelec weight of the objective behavioral: 1 is the information, less counts what is '
+        'nearly certain as less sure, more as surer.',
+        ('planner',),
+        limits=ALPHAS,
         read_only=False,
     ),
     Parameter(

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The objective with behavioral entropies, which weigh what is likely and unlikely as people do.
+
+The behavioral entropy of a coin is -w(p) ln w(p) - w(1-p) ln w(1-p) with the weight of Prelec,
+w(p) = exp(-beta (-ln p)^alpha), where beta = (ln 2)^(1 - alpha) makes w(1/2) = 1/2 (Suresh,
+Nieto-Granda, Martinez: Robotic Exploration using Generalized Behavioral Entropy,
+arXiv:2402.10161). With alpha = 1 it is Shannon's.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import log
+from typing import NamedTuple
+
+from kbnitp_ros.core.field import (
+    as_path,
+    Belief,
+    log_predicted_survival,
+    SensorModel,
+    surprisal,
+    Visits,
+)
+from kbnitp_ros.core.planning.behavioral_kernels import coin, fate_left_open, new_falls
+from kbnitp_ros.core.planning.fates import Fates, nobody_sent
+from kbnitp_ros.core.planning.moments import WEIGHTS as SHANNONS
+from kbnitp_ros.core.planning.readings import Readings
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Shannon's alpha, and which there may be.
+SHANNON = 1.0
+ALPHAS = (0.2, 5.0)
+
+# A fate's entropy is a sum of these powers of a survival while labels are compared. As among those
+# of Shannon's, the first moment is the predicted survival itself.
+EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
+
+# What the objective of a planner may be.
+OBJECTIVES = ('information', 'behavioral')
+
+
+def alpha_of(objective: str, alpha: float) -> float:
+    """
+    Return the alpha that an objective has.
+
+    Parameters
+    ----------
+    objective : str
+        Of `OBJECTIVES`.
+    alpha : float
+        Of the objective 'behavioral'; 1 otherwise.
+
+    Raises
+    ------
+    ValueError
+        If there is no such objective, alpha is out of range, or the objective has none.
+
+    """
+    if objective not in OBJECTIVES:
+        raise ValueError(f'objective is {objective!r}: it must be one of {", ".join(OBJECTIVES)}')
+    low, high = ALPHAS
+    if not low <= alpha <= high:
+        raise ValueError(f'alpha is {alpha}: it must be in [{low}, {high}]')
+    if objective == 'information' and alpha != SHANNON:
+        raise ValueError(
+            f'alpha is {alpha}, which the objective information does not have: choose objective '
+            'behavioral, or leave alpha at 1'
+        )
+    return float(alpha)
+
+
+def beta_of(alpha: float) -> float:
+    """Return the beta with which 1/2 has the weight 1/2."""
+    return float(log(2.0) ** (1.0 - alpha))
+
+
+def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
+    """
+    Return the behavioral entropy of a coin that falls with a probability.
+
+    Parameters
+    ----------
+    probability : array_like
+        Any shape, in [0, 1].
+    alpha : float
+        Of the Prelec weight, above 0. Up to 1 the entropy is concave.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape, from 0 to ln 2, nats.
+
+    """
+    p = np.asarray(probability, dtype=np.float64)
+    beta = beta_of(alpha)
+    entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
+    return np.array(entropy, dtype=np.float64).reshape(p.shape)
+
+
+def behavioral_information(
+    belief: Belief,
+    model: SensorModel,
+    path: ArrayLike,
+    alpha: float,
+    fates: Fates | None = None,
+    interest: NDArray[np.float64] | None = None,
+) -> float:
+    """
+    Return what `path_information` is with behavioral entropies in place of Shannon's.
+
+    With h the entropy of a coin, and h(X_i) that of a target given that n_i visits are survived,
+
+        h(P0) - E_z[h(P(survive | z))] + P0 * sum_i (h(X_i) - E_y[h(X_i | y)])
+
+    by how much the fate of the robot tells of the hazards, and by how much the readings of a robot
+    that returns make the targets surer.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    path : array_like of int, shape (steps + 1,)
+        The cells in order.
+    alpha : float
+        Of the Prelec weight.
+    fates : Fates, optional
+        Of robots sent before, to which this adds, as for `added_information`; without it there
+        are none.
+    interest : ndarray, shape (cells,), optional
+        What counts of the readings in each cell; all, unless given.
+
+    Returns
+    -------
+    float
+        Nats, at least 0 but for rounding where alpha is at most 1. Where it is more, a likely
+        return or a likely target becomes less sure in the weighing, so it may be negative.
+
+    """
+    fates = nobody_sent(belief) if fates is None else fates
+    visits = Visits.of(as_path(path))
+    joint, readings = fates.of_cells(visits.cells)
+    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
+    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
+    survival = np.exp(log_survival.sum(axis=1))
+    read = Readings.of(model, int(visits.counts.max()), fates.most_readings)
+    fallen = falls(read, joint, readings, visits.counts, alpha)
+    if interest is not None:
+        fallen = fallen * interest[visits.cells]
+    hazard, (log_safe, log_deadly) = belief.hazard[visits.cells], model.log_survival
+    open_fate = fate_left_open(visits.of_step, hazard, log_safe, log_deadly, alpha, beta_of(alpha))
+    of_each = behavioral_entropy(survival, alpha) + survival * fallen.sum(axis=1) - open_fate
+    return float((fates.probability * of_each).sum())
+
+
+def falls(
+    read: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    visits: NDArray[np.intp],
+    alpha: float,
+) -> NDArray[np.float64]:
+    """
+    Return what `Readings.new` does, for behavioral entropies.
+
+    Parameters
+    ----------
+    read : Readings
+        What the robot may read.
+    joint, earlier, visits
+        As there.
+    alpha : float
+        Of the Prelec weight.
+
+    Returns
+    -------
+    ndarray, shape (..., cells)
+        By how much the entropies of the targets are expected to fall, nats.
+
+    """
+    fallen = np.empty(joint.shape[:-2])
+    new_falls(
+        np.ascontiguousarray(joint).reshape(-1, 2, 2),
+        np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
+        np.broadcast_to(visits, fallen.shape).ravel(),
+        read.survival,
+        read.after,
+        read.outcomes,
+        read.likelihood,
+        alpha,
+        beta_of(alpha),
+        fallen.reshape(-1),
+    )
+    return fallen
+
+
+class Weights(NamedTuple):
+    """
+    Of the powers that a fate's entropy is a sum of, each shape (powers,).
+
+    Attributes
+    ----------
+    entropy : ndarray
+        With these it is h(p).
+    rest : ndarray
+        With these it is h(p) + (1 - p) ln(1 - p), what a label search does not add by itself.
+
+    """
+
+    entropy: NDArray[np.float64]
+    rest: NDArray[np.float64]
+
+
+def powers_of(alpha: float, fates: int) -> int:
+    """Return how many powers the labels of a search carry that may have so many fates."""
+    return SHANNONS.size if alpha == SHANNON else EXPONENTS.size * (1 + fates)
+
+
+def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return the weights with which the powers of a label make what is left open of its fate.
+
+    Parameters
+    ----------
+    alpha : float
+        Of the Prelec weight.
+    chance : ndarray, shape (fates,)
+        Of each fate of the robots sent before.
+
+    Returns
+    -------
+    ndarray, shape (powers,)
+        With behavioral entropies, first of the powers of the survival given the hazards; then of
+        those of the survival in each fate, whose entropy is not left open but found out.
+
+    """
+    if alpha == SHANNON:
+        return SHANNONS
+    weights = weights_of(alpha)
+    return np.concatenate([weights.entropy, *(-each * weights.rest for each in chance)])
+
+
+@lru_cache(maxsize=16)
+def weights_of(alpha: float) -> Weights:
+    """Return the weights of `EXPONENTS` for an alpha, by least squares on the whole of [0, 1]."""
+    ends = np.geomspace(1e-8, 1e-2, 300)
+    survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
+    powers = survival[:, None] ** EXPONENTS
+    entropy = behavioral_entropy(survival, alpha)
+    targets = np.stack([entropy, entropy - surprisal(1.0 - survival)], axis=1)
+    found, *_ = np.linalg.lstsq(powers, targets, rcond=1e-10)
+    return Weights(*np.ascontiguousarray(found.T))

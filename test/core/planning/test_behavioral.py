@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The behavioral objective, against the sum over every state and every outcome, and its laws."""
+
+from functools import cache
+
+import brute_force
+from extent import FULL
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.core import (
+    behavioral_information,
+    Belief,
+    Grid,
+    path_information,
+    plan,
+    plan_team,
+    PLANNERS,
+    run_mission,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.core.planning import behavioral
+from kbnitp_ros.core.planning.behavioral import behavioral_entropy
+from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
+from kbnitp_ros.core.planning.information import added_information
+from kbnitp_ros.core.planning.moments import WEIGHTS
+import numpy as np
+import pytest
+
+LOW, HIGH = behavioral.ALPHAS
+ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
+SEEKING = ('beam', 'relaxed')
+
+
+def random_case(seed):
+    joint, sensors, path = brute_force.random_case(np.random.default_rng(seed), 4, 5)
+    return joint, SensorModel(**sensors), path
+
+
+@pytest.mark.parametrize('alpha', ALPHAS)
+@pytest.mark.parametrize('seed', range(200 if FULL else 25))
+def test_it_is_the_fall_of_the_entropies_over_all_states_and_outcomes(seed, alpha):
+    joint, model, path = random_case(seed)
+    expected = brute_force.behavioral_information(joint, model, path, alpha)
+    found = behavioral_information(Belief(joint), model, path, alpha)
+    assert found == pytest.approx(expected, rel=0, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(100))
+def test_at_alpha_1_it_is_the_information(seed):
+    joint, model, path = random_case(seed)
+    belief = Belief(joint)
+    information = path_information(belief, model, path)
+    for alpha in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):
+        found = behavioral_information(belief, model, path, alpha)
+        assert found == pytest.approx(information, rel=0, abs=1e-7 if alpha != 1.0 else 1e-12)
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_at_alpha_1_robots_that_left_before_count_as_for_the_information(seed):
+    rng = np.random.default_rng(seed)
+    belief = Belief(brute_force.random_joint(rng, 9, 0))
+    model = SensorModel(**brute_force.random_sensors(rng))
+    before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
+    fates = after_sending(nobody_sent(belief), model, before)
+    expected = added_information(belief, model, path, fates)
+    found = behavioral_information(belief, model, path, 1.0, fates)
+    assert found == pytest.approx(expected, rel=0, abs=1e-9)
+
+
+def test_entropies_by_hand():
+    """Even odds are as unsure as can be for all, and what is certain is certain for all."""
+    for alpha in ALPHAS:
+        certain, even = behavioral_entropy([0.0, 1.0], alpha), behavioral_entropy(0.5, alpha)
+        assert certain.tolist() == [0.0, 0.0]
+        assert even == pytest.approx(np.log(2), abs=1e-12)
+    # beta = (ln 2)^-1: w(1/4) = exp(-4 ln 2) = 1/16, and w(3/4) = exp(-(ln 4/3)^2 / ln 2).
+    likely = np.log(4 / 3) ** 2 / np.log(2)
+    by_hand = 4 * np.log(2) / 16 + likely * np.exp(-likely)
+    assert behavioral_entropy(0.25, 2.0) == pytest.approx(by_hand, abs=1e-12)
+
+
+@pytest.mark.parametrize('alpha', ALPHAS)
+def test_up_to_alpha_1_and_no_further_the_entropy_is_concave(alpha):
+    curvature = np.diff(behavioral_entropy(np.linspace(0.0, 1.0, 2001), alpha), 2)
+    assert (curvature < 0.0).all() == (alpha <= 1.0)
+
+
+@given(st.integers(0, 10**6), st.floats(LOW, 1.0))
+@settings(max_examples=1000 if FULL else 100, deadline=None)
+def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
+    joint, model, path = random_case(seed)
+    assert behavioral_information(Belief(joint), model, path, alpha) > -1e-9
+
+
+def test_beyond_alpha_1_it_may_be_negative():
+    """A target that hardly is there seems to be none, until a reading says that it may be."""
+    belief = Belief.from_maps([0.0, 0.0], [0.0, 0.01], [0.0, 0.01])
+    model = SensorModel(0.0, malfunction=0.0, true_positive=0.6, false_positive=0.4)
+    path = [0, 1, 0]
+    expected = brute_force.behavioral_information(belief.joint, model, path, 3.0)
+    assert behavioral_information(belief, model, path, 3.0) == pytest.approx(expected, abs=1e-12)
+    assert expected == pytest.approx(-1.1e-6, abs=0.05e-6)
+    assert path_information(belief, model, path) > 0.0
+
+
+@cache
+def every_path():
+    """Return a path for each way to visit the cells of 3x3 in at most 6 steps, in some order."""
+    visits = brute_force.all_visit_counts(3, 3, 0, 6)
+    return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
+
+
+@pytest.mark.parametrize('alpha', ALPHAS)
+@pytest.mark.parametrize('planner, share', [('beam', 0.95), ('relaxed', 0.5)])
+def test_the_search_comes_close_to_the_best_of_all_paths(alpha, planner, share, record_property):
+    least = 1.0
+    for seed in range(20 if FULL else 4):
+        rng = np.random.default_rng(seed)
+        belief = Belief(brute_force.random_joint(rng, 9, 0))
+        model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))
+        best = max(behavioral_information(belief, model, path, alpha) for path in every_path())
+        found = plan(
+            Grid(3, 3),
+            belief,
+            model,
+            6,
+            planner,
+            objective='behavioral',
+            alpha=alpha,
+            max_visits=6,
+        )
+        worth = behavioral_information(belief, model, found.path, alpha)
+        assert worth <= best + 1e-9
+        least = min(least, worth / best)
+    record_property('least', least)
+    assert least >= share
+
+
+def random_problem(seed):
+    rng = np.random.default_rng(seed)
+    belief = Belief(brute_force.random_joint(rng, 25, 0))
+    return Grid(5, 5), belief, SensorModel(**brute_force.random_sensors(rng))
+
+
+@pytest.mark.parametrize('planner', SEEKING)
+@pytest.mark.parametrize('seed', range(20))
+def test_at_alpha_1_plans_are_the_very_same(seed, planner):
+    problem = *random_problem(seed), 10, planner
+    usual, behavioral_one = plan(*problem), plan(*problem, objective='behavioral', alpha=1.0)
+    assert usual.path.tolist() == behavioral_one.path.tolist()
+    assert (usual.information, usual.survival) == (
+        behavioral_one.information,
+        behavioral_one.survival,
+    )
+
+
+@pytest.mark.parametrize('allocation', ['greedy', 'voronoi', 'independent'])
+@pytest.mark.parametrize('planner', SEEKING)
+def test_at_alpha_1_missions_are_the_very_same(planner, allocation):
+    grid, belief, model = (
+        Grid(4, 4),
+        Belief.from_maps(*[np.r_[0, [0.2] * 15]] * 3),
+        SensorModel(0.5),
+    )
+
+    def mission(**sought):
+        rng = np.random.default_rng(3)
+        world = World.random(grid, rng, 0.2, 0.8, 0.1)
+        made = run_mission(
+            grid,
+            belief,
+            model,
+            world,
+            6,
+            rng,
+            max_steps=8,
+            planner=planner,
+            agents=2,
+            allocation=allocation,
+            **sought,
+        )
+        return [each.belief.joint.tobytes() for each in made], [
+            each.plan.path.tolist() for each in made
+        ]
+
+    assert mission() == mission(objective='behavioral', alpha=1.0)
+    one, other = (mission(objective='behavioral', alpha=alpha) for alpha in (0.3, 3.0))
+    assert one[1] != mission()[1] != other[1]
+    assert one == mission(objective='behavioral', alpha=0.3)
+
+
+@pytest.mark.parametrize('alpha', [0.5, 2.0])
+def test_each_seeks_its_own(alpha):
+    """By its own alpha a plan is worth more, on average over beliefs, than one for information."""
+    more = []
+    for seed in range(20):
+        grid, belief, model = random_problem(seed)
+        own, usual = (
+            plan(grid, belief, model, 10, objective='behavioral', alpha=each)
+            for each in (alpha, 1)
+        )
+        worth = [behavioral_information(belief, model, each.path, alpha) for each in (own, usual)]
+        more.append(worth[0] - worth[1])
+    assert min(more) > -0.02
+    assert np.mean(more) > 0.01
+
+
+@pytest.mark.parametrize('planner', SEEKING)
+def test_a_loss_cost_is_counted_beside_it(planner):
+    grid, belief, model = random_problem(4)
+    careful, bold = (
+        plan(
+            grid,
+            belief,
+            model,
+            10,
+            planner,
+            objective='behavioral',
+            alpha=0.5,
+            loss_cost=loss_cost,
+        )
+        for loss_cost in (5.0, 0.0)
+    )
+    assert careful.survival > bold.survival
+
+
+@pytest.mark.parametrize('planner', [each for each in PLANNERS.own if each not in SEEKING])
+def test_planners_that_seek_nothing_refuse_it(planner):
+    with pytest.raises(
+        ValueError, match=f'{planner} seeks none: choose the planner beam or relax'
+    ):
+        plan(*random_problem(0), 6, planner, objective='behavioral', alpha=0.5)
+    with pytest.raises(ValueError, match='seeks none'):
+        plan_team(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
+
+
+@pytest.mark.parametrize(
+    'sought, message',
+    [
+        ({'objective': 'behavioural'}, "'behavioural': it must be one of information, behavioral"),
+        ({'objective': 'behavioral', 'alpha': 0.0}, r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
+        ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
+        ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
+    ],
+)
+def test_what_does_not_fit_is_refused(sought, message):
+    with pytest.raises(ValueError, match=message):
+        plan(*random_problem(0), 6, **sought)
+
+
+def test_the_search_of_information_has_the_powers_it_had():
+    assert behavioral.powers_weights(1.0, np.ones(4)) is WEIGHTS
+    assert behavioral.powers_of(1.0, 4) == WEIGHTS.size
+    assert behavioral.powers_of(0.5, 4) == behavioral.powers_weights(0.5, np.ones(4)).size
