@@ -65,5 +65,5 @@ RETURNED, LOST = SERIES[0], SERIES[1]
 # Names that both Matplotlib and Plotly know.
 MAPS = {'hazard': 'Reds', 'target': 'Greens', 'kappa': 'Purples'}
 
-# Of the hatching of cells that nobody visited.
-UNVISITED = '#707070'
+# Of the hatching of cells that nobody visited: what is below, and the lines themselves.
+UNVISITED = ('#ffffff80', '#505050')

@@ -142,18 +142,19 @@ def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Path:
 
 
 def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
-    """Hatch some cells."""
+    """Hatch some cells, with dark lines within light ones, which show on light and dark maps."""
     if cells.any():
-        axes.add_patch(
-            PathPatch(
-                outlines(grid, cells),
-                facecolor='none',
-                edgecolor=UNVISITED,
-                hatch='////',
-                hatch_linewidth=0.4,
-                linewidth=0.0,
+        for colour, width in zip(UNVISITED, (1.4, 0.5)):
+            axes.add_patch(
+                PathPatch(
+                    outlines(grid, cells),
+                    facecolor='none',
+                    edgecolor=colour,
+                    hatch='////',
+                    hatch_linewidth=width,
+                    linewidth=0.0,
+                )
             )
-        )
 
 
 def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], style: Style) -> None:

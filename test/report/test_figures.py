@@ -38,9 +38,9 @@ def test_cells_that_nobody_visited_are_hatched(mission):
     assert unvisited
     for axes in figure.axes:
         if 'believed' in axes.get_title():
-            (hatched,) = (patch for patch in axes.patches if patch.get_hatch())
-            corners = hatched.get_path().vertices
-            assert len(corners) == 5 * unvisited
+            light, dark = (patch for patch in axes.patches if patch.get_hatch())
+            for hatched in (light, dark):
+                assert len(hatched.get_path().vertices) == 5 * unvisited
 
 
 def test_every_path_is_drawn(mission):
