@@ -54,7 +54,9 @@ def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact', 'prior_maps'])
+@pytest.mark.parametrize(
+    'name', ['teams', 'loss_cost', 'behavioral', 'last_contact', 'prior_maps']
+)
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
@@ -85,6 +87,7 @@ def test_every_figure_is_shown():
         'teams_log_loss.png',
         'teams_by_round.png',
         'loss_cost_robots_lost.png',
+        'behavioral_robots_lost.png',
         'last_contact_log_loss.png',
         'prior_maps_log_loss.png',
     }
@@ -491,6 +494,41 @@ def test_what_it_is_worth_to_plan_for_information():
     for lethality in (0.1, 0.5):
         _, low, high = ends[lethality, 'beam'][0]
         assert low <= 0 <= high
+
+
+def test_what_behavioral_entropies_change():
+    alphas, costs = ('alpha 0.5', 'alpha 0.8', 'alpha 1.25', 'alpha 2'), ('0.1', '0.4')
+    end, more, equal, early = {}, {}, {}, {}
+    for row in rows_of('behavioral', 1):
+        key = float(row['lethality']), row['objective'].removeprefix('information, loss cost ')
+        end[key], more[key] = numbers(row['100']), numbers(row['more lost'])
+        equal[key] = numbers(row['at equal log loss'])
+        early[key] = [numbers(row[robots])[2] for robots in ('10', '25', '50')]
+    lethalities = (0.1, 0.3, 0.5)
+    of_alphas = list(product(lethalities, alphas))
+    assert all(end[key][0] > 0 for key in of_alphas)
+    assert sum(end[key][1] > 0 for key in of_alphas) == 9
+    ahead = [key for key in of_alphas for high in early[key] if high < 0]
+    assert ahead == [(0.1, 'alpha 0.5')]
+    assert [round(more[x, 'alpha 2'][0]) for x in lethalities] == [-6, -12, -21]
+    assert [end[x, 'alpha 2'][0] for x in lethalities] == [4.5, 10.7, 16.7]
+    assert [round(more[x, '0.4'][0]) for x in lethalities] == [-30, -30, -33]
+    assert [end[x, '0.4'][0] for x in lethalities] == [3.1, 5.8, 9.9]
+    assert all(2 <= round(more[x, 'alpha 0.8'][0]) <= 3 for x in lethalities)
+    assert all(more[key][2] > 0 for key in product(lethalities, alphas[:2]))
+    assert all(equal[key][2] > 0 for key in of_alphas)
+    assert all(26 <= round(equal[x, 'alpha 2'][0]) <= 30 for x in lethalities)
+    fewer = [key for key in product(lethalities, costs) if equal[key][2] < 0]
+    assert fewer == [(0.1, '0.1')]
+    assert all(equal[key][1] < 0 for key in product(lethalities, costs))
+    targets = [
+        numbers(row['target log loss'])[0]
+        for end_of in ('`kappa_bnitp_smoothed`', 'behavioral 2')
+        for row in rows_of('behavioral')
+        if row['method'].endswith(end_of)
+    ]
+    assert targets[:3] == [0.3, 1.8, 8.2]
+    assert [round(nats) for nats in targets[3:]] == [4, 11, 22]
 
 
 def test_what_last_contacts_are_worth():
