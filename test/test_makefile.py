@@ -49,6 +49,8 @@ def make(tree, pip, npm):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # Shells start background jobs deaf to it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 

@@ -109,7 +109,7 @@ def test_a_mission_on_a_map_goes_on_after_all_its_nodes_were_killed(field, param
     start(field, {**parameters, 'resume': log})
     done = f'done: {ROBOTS} of {ROBOTS} robots deployed'
     field.until(lambda: field.state('/m/planner') == done, done, patience=180)
-    field.until(lambda: beliefs[-1].deployments == ROBOTS, 'last belief')
+    field.until(lambda: beliefs and beliefs[-1].deployments == ROBOTS, 'last belief')
     assert set(field.processes.stop().values()) == {0}
 
     expected = core_mission(parameters)

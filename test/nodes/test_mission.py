@@ -138,7 +138,7 @@ def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     assert_is_core_mission(parameters, *heard)
     # They follow their belief.
     last = beliefs[-1].header.stamp
-    field.until(lambda: all(view[-1].header.stamp == last for view in views), 'last maps')
+    field.until(lambda: all(view and view[-1].header.stamp == last for view in views), 'last maps')
     assert set(field.processes.stop().values()) == {0}
     recorded = {}
     for logged in read_log(log):

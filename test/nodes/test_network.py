@@ -197,7 +197,8 @@ def test_whoever_is_on_the_network_can_send_a_robot_out(field):
     field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
     # The robot waits for the recorder, which anybody can pass for.
     field.talk(Time, '/scout_1/recorded').publish(forged.header.stamp)
-    field.until(lambda: beliefs[-1].deployments == 1, 'belief')
+    field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
+    field.until(lambda: reports, 'report')
     assert len(reports) == 1
     assert beliefs[-1].target != beliefs[0].target
 
@@ -208,10 +209,10 @@ def test_whoever_is_on_the_network_can_report_for_a_robot_that_is_out(field):
     reports = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     field.start('estimator', {**FIELD, 'await_nodes': ['planner']})
     field.start('planner', {**FIELD, 'robots': 1, 'await_nodes': ['estimator']})
-    field.until(lambda: paths, 'path')
+    field.until(lambda: paths and beliefs, 'path and prior')
     sent, cells = read_path(GRID, 'scout_1', paths[0])
     reports.publish(report_message(sent, Observation(cells, False), 1))
-    field.until(lambda: beliefs[-1].deployments == 1, 'belief of a loss')
+    field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief of a loss')
     assert all(beliefs[-1].hazard[cell] > beliefs[0].hazard[cell] for cell in cells if cell)
     # A return counts for more than a loss, whoever tells of it.
     nothing = [False] * (len(cells) - 1)

@@ -92,6 +92,7 @@ def test_a_refused_report_takes_no_deployment_away(field, refused):
     for name in ('recorder', *NODES):
         start(field, name, log, 3)
     until_done(field, 3)
+    field.until(lambda: beliefs and beliefs[-1].deployments == 3, 'belief in all')
     expected = ledger()
     for number, report in ((1, lost(1)), (2, lost(2)), (3, returned(3))):
         expected.record_path(key(number), HOME)
@@ -122,7 +123,7 @@ def test_deployments_survive_every_restart(field, before):
     for name in ('recorder', *NODES):
         start(field, name, log, robots)
     until_done(field, robots)
-    field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
+    field.until(lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all')
     last = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
     # The last reports may be believed before they are on record.
     field.until(lambda: len(reported(log)) == robots, 'all reports on record')

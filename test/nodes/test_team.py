@@ -70,7 +70,9 @@ class Team:
         planner = f'{self.namespace}/planner'
         self.field.until(lambda: 'done' in self.field.state(planner), 'end', patience)
         held = self.parameters['robots']
-        self.field.until(lambda: self.beliefs[-1].deployments == held, 'last belief')
+        self.field.until(
+            lambda: self.beliefs and self.beliefs[-1].deployments == held, 'last belief'
+        )
         # It may be heard before what it holds.
         self.field.until(lambda: len({key for key, _ in self.told}) == held, 'all reports')
         self.field.until(lambda: sum(map(len, self.paths.values())) >= held, 'all paths')
