@@ -105,6 +105,13 @@ class Chains:
         self.sweeps = 0
         self._undecided = np.flatnonzero(hypotheses.hazard.undecided)
         self._ties = tally.ties(hypotheses.belief.hazard > 0.0, hypotheses.hazard.undecided)
+        # On a large field robots come back from few cells, and of the others nothing is told.
+        self._told = np.flatnonzero(tally.survived.any(axis=0))
+        self._prior_odds = {
+            'hazard_density': hypotheses.hazard.odds(-CERTAIN_HAZARD, CERTAIN_HAZARD),
+            'target_background': hypotheses.background.odds(-np.inf, CERTAIN_TARGET),
+            'kappa': hypotheses.kappa.odds(-np.inf, CERTAIN_TARGET),
+        }
         # By kind, as the tally counts them.
         self._rates = [hypotheses.rates(kind) for kind in tally.kinds]
         # What losses have in common with others: the kind of robot and the number of steps.
@@ -139,9 +146,9 @@ class Chains:
 
     def sweep(self) -> None:
         """Draw everything once, and add up the probabilities it was drawn with."""
-        log_odds, target_if_safe, target_if_hazardous = self._given_returns()
+        odds, target_if_safe, target_if_hazardous = self._given_returns()
         chances = gibbs.Chances(
-            np.exp(log_odds), self._length, self._kind_of_length, self._endured, self._spared
+            odds, self._length, self._kind_of_length, self._endured, self._spared
         )
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
@@ -192,30 +199,43 @@ class Chains:
         """
         Return what steps survived and readings tell of each cell, shape (1 or chains, cells).
 
-        That is the log odds of a hazard, and the odds of a target without and with one.
+        That is the odds of a hazard, and those of a target without and with one.
         """
         tally, hypotheses = self._tally, self._hypotheses
-        read: Floats = np.zeros((1, tally.survived.shape[1]))
-        for rates, positive, negative in zip(self._rates, tally.positive, tally.negative):
+        cells = self._told
+        read: Floats = np.zeros((1, cells.size))
+        log_odds = hypotheses.hazard.at(self.place['hazard_density'], cells)
+        if_safe = hypotheses.background.at(self.place['target_background'], cells)
+        if_hazardous = hypotheses.kappa.at(self.place['kappa'], cells)
+        for rates, survived, positive, negative in zip(
+            self._rates,
+            tally.survived[:, cells],
+            tally.positive[:, cells],
+            tally.negative[:, cells],
+        ):
             true = self._of_chains('true_positive', rates.true_positive)
             false = self._of_chains('false_positive', rates.false_positive)
             with np.errstate(divide='ignore', invalid='ignore'):
                 read = read + times_log(positive, np.log(true) - np.log(false))
                 read = read + times_log(negative, np.log1p(-true) - np.log1p(-false))
-        read = read.clip(-CERTAIN_READING, CERTAIN_READING)
-        kappa = hypotheses.kappa.at(self.place['kappa'])
-        background = hypotheses.background.at(self.place['target_background'])
-        log_odds = hypotheses.hazard.at(self.place['hazard_density'])
-        for rates, survived in zip(self._rates, tally.survived):
             spared = self._of_chains('lethality', rates.log_spared)
             log_odds = log_odds + times_log(survived, spared)
-        log_odds = log_odds + (softplus(read + kappa) - softplus(kappa))
-        log_odds = log_odds - (softplus(read + background) - softplus(background))
+        read = read.clip(-CERTAIN_READING, CERTAIN_READING)
+        log_odds = log_odds + (softplus(read + if_hazardous) - softplus(if_hazardous))
+        log_odds = log_odds - (softplus(read + if_safe) - softplus(if_safe))
         return (
-            log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD),
-            np.exp(np.minimum(read + background, CERTAIN_TARGET)),
-            np.exp(np.minimum(read + kappa, CERTAIN_TARGET)),
+            self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD)),
+            self._odds_with('target_background', np.minimum(read + if_safe, CERTAIN_TARGET)),
+            self._odds_with('kappa', np.minimum(read + if_hazardous, CERTAIN_TARGET)),
         )
+
+    def _odds_with(self, name: str, log_odds: Floats) -> Floats:
+        """Return the odds by a map of the prior, but for the cells that more is told of."""
+        of_values = self._prior_odds[name]
+        is_known = of_values.shape[0] == 1
+        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self.place[name]]
+        odds[:, self._told] = np.exp(log_odds)
+        return odds
 
     def _draw(self, name: str, log_likelihood: Floats) -> Floats:
         """
@@ -254,7 +274,7 @@ class Chains:
             log_likelihood = log(likelihood)
             for kind, rates, survived in zip(tally.kinds, self._rates, tally.survived):
                 if kind.lethality is None:
-                    exposed = (self.hazardous * survived).sum(axis=1)
+                    exposed = (self.hazardous[:, self._told] * survived[self._told]).sum(axis=1)
                     log_likelihood = log_likelihood + exposed[:, None] * rates.log_spared
             weight = self._draw('lethality', log_likelihood)
             ordinary = self._rates[tally.kinds.index(ORDINARY)]
@@ -298,8 +318,9 @@ class Chains:
             if name in unknown:
                 values = hypotheses.bins[name].values
                 learning = [getattr(kind, name) is None for kind in tally.kinds]
+                concerned = concerned[:, self._told]
                 positive, negative = (
-                    (concerned * counts[learning].sum(axis=0)).sum(axis=1)[:, None]
+                    (concerned * counts[learning].sum(axis=0)[self._told]).sum(axis=1)[:, None]
                     for counts in (tally.positive, tally.negative)
                 )
                 log_likelihood = positive * np.log(values) + negative * np.log1p(-values)

@@ -76,11 +76,19 @@ class PriorMap:
         log_absent[undecided] = -softplus(log_odds[undecided, None] + offset)
         return cls(log_odds, undecided, offset, log_absent)
 
-    def at(self, place: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the log odds in chains that have these values, shape (1 or chains, cells)."""
+    def at(
+        self, place: NDArray[np.intp], cells: NDArray[np.intp] | slice = slice(None)
+    ) -> NDArray[np.float64]:
+        """Return log odds of cells in chains with these values, shape (1 or chains, cells)."""
         if self.offset.size == 1:
-            return self.log_odds[None]
-        return self.log_odds + self.undecided * self.offset[place, None]
+            return self.log_odds[None, cells]
+        return self.log_odds[cells] + self.undecided[cells] * self.offset[place, None]
+
+    def odds(self, lowest: float, highest: float) -> NDArray[np.float64]:
+        """Return the odds with each value, of log odds in some range, shape (values, cells)."""
+        log_odds = self.at(np.arange(self.offset.size))
+        odds: NDArray[np.float64] = np.exp(log_odds.clip(lowest, highest))
+        return odds
 
     def mean(self, log_prior: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the probabilities averaged over the offsets, shape (cells,)."""
