@@ -173,6 +173,7 @@ def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
     assert 'mission.mcap ends before the first robot left' in done.stderr
 
 
+@pytest.mark.full
 def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_path):
     begun = [each for each in read_recorded(whole) if isinstance(each, RecordedMetadata)]
     log = tmp_path / 'mission.mcap'

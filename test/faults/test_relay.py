@@ -81,6 +81,7 @@ def test_an_estimator_behind_a_relay(set_out, method, learn):
     assert not [found for found in mission.findings() if found[0] != 'replay']
 
 
+@pytest.mark.full
 def test_everybody_behind_a_relay(set_out):
     mission = set_out(
         PARAMETERS,

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from math import inf
+import time
+
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.core import Grid, Observation
@@ -23,6 +26,10 @@ PARAMETERS = {
 }
 NODES = ('recorder', 'estimator', 'planner')
 AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
+
+# A call that has no answer after so many seconds, and led to no decision, was heard by nobody: DDS
+# may take a planner that was killed for alive for another 20.
+HEARD = 15.0
 
 SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
 
@@ -70,12 +77,24 @@ class Base:
         self.start(resume=str(self.log))
 
     def call(self, service, **request):
-        """Return the answer of a service."""
+        """Return the answer of a service; it is called again if nobody heard the call."""
         client = self.clients[service]
         self.field.until(client.service_is_ready, f'service {service}')
-        future = client.call_async(SERVICES[service].Request(**request))
-        self.field.until(future.done, f'answer of {service}')
-        return future.result()
+        decided, calls, called_at = self.decided(), [], -inf
+
+        def is_answered():
+            nonlocal called_at
+            if time.monotonic() > called_at + HEARD and self.decided() == decided:
+                called_at = time.monotonic()
+                calls.append(client.call_async(SERVICES[service].Request(**request)))
+            return any(call.done() for call in calls)
+
+        self.field.until(is_answered, f'answer of {service}')
+        return next(call.result() for call in calls if call.done())
+
+    def decided(self):
+        """Return the times of all decisions that were heard of."""
+        return {(each.header.stamp.sec, each.header.stamp.nanosec) for each in self.actions}
 
     def do(self, service, **request):
         """Have something done, and return what the planner says to it."""

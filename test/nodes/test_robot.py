@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from itertools import count
 
-from extent import FULL, LONG
+from extent import FULL, LONG, some
 from fleet import Fleet, moves, TARGETS
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ import pytest
 ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
 
 
-@pytest.mark.parametrize('driver', ['follow_waypoints', 'navigate_through_poses', 'follow_path'])
+@pytest.mark.parametrize(
+    'driver', some(['follow_path', 'follow_waypoints', 'navigate_through_poses'], 3)
+)
 def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
     fleet = Fleet(field)
     reports = fleet.reports()
@@ -59,7 +61,7 @@ def fail(fleet, how, driver, when):
     'driver, failures',
     [
         ('follow_waypoints', ['reject', 'abort', 'cancel']),
-        ('follow_path', ['silent', 'lie', 'die']),
+        pytest.param('follow_path', ['silent', 'lie', 'die'], marks=pytest.mark.full),
         *(
             pytest.param(
                 driver,

@@ -120,6 +120,7 @@ def test_an_error_in_the_draw_of_a_number_is_found(name, monkeypatch):
     assert p < SIGNIFICANT
 
 
+@pytest.mark.full
 def test_an_error_in_the_draw_of_hazards_is_found(monkeypatch):
     """All hazards are drawn at twice their odds."""
     draw = gibbs.draw_hazards
