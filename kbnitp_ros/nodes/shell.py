@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+import ctypes
 import signal
 import sys
 import time
@@ -345,9 +346,10 @@ def run(
     finally:
         _leave(code, executor, node)
         # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
-        # One that comes in this very moment would have Python complain, so it is held back before.
-        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        # It would complain of one that comes in this very moment, in whatever thread, so the
+        # process ignores them before Python does.
         for number in ENDING:
+            ctypes.pythonapi.PyOS_setsig(number, ctypes.c_void_p(signal.SIG_IGN))
             signal.signal(number, signal.SIG_IGN)
     return code
 
