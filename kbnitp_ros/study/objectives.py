@@ -54,8 +54,7 @@ def summarise_objectives(results: Results) -> dict[str, Any]:
 
 def in_words(team: Team) -> str:
     """Return what a team seeks."""
-    sought = f'alpha {team.alpha:.4g}' if team.objective == 'behavioral' else team.objective
-    return f'{sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else sought
+    return f'{team.sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else team.sought
 
 
 def objectives_markdown(summary: dict[str, Any]) -> str:

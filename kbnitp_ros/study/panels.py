@@ -42,8 +42,7 @@ def _label(contender: Contender, scenario: Scenario, differ: set[str]) -> str:
     if 'planner' in differ:
         parts.append(team.planner or scenario.planning.planner)
     if differ & {'objective', 'alpha'}:
-        is_behavioral = team.objective == 'behavioral'
-        parts.append(f'alpha {team.alpha:.4g}' if is_behavioral else team.objective)
+        parts.append(team.sought)
     if differ & {'survey', 'trusted'}:
         trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
         parts.append(f'map {team.survey:.4g}{trusted}' if team.survey else 'no map')

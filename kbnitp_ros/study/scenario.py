@@ -118,6 +118,11 @@ class Team:
     objective: Annotated[str, OBJECTIVES] = 'information'
     alpha: Annotated[float, ALPHAS] = 1.0
 
+    @property
+    def sought(self) -> str:
+        """Return what it seeks in a word: the alpha tells one behavioral objective from others."""
+        return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
+
     def __str__(self) -> str:
         """Return what tells it from other teams; robots one by one share nothing out."""
         name = 'one by one' if self.agents == 1 else f'{self.agents} {self.allocation}'

@@ -24,6 +24,7 @@ from kbnitp_ros.core.field import (
 )
 from kbnitp_ros.core.planning.behavioral_kernels import coin, fate_left_open, new_falls
 from kbnitp_ros.core.planning.fates import Fates, nobody_sent
+from kbnitp_ros.core.planning.information_kernels import exposed
 from kbnitp_ros.core.planning.moments import WEIGHTS as SHANNONS
 from kbnitp_ros.core.planning.readings import Readings
 import numpy as np
@@ -150,8 +151,8 @@ def behavioral_information(
     fallen = falls(read, joint, readings, visits.counts, alpha)
     if interest is not None:
         fallen = fallen * interest[visits.cells]
-    hazard, (log_safe, log_deadly) = belief.hazard[visits.cells], model.log_survival
-    open_fate = fate_left_open(visits.of_step, hazard, log_safe, log_deadly, alpha, beta_of(alpha))
+    chance, log_alive = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+    open_fate = fate_left_open(chance, log_alive, alpha, beta_of(alpha))
     of_each = behavioral_entropy(survival, alpha) + survival * fallen.sum(axis=1) - open_fate
     return float((fates.probability * of_each).sum())
 
@@ -181,20 +182,7 @@ def falls(
         By how much the entropies of the targets are expected to fall, nats.
 
     """
-    fallen = np.empty(joint.shape[:-2])
-    new_falls(
-        np.ascontiguousarray(joint).reshape(-1, 2, 2),
-        np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
-        np.broadcast_to(visits, fallen.shape).ravel(),
-        read.survival,
-        read.after,
-        read.outcomes,
-        read.likelihood,
-        alpha,
-        beta_of(alpha),
-        fallen.reshape(-1),
-    )
-    return fallen
+    return read.of_cells(new_falls, joint, earlier, visits, alpha, beta_of(alpha))
 
 
 class Weights(NamedTuple):

@@ -7,7 +7,6 @@ from math import exp, expm1, log
 from typing import Any
 
 from kbnitp_ros.core.field import compiled
-import numpy as np
 
 
 @compiled
@@ -88,43 +87,19 @@ def new_falls(
 
 
 @compiled
-def fate_left_open(
-    steps: Any, hazard: Any, log_safe: float, log_deadly: float, alpha: float, beta: float
-) -> float:
+def fate_left_open(chance: Any, log_survival: Any, alpha: float, beta: float) -> float:
     """
     Return the behavioral entropy of a robot's fate that is expected once the hazards are known.
 
     Parameters
     ----------
-    steps, hazard, log_safe, log_deadly
-        As of `information_kernels.left_open`, which does this for Shannon's entropy.
+    chance, log_survival
+        As `information_kernels.exposed` returns them.
     alpha, beta : float
         Of the Prelec weight.
 
     """
-    visits = np.zeros(hazard.size, np.int64)
-    for cell in steps:
-        visits[cell] += 1
-    # P(c), a Poisson-binomial distribution of the cells so far.
-    exposures = np.zeros(steps.size + 1)
-    exposures[0] = 1.0
-    most = 0
-    for cell in steps:
-        z, n = hazard[cell], visits[cell]
-        if n == 0:
-            continue
-        visits[cell] = 0
-        most += n
-        for c in range(most, n - 1, -1):
-            exposures[c] = (1.0 - z) * exposures[c] + z * exposures[c - n]
-        for c in range(n):
-            exposures[c] *= 1.0 - z
     entropy = 0.0
-    for c in range(most + 1):
-        log_survival = 0.0
-        if c < most:
-            log_survival += (most - c) * log_safe
-        if c > 0:
-            log_survival += c * log_deadly
-        entropy += exposures[c] * coin(exp(log_survival), -expm1(log_survival), alpha, beta)
+    for c in range(chance.size):
+        entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)
     return entropy

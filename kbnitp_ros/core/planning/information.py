@@ -16,7 +16,7 @@ from kbnitp_ros.core.field import (
     Visits,
 )
 from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
-from kbnitp_ros.core.planning.information_kernels import left_open
+from kbnitp_ros.core.planning.information_kernels import exposed, left_open
 from kbnitp_ros.core.planning.readings import Readings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -170,6 +170,7 @@ def added_information(belief: Belief, model: SensorModel, path: ArrayLike, fates
     read = Readings.of(model, int(visits.counts.max()), fates.most_readings)
     added = read.new(joint, readings, visits.counts).sum(axis=1)
     # What is left open is the same whatever became of the others.
-    open_fate = left_open(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+    exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+    open_fate = left_open(*exposures)
     of_each = binary_entropy(survival) + survival * added - open_fate
     return float((fates.probability * of_each).sum())

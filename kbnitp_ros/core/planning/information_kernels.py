@@ -82,9 +82,9 @@ def reading_information(
 
 
 @compiled
-def left_open(steps: Any, hazard: Any, log_safe: float, log_deadly: float) -> float:
+def exposed(steps: Any, hazard: Any, log_safe: float, log_deadly: float) -> Any:
     """
-    Return E_z[h(P(survive | z))] of a path, nats.
+    Find how often a robot may be exposed to hazards on a path, and what becomes of it then.
 
     The hazards decide the number of exposures c, and with it P(survive | z) = s0^(steps - c) s1^c.
 
@@ -97,13 +97,18 @@ def left_open(steps: Any, hazard: Any, log_safe: float, log_deadly: float) -> fl
     log_safe, log_deadly : float
         log s0 and log s1, in [-inf, 0].
 
+    Returns
+    -------
+    chance, log_survival : ndarray, shape (steps + 1,)
+        P(c), a Poisson-binomial distribution, and log P(survive | z) for each c.
+
     """
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
-    # P(c), a Poisson-binomial distribution of the cells so far.
-    exposures = np.zeros(steps.size + 1)
-    exposures[0] = 1.0
+    # Of the cells so far.
+    chance = np.zeros(steps.size + 1)
+    chance[0] = 1.0
     most = 0
     for cell in steps:
         z, n = hazard[cell], visits[cell]
@@ -112,17 +117,24 @@ def left_open(steps: Any, hazard: Any, log_safe: float, log_deadly: float) -> fl
         visits[cell] = 0
         most += n
         for c in range(most, n - 1, -1):
-            exposures[c] = (1.0 - z) * exposures[c] + z * exposures[c - n]
+            chance[c] = (1.0 - z) * chance[c] + z * chance[c - n]
         for c in range(n):
-            exposures[c] *= 1.0 - z
-    entropy = 0.0
+            chance[c] *= 1.0 - z
+    log_survival = np.zeros(steps.size + 1)
     for c in range(most + 1):
-        log_survival = 0.0
         if c < most:
-            log_survival += (most - c) * log_safe
+            log_survival[c] += (most - c) * log_safe
         if c > 0:
-            log_survival += c * log_deadly
-        survival, loss = exp(log_survival), -expm1(log_survival)
+            log_survival[c] += c * log_deadly
+    return chance, log_survival
+
+
+@compiled
+def left_open(chance: Any, log_survival: Any) -> float:
+    """Return E_z[h(P(survive | z))] of a path, nats; arguments as `exposed` returns them."""
+    entropy = 0.0
+    for c in range(chance.size):
+        survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
         if survival > 0.0 and loss > 0.0:
-            entropy -= exposures[c] * (survival * log_survival + loss * log(loss))
+            entropy -= chance[c] * (survival * log_survival[c] + loss * log(loss))
     return entropy

@@ -10,7 +10,7 @@ from kbnitp_ros.core.field import Grid
 from kbnitp_ros.core.planning.behavioral import powers_weights, SHANNON
 from kbnitp_ros.core.planning.found import DECIMALS, Found
 from kbnitp_ros.core.planning.gains import Gains
-from kbnitp_ros.core.planning.information_kernels import left_open
+from kbnitp_ros.core.planning.information_kernels import exposed, left_open
 from kbnitp_ros.core.planning.label_kernels import (
     fate_worth,
     improve,
@@ -235,7 +235,7 @@ class Search:
         visits = np.empty(self.reach.cells.size, dtype=np.int64)
         take(path, 0, 0, *self.gains, visits, factor, term)
         worth = fate_worth(factor, term, 0, self._objective[1], self._objective[2])
-        worth -= left_open(path[1:], self._hazard, *self._log_survival)
+        worth -= left_open(*exposed(path[1:], self._hazard, *self._log_survival))
         return round(worth, DECIMALS)
 
 

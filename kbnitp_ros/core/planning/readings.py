@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import lgamma
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field import SensorModel, surprisal, times_log
 from kbnitp_ros.core.planning.information_kernels import new_readings
@@ -154,19 +155,30 @@ class Readings:
             Nats; 0 where n visits cannot be survived.
 
         """
-        information = np.empty(joint.shape[:-2])
-        new_readings(
+        return self.of_cells(new_readings, joint, earlier, visits, self.noise)
+
+    def of_cells(
+        self,
+        kernel: Callable[..., None],
+        joint: NDArray[np.float64],
+        earlier: NDArray[np.float64],
+        visits: NDArray[np.intp],
+        *own: Any,
+    ) -> NDArray[np.float64]:
+        """Return what a kernel such as `new_readings`, with its own arguments, finds; as `new`."""
+        found = np.empty(joint.shape[:-2])
+        kernel(
             np.ascontiguousarray(joint).reshape(-1, 2, 2),
             np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
-            np.broadcast_to(visits, information.shape).ravel(),
+            np.broadcast_to(visits, found.shape).ravel(),
             self.survival,
             self.after,
             self.outcomes,
             self.likelihood,
-            self.noise,
-            information.reshape(-1),
+            *own,
+            found.reshape(-1),
         )
-        return information
+        return found
 
 
 def positives(camera: Camera, most: int) -> NDArray[np.float64]:
