@@ -117,6 +117,8 @@ class Search:
         self.gains = gains.factor, gains.term
         self._objective = weights, fates, objective.loss_cost, 10.0**DECIMALS
         self._width = width
+        # The worths of closed paths, by the marks of their visits.
+        self._exact: dict[int, float] = {}
         by_promise = width // 2
         home = np.empty((self.reach.within.sum() if by_promise else 0, powers + 4))
         if by_promise:
@@ -224,7 +226,10 @@ class Search:
         of_visits: dict[int, NDArray[np.intp]] = {}
         for path in paths:
             of_visits.setdefault(int(self.marks[path[1:]].sum()), path)
-        worths = [(self.exact(path), path) for path in of_visits.values()]
+        for visits, path in of_visits.items():
+            if visits not in self._exact:
+                self._exact[visits] = self.exact(path)
+        worths = [(self._exact[visits], path) for visits, path in of_visits.items()]
         return sorted(worths, key=lambda ranked: (-ranked[0], ranked[1].size))
 
     def exact(self, path: NDArray[np.intp]) -> float:
