@@ -2,26 +2,13 @@
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
 from collections.abc import Sequence
-from importlib import import_module, metadata
+from importlib import metadata
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.starting import EXECUTABLES, start
 
-# Each module has main(argv=None), whose result is the exit status.
-COMMANDS = {
-    'demo': 'kbnitp_ros.cli.demo',
-    'study': 'kbnitp_ros.cli.study',
-    'replay': 'kbnitp_ros.cli.replay',
-    'report': 'kbnitp_ros.cli.report',
-    'planner': 'kbnitp_ros.nodes.planner',
-    'agent': 'kbnitp_ros.nodes.agent',
-    'team': 'kbnitp_ros.nodes.team',
-    'robot': 'kbnitp_ros.nodes.robot',
-    'estimator': 'kbnitp_ros.nodes.estimator',
-    'recorder': 'kbnitp_ros.nodes.recorder',
-}
-
-USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(COMMANDS)}'
+USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(EXECUTABLES)}'
 
 HELP = f"""{USAGE}
 
@@ -41,11 +28,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name == '--version':
         say(f'kbnitp_ros {metadata.version("kbnitp_ros")}')
         return 0
-    if name not in COMMANDS:
+    if name not in EXECUTABLES:
         complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)
         return 2
-    code: int = import_module(COMMANDS[name]).main(arguments)
-    return code
+    return start(name, arguments)
 
 
 if __name__ == '__main__':

@@ -11,6 +11,7 @@ from extent import some
 from kbnitp_ros import __main__ as commands
 from kbnitp_ros.nodes.command_line import node_parser
 from kbnitp_ros.nodes.parameters import NODES, parameter_of, parameters_of
+from kbnitp_ros.starting import EXECUTABLES
 import pytest
 
 # Options that stand for nothing when they are not given.
@@ -20,7 +21,7 @@ FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out')
 def test_the_rest_of_the_line_goes_to_the_command(monkeypatch, tmp_path):
     tmp_path.joinpath('echo_command.py').write_text('def main(argv=None):\n    return argv\n')
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(commands.COMMANDS, 'echo', 'echo_command')
+    monkeypatch.setitem(EXECUTABLES, 'echo', 'echo_command')
     assert commands.main(['echo', '--help', 'b']) == ['--help', 'b']
 
 
@@ -33,10 +34,10 @@ def test_the_names_are_listed(arguments, status):
     )
     assert done.returncode == status
     told = done.stderr if status else done.stdout
-    assert all(name in told for name in commands.COMMANDS)
+    assert all(name in told for name in EXECUTABLES)
 
 
-@pytest.mark.parametrize('name', some(['', *commands.COMMANDS], 2))
+@pytest.mark.parametrize('name', some(['', *EXECUTABLES], 2))
 def test_every_command_tells_its_version_and_how_to_use_it(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]

@@ -12,7 +12,7 @@ import sys
 from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
-from kbnitp_ros.__main__ import COMMANDS
+from kbnitp_ros.starting import EXECUTABLES
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -117,14 +117,14 @@ def test_both_packages_and_the_installed_one_have_one_version():
 
 def test_every_command_is_installed_as_an_executable():
     scripts = metadata.distribution('kbnitp_ros').entry_points.select(group='console_scripts')
-    assert {script.name: script.value for script in scripts} == {
-        name: f'{module}:main' for name, module in COMMANDS.items()
-    }
+    known = {script.name: script.value for script in scripts}
+    expected = {name: f'kbnitp_ros.starting:{name}' for name in EXECUTABLES}
+    assert known == expected, 'setup.py has changed: build again'
     folder = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
-    assert all(os.access(folder / name, os.X_OK) for name in COMMANDS)
+    assert all(os.access(folder / name, os.X_OK) for name in EXECUTABLES)
 
 
-@pytest.mark.parametrize('module', COMMANDS.values())
+@pytest.mark.parametrize('module', EXECUTABLES.values())
 def test_every_command_can_be_started(module):
     assert callable(import_module(module).main)
 

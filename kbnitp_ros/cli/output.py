@@ -52,7 +52,7 @@ def command(name: str) -> Callable[[Main], Main]:
     Return what makes a command of a function: where it cannot print it ends without a traceback.
 
     It then returns 141, as after SIGPIPE, if nobody reads what it prints, and `os.EX_IOERR` if
-    there is no room for it. Without enough memory it returns 1.
+    there is no room for it. Without enough memory it returns 1, after Ctrl-C 130.
     """
 
     def decorate(main: Main) -> Main:
@@ -66,6 +66,8 @@ def command(name: str) -> Callable[[Main], Main]:
                     return main(argv)
                 finally:
                     flush()
+            except KeyboardInterrupt:
+                return 128 + signal.SIGINT
             except MemoryError as error:
                 complain(name, f'there is not enough memory: {error}')
                 return 1

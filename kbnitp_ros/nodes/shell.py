@@ -228,9 +228,16 @@ class Shell(Node):
         object
             Each of the items.
 
+        Raises
+        ------
+        StoppedError
+            If a signal comes before the last.
+
         """
         say_at = time.monotonic() + SAY_FIRST
         for number, item in enumerate(items):
+            if SIGNALS:
+                raise StoppedError
             if time.monotonic() > say_at:
                 say_at = time.monotonic() + SAY_AGAIN
                 self.get_logger().info(f'{doing}: {number} messages so far')
@@ -311,11 +318,23 @@ def run(
         go on: then one line on stderr says why, and so does diagnostics.
 
     """
-    arguments = list(sys.argv[1:] if args is None else args)
-    parser = node_parser(name, str(make.__doc__))
     SIGNALS.clear()
     for number in ENDING:
         signal.signal(number, lambda received, _: SIGNALS.append(received))
+    try:
+        return _run(name, make, list(sys.argv[1:] if args is None else args), linger)
+    finally:
+        # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
+        # It would complain of one that comes in this very moment, in whatever thread, so the
+        # process ignores them before Python does.
+        for number in ENDING:
+            ctypes.pythonapi.PyOS_setsig(number, ctypes.c_void_p(signal.SIG_IGN))
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _run(name: str, make: Callable[[], Shell], arguments: list[str], linger: float) -> int:
+    """Run a node, and return the exit code of its process."""
+    parser = node_parser(name, str(make.__doc__))
     try:
         # ROS has worse words for a file that is not there.
         check_given(name, arguments)
@@ -345,12 +364,6 @@ def run(
             code = 0
     finally:
         _leave(code, executor, node)
-        # Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well.
-        # It would complain of one that comes in this very moment, in whatever thread, so the
-        # process ignores them before Python does.
-        for number in ENDING:
-            ctypes.pythonapi.PyOS_setsig(number, ctypes.c_void_p(signal.SIG_IGN))
-            signal.signal(number, signal.SIG_IGN)
     return code
 
 

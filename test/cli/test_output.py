@@ -7,8 +7,8 @@ import subprocess
 import sys
 
 from extent import some
-from kbnitp_ros.__main__ import COMMANDS
 from kbnitp_ros.cli.output import command
+from kbnitp_ros.starting import EXECUTABLES
 from mission_log import mission, record
 import pytest
 
@@ -21,7 +21,7 @@ def log(tmp_path_factory):
 @pytest.fixture
 def arguments(log, tmp_path):
     """Return of each command some that have it print."""
-    helps = {name: [name, '--help'] for name in COMMANDS}
+    helps = {name: [name, '--help'] for name in EXECUTABLES}
     repaired = tmp_path / 'repaired.mcap'
     return {
         **helps,
@@ -31,7 +31,7 @@ def arguments(log, tmp_path):
     }
 
 
-KINDS = some(['help', 'replayed', 'repaired', *COMMANDS], 3)
+KINDS = some(['help', 'replayed', 'repaired', *EXECUTABLES], 3)
 
 
 # With LANG=C names of files are printed that are no text.
@@ -111,3 +111,11 @@ def test_too_little_memory_is_told(capsys):
         capsys.readouterr().err
         == 'some: there is not enough memory: Unable to allocate 14.6 TiB\n'
     )
+
+
+def test_an_interrupted_command_ends_without_a_traceback():
+    @command('walk')
+    def interrupted(argv=None):
+        raise KeyboardInterrupt
+
+    assert interrupted() == 130

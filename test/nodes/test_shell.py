@@ -14,6 +14,7 @@ import sys
 from extent import some
 from kbnitp_ros.core import Belief, Grid, plan_team, SensorModel
 from kbnitp_ros.log.bag.reader import is_finished
+from kbnitp_ros.nodes import shell
 from kbnitp_ros.nodes.given import check_given
 from kbnitp_ros.nodes.parameters import NODES, parameters_of
 import pytest
@@ -181,3 +182,20 @@ def test_interrupts_do_not_kill_what_ends_well(field, gap):
     while agent.poll() is None:
         agent.send_signal(signal.SIGINT)
     assert agent.returncode == 0
+
+
+def test_a_node_that_waits_to_be_made_ends_well_however_often_it_is_told(field):
+    planner = field.start('planner', {'map_topic': '/map'})
+    field.until(lambda: 'waiting for a map' in field.state('/planner'), 'waiting planner')
+    while planner.poll() is None:
+        planner.send_signal(signal.SIGINT)
+    assert planner.returncode == 0
+
+
+def test_a_node_that_takes_in_a_log_ends_before_it_is_through(monkeypatch):
+    monkeypatch.setattr(shell, 'SIGNALS', [])
+    items = shell.Shell.tell_progress(None, range(9), 'taking in a log')
+    assert next(items) == 0
+    shell.SIGNALS.append(signal.SIGINT)
+    with pytest.raises(shell.StoppedError):
+        next(items)

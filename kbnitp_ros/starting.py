@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The executables by name, and how they start: a signal ends them well from the beginning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+import os
+import signal
+from types import FrameType
+
+# Each module has main(argv=None), whose result is the exit status.
+COMMANDS = {
+    'demo': 'kbnitp_ros.cli.demo',
+    'study': 'kbnitp_ros.cli.study',
+    'replay': 'kbnitp_ros.cli.replay',
+    'report': 'kbnitp_ros.cli.report',
+}
+NODES = {
+    'planner': 'kbnitp_ros.nodes.planner',
+    'agent': 'kbnitp_ros.nodes.agent',
+    'team': 'kbnitp_ros.nodes.team',
+    'robot': 'kbnitp_ros.nodes.robot',
+    'estimator': 'kbnitp_ros.nodes.estimator',
+    'recorder': 'kbnitp_ros.nodes.recorder',
+}
+EXECUTABLES = {**COMMANDS, **NODES}
+
+
+def start(name: str, argv: Sequence[str] | None = None) -> int:
+    """
+    Import an executable, which takes about a second, and run it.
+
+    Python would answer Ctrl-C with a traceback, wherever it is. A process that still imports has
+    begun nothing that would be left unfinished: it ends at once.
+
+    Parameters
+    ----------
+    name : str
+        One of `EXECUTABLES`.
+    argv : sequence of str, optional
+        Its arguments; those of the process when None.
+
+    Returns
+    -------
+    int
+        Its exit status.
+
+    """
+    handler = _end_well if name in NODES else _end_as_interrupted
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
+    if name in COMMANDS:
+        # A node takes signals in its own way at once, a command as it would without this.
+        for number, each in before.items():
+            signal.signal(number, each)
+    return main(argv)
+
+
+def _end_well(_number: int, _frame: FrameType | None) -> None:
+    os._exit(0)
+
+
+def _end_as_interrupted(number: int, _frame: FrameType | None) -> None:
+    os._exit(128 + number)
+
+
+# What `ros2 run kbnitp_ros NAME` calls.
+demo, study, replay, report = (partial(start, name) for name in COMMANDS)
+planner, agent, team, robot, estimator, recorder = (partial(start, name) for name in NODES)

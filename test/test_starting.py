@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A signal ends every executable well, also while it starts."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from ament_index_python.packages import get_package_prefix
+from kbnitp_ros.starting import EXECUTABLES, NODES
+import pytest
+
+# Stands for a library that takes long to import, which all need.
+SLOW = """
+import time
+print('importing', flush=True)
+time.sleep(60)
+"""
+
+INSTALLED = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+@pytest.mark.parametrize('name', EXECUTABLES)
+@pytest.mark.parametrize('is_installed', [False, True], ids=['module', 'installed'])
+def test_a_signal_while_it_imports_ends_it_without_a_traceback(
+    tmp_path, name, number, is_installed
+):
+    tmp_path.joinpath('numpy.py').write_text(SLOW)
+    command = [INSTALLED / name] if is_installed else [sys.executable, '-m', 'kbnitp_ros', name]
+    path = os.pathsep.join([str(tmp_path), os.environ['PYTHONPATH']])
+    started = subprocess.Popen(
+        command,
+        env={**os.environ, 'PYTHONPATH': path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert started.stdout.readline() == 'importing\n'
+    started.send_signal(number)
+    said, complained = started.communicate(timeout=60)
+    assert started.returncode == (0 if name in NODES else 128 + number)
+    assert said + complained == ''
