@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from kbnitp_ros.core import DeploymentKey, Ending, Grid, Kind, Outcome, Register, Report
+from kbnitp_ros.core import DeploymentKey, Grid, Kind, Outcome, Register, Report
 from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
@@ -112,9 +112,9 @@ class Evidence(Register):
     Attributes
     ----------
     said : list of (DeploymentKey, Report)
-        What fits its path: of each deployment the first return and the first loss after each
-        number of steps known to be survived, in the order in which path and report were both on
-        record.
+        What fits its path: of each deployment all returns that differ and the first loss after
+        each number of steps known to be survived, in the order in which path and report were both
+        on record.
     reports : dict
         By deployment, in the order in which they were reported: the reports that count.
     refused : list of str
@@ -131,8 +131,8 @@ class Evidence(Register):
         self.said: list[Reported] = []
         self.reports: dict[DeploymentKey, Report] = {}
         self.refused: list[str] = []
-        self._said: set[tuple[DeploymentKey, Ending]] = set()
-        self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
+        self._said: set[tuple[DeploymentKey, Outcome]] = set()
+        self._by_stamp: dict[tuple[DeploymentKey, int], list[Report]] = {}
         self._misfits: dict[DeploymentKey, str] = {}
 
     def allow(self, max_steps: int, kinds: Mapping[str, Kind]) -> None:
@@ -158,8 +158,10 @@ class Evidence(Register):
         except ValueError as error:
             self._misfits.setdefault(key, str(error)[:LONGEST])
             raise
-        self._by_stamp.setdefault((key, report.stamp), report)
-        said = key, report.ending
+        at_once = self._by_stamp.setdefault((key, report.stamp), [])
+        if report not in at_once:
+            at_once.append(report)
+        said = key, outcome
         if said not in self._said:
             self._said.add(said)
             self.said.append((key, report))
@@ -167,10 +169,16 @@ class Evidence(Register):
 
     def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         self.reports[key] = report
+        if key in self.contradicted:
+            self.refused.append(self.contradicted[key][:LONGEST])
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:
+        """Return the first of what `reports_at` does."""
+        return self.reports_at(key, stamp)[0]
+
+    def reports_at(self, key: DeploymentKey, stamp: int) -> list[Report]:
         """
-        Return the report of a deployment of this time, or else the one that counts.
+        Return the reports of a deployment of this time, or else the one that counts.
 
         A report that was not on disk yet when recorder and agent died is on record as it was made
         again, later; the belief knew of the first.
@@ -187,7 +195,7 @@ class Evidence(Register):
             raise ValueError(
                 self._misfits.get(key, f'report of deployment {key} is not on record')
             )
-        return self._by_stamp.get((key, stamp)) or replace(self.reports[key], stamp=stamp)
+        return self._by_stamp.get((key, stamp)) or [replace(self.reports[key], stamp=stamp)]
 
     @property
     def survived(self) -> int:

@@ -14,12 +14,12 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, TypeVar
 
 from kbnitp_msgs.msg import ModelBelief
-from kbnitp_ros.core import DeploymentKey, Ending, Estimator, Grid, METHODS, versions
+from kbnitp_ros.core import DeploymentKey, Ending, Estimator, Grid, METHODS, Report, versions
 from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.compare import content, Difference, differences
 from kbnitp_ros.log.decisions import Decisions, is_decision, OPERATOR
@@ -427,14 +427,15 @@ class Fold:
         """
         if self._ledger is None:
             raise ValueError('the prior it started from is not on record')
-        last = newest, self.evidence.report_of(newest, head.stamp)
+        reports = self.evidence.reports_at(newest, head.stamp)
         if self.work > self._limit:
             raise UndecidedError(f'the whole log takes more than {self._limit} steps to compute')
         starts = self._starts(head)
-        likeliest: tuple[TrialLedger, list[Reported]] | None = None
+        likeliest: tuple[TrialLedger, list[Reported], Report] | None = None
         # After a belief that is not reproduced others seldom are, and looking for them takes long.
         is_lost = self._is_astray or self._is_undecided
-        for ledger in starts:
+        for ledger, report in product(starts, reports):
+            last = newest, report
             taken = self._ways.certain(ledger, head, last, recorded.index)
             if taken is None:
                 continue
@@ -442,15 +443,18 @@ class Fold:
             if gives:
                 return []
             if gives is not None:
-                likeliest = likeliest or (ledger, taken)
+                likeliest = likeliest or (ledger, taken, report)
                 if is_lost:
                     break
-        if not is_lost and self._guess(starts, last, head, recorded, likeliest is not None):
+        is_certain = likeliest is not None
+        if not is_lost and any(
+            self._guess(starts, (newest, report), head, recorded, is_certain) for report in reports
+        ):
             return []
         if likeliest is None and self._is_undecided:
             raise UndecidedError('it is not known what the belief before it holds')
-        ledger, taken = likeliest or (self._ledger, [])
-        self._tell(ledger, taken, last)
+        ledger, taken, report = likeliest or (self._ledger, [], reports[0])
+        self._tell(ledger, taken, (newest, report))
         self._keep(ledger)
         return [*self._differences(ledger, head, recorded.message)]
 

@@ -86,7 +86,11 @@ class TrialLedger(Ledger):
 
     def holds(self, key: DeploymentKey, report: Report) -> bool:
         """Return whether a report says nothing new."""
-        return key in self._outcomes and report.ending <= self.ending(key)
+        if key not in self._outcomes:
+            return False
+        if key in self._evidence.contradicted:
+            return not self._outdoes(key, self._outcome(key, report), self._outcomes[key])
+        return report.ending <= self.ending(key)
 
     def knows(self, key: DeploymentKey) -> bool:
         """Return whether a deployment is held, however it ended."""

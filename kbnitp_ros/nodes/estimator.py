@@ -153,7 +153,6 @@ class EstimatorNode(FieldNode):
         self.diagnostics.refuse(topic, error)
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
-        self.diagnostics.accept()
         self.diagnostics.waiting = self._ledger.waiting
         if self._awaiting.is_canceled():
             if changed:
@@ -162,6 +161,11 @@ class EstimatorNode(FieldNode):
             else:
                 self._progress.tell_out(self._ledger.out)
             self._say_what_is_held()
+        if changed and key in self._ledger.contradicted:
+            # The return that was held until now counts no longer.
+            self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
+        else:
+            self.diagnostics.accept()
 
     def _tell_ending(self, key: DeploymentKey) -> None:
         """Tell on the console how a deployment ended, and what is known now."""

@@ -2,6 +2,7 @@
 """A log's beliefs are computed again, and whatever is not reproduced is said."""
 
 from array import array
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
@@ -832,9 +833,36 @@ def test_what_contradicts_is_refused_as_the_estimator_does(whole_mission, replay
     report = replayed(whole.sent)
     assert report.reproduced
     second_return, second_path, no_agent = report.evidence.refused
-    assert f'report of deployment {key} is known and differs: the first return' in second_return
+    assert f'reports of deployment {key} differ: that with more readings counts' in second_return
     assert f'path of deployment {key} is known and differs: the first holds' in second_path
     assert "/scout_1/report: agent is ''" in no_agent
+
+
+@pytest.mark.parametrize('at_once', [False, True])
+@pytest.mark.parametrize('heard', [(0, 1), (1, 0)], ids=['as recorded', 'the other way round'])
+def test_of_two_returns_the_same_counts_however_they_were_heard(replayed, heard, at_once):
+    """Two robots of one name; then the estimator goes on with the log."""
+    whole = Mission()
+    path = [2, 7, 2]
+    key = whole.send_out(path)
+    walks = Observation([2, 7, 12, 7, 2], True, [True] * 4), Observation(path, True, [False] * 2)
+    on_record = []
+    for walk in walks:
+        whole.now -= 1000 * at_once * len(on_record)
+        on_record.append(whole.come_back(key, walk))
+    whole.ledger.record_path(key, path)
+    for number in heard:
+        with suppress(ValueError):
+            whole.ledger.record_report(*on_record[number])
+            whole.publish_belief()
+    whole.deploy(Observation([2, 1, 2], False))
+    held = whole.ledger
+    whole.start_estimator()
+    whole.ledger = held
+    whole.publish_belief()
+    report = replayed(whole.sent)
+    assert report.reproduced
+    assert report.compared['/belief'] == (5 if heard == (0, 1) else 6)
 
 
 def test_who_answers_for_another_agent_is_refused_as_the_estimator_does(replayed):

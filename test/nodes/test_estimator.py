@@ -99,7 +99,10 @@ BAD_REPORTS = [
     (changed(returned(3), survived=False), 'lost brings none'),
     (changed(lost(3), steps_survived=4), 'of 4 steps survived at most 3'),
     (changed(lost(3), steps_survived=2**32 - 1), 'of 4 steps survived at most 3'),
-    (report_message(key(1), Observation(HOME, True, [False] * 4), 0), 'is known and differs'),
+    (
+        report_message(key(1), Observation(HOME, True, [False] * 4), 0),
+        'differ: that with more readings counts',
+    ),
 ]
 
 

@@ -215,7 +215,7 @@ class Evidence:
 
     def observation(self, key):
         """Return what the reports of a deployment say together; None if none of them fits."""
-        path, contacts = self.paths[key], []
+        path, returns, contacts = self.paths[key], [], []
         for report in self.reports[key]:
             walk = [0, *(reading.cell for reading in report.readings)]
             known = report.steps_survived
@@ -224,9 +224,13 @@ class Evidence:
             if report.survived:
                 if is_walk(walk) and len(walk) <= 10 * MAX_STEPS + 1 and not known:
                     read = [-1 if each.not_looked else each.detected for each in report.readings]
-                    return Observation(walk, True, read)
+                    returns.append((sum(each >= 0 for each in read), read, walk))
             elif walk == [0] and known < len(path) - 1:
                 contacts.append(known)
+        if returns:
+            # Of several that differ, that with more readings counts.
+            _, read, walk = max(returns)
+            return Observation(walk, True, read)
         return Observation(path, False, steps_survived=max(contacts)) if contacts else None
 
     def joint(self):

@@ -129,9 +129,10 @@ class Register:
     The paths and outcomes of deployments, of each the one that counts.
 
     Paths and reports come in any order and may come again. The first path that a robot could take
-    holds. So does the first report that fits it, but a return outdoes a loss: the robot was only
-    late; and of two losses that with the later contact counts. All who judge evidence judge it
-    here: a refused report changes nothing for any of them.
+    holds. Which of several reports that fit it counts does not depend on their order: a return
+    outdoes a loss, since the robot was only late, and of two losses that with the later contact
+    counts. Two returns can only differ if two robots have one name: then that with more readings
+    counts. All who judge evidence judge it here: a refused report changes nothing for any of them.
 
     Parameters
     ----------
@@ -148,6 +149,8 @@ class Register:
         Paths and reports that said nothing new.
     lost : int
         How many deployments are known to have ended with a lost robot.
+    contradicted : dict of DeploymentKey to str
+        Deployments of which several returns differ, and what to say of that.
 
     """
 
@@ -159,6 +162,7 @@ class Register:
         self.kinds = dict(kinds)
         self.duplicates = 0
         self.lost = 0
+        self.contradicted: dict[DeploymentKey, str] = {}
         # Thousands of deployments are kept, so each in few bytes.
         self._cell_type = np.min_scalar_type(grid.cells - 1)
         self._paths: dict[DeploymentKey, bytes] = {}
@@ -210,6 +214,7 @@ class Register:
         other = copy(self)
         other._paths, other._outcomes = self._paths.copy(), self._outcomes.copy()
         other._waiting = {key: reports.copy() for key, reports in self._waiting.items()}
+        other.contradicted = self.contradicted.copy()
         return other
 
     def record_path(self, key: DeploymentKey, path: ArrayLike) -> bool:
@@ -265,9 +270,9 @@ class Register:
         Raises
         ------
         ValueError
-            If the report does not fit its path, tells of another return than the one known, or is
-            refused by `_take_in`; or if too many wait for their paths: then those of the oldest
-            deployment are dropped.
+            If the report does not fit its path, tells of another return than the one known, which
+            counts, or is refused by `_take_in`; or if too many wait for their paths: then those of
+            the oldest deployment are dropped.
 
         """
         if key not in self._paths:
@@ -285,17 +290,32 @@ class Register:
             return False
         outcome = self._outcome(key, report)
         known = self._outcomes.get(key)
-        if known is not None and outcome.ending <= known.ending:
-            if report.survived and outcome != known:
-                raise ValueError(
-                    f'report of deployment {key} is known and differs: the first return holds '
-                    f'(do two robots have the name {key.agent}?)'
-                )
+        differs = known is not None and known.ending == outcome.ending and known != outcome
+        if differs:
+            self.contradicted[key] = (
+                f'reports of deployment {key} differ: that with more readings counts '
+                f'(do two robots have the name {key.agent}?)'
+            )
+        if known is not None and not self._outdoes(key, outcome, known):
+            if differs:
+                raise ValueError(self.contradicted[key])
             self.duplicates += 1
             return False
         self._take_in(key, outcome, report)
         self._set_outcome(key, outcome)
         return True
+
+    def _outdoes(self, key: DeploymentKey, outcome: Outcome, known: Outcome) -> bool:
+        """Return whether an outcome counts instead of the one known."""
+        if outcome == known or outcome.ending != known.ending:
+            return outcome.ending > known.ending
+        return self._readings(key, outcome) > self._readings(key, known)
+
+    def _readings(self, key: DeploymentKey, outcome: Outcome) -> tuple[int, list[int], list[int]]:
+        """Return how many readings a return has, and what tells it from others with as many."""
+        seen = self._observation(key, outcome)
+        readings = [] if seen.readings is None else seen.readings.tolist()
+        return sum(each >= 0 for each in readings), readings, seen.path.tolist()
 
     def _set_outcome(self, key: DeploymentKey, outcome: Outcome | None) -> None:
         """Have an outcome count from now on; None for none."""

@@ -160,13 +160,34 @@ def test_another_path_for_a_known_deployment_is_refused(ledger):
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-def test_another_return_of_a_known_deployment_is_refused(ledger):
+# Returns of one deployment, such as of two robots of one name, from the one that counts least.
+RETURNS = [
+    Report(True, ((0, True), (1, -1), (4, -1))),
+    Report(True, ((0, True), (4, True))),
+    Report(True, ((0, True), (1, False), (4, False))),
+    Report(True, ((0, True), (3, False), (4, False))),
+    Report(True, ((0, True), (1, True), (4, False))),
+]
+
+
+@pytest.mark.parametrize('second', range(len(RETURNS)))
+@pytest.mark.parametrize('first', range(len(RETURNS)))
+def test_of_two_returns_that_with_more_readings_counts_whichever_comes_first(
+    ledger, first, second
+):
     ledger.record_path(A, PATH)
-    ledger.record_report(A, RETURNED)
+    assert ledger.record_report(A, RETURNS[first])
     before = state(ledger)
-    with pytest.raises(ValueError, match='report.*scout_1.*differs: the first return holds'):
-        ledger.record_report(A, Report(True, ((0, True), (1, True), (4, False))))
-    assert state(ledger) == before
+    if first > second:
+        with pytest.raises(ValueError, match='reports of .*scout_1.*differ: that with more'):
+            ledger.record_report(A, RETURNS[second])
+        assert state(ledger) == before
+    else:
+        assert ledger.record_report(A, RETURNS[second]) is (first < second)
+    assert ledger.contradicted.keys() == ({A} if first != second else set())
+    counts = RETURNS[max(first, second)].readings
+    walk, readings = zip((4, 0), *counts)
+    assert ledger.belief.joint.tobytes() == folded(Observation(walk, True, readings[1:]))
 
 
 UNFIT = [
