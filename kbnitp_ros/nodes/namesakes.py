@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from math import inf
 import time
 from uuid import uuid4
 
@@ -16,6 +17,8 @@ INSTANCE = 'instance'
 # Seconds without diagnostics after which a node of this name is taken for dead. DDS knows of one
 # that was killed for much longer, and one that lives says something every second.
 SILENT = 3.0
+
+OWN_NAME = 'each robot needs its own (parameter agent and the namespace)'
 
 # The most bytes of diagnostics.
 LARGEST = 2**20
@@ -39,7 +42,7 @@ class Namesakes:
         self._topic = topic
         self._instance = uuid4().hex
         node.diagnostics.values[INSTANCE] = self._instance
-        self._heard_at = 0.0
+        self._heard_at = -inf
         self._seen_since: float | None = None
         node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST)
 
@@ -49,6 +52,13 @@ class Namesakes:
             is_other = told.get(INSTANCE, self._instance) != self._instance
             if is_other and status.name == self._node.get_fully_qualified_name():
                 self._heard_at = time.monotonic()
+
+    @property
+    def heard(self) -> str:
+        """Return that another node of this name is alive; empty if none was heard just now."""
+        if time.monotonic() > self._heard_at + SILENT:
+            return ''
+        return f'another {self._node.get_fully_qualified_name()} is heard, and {OWN_NAME}'
 
     @property
     def awaited(self) -> str:
@@ -65,5 +75,5 @@ class Namesakes:
             return ''
         return (
             f'waiting for the other {self._node.get_fully_qualified_name()} to end: {same} nodes '
-            'have this name, and each robot needs its own (parameter agent and the namespace)'
+            f'have this name, and {OWN_NAME}'
         )

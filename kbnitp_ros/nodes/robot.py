@@ -227,6 +227,8 @@ class RobotNode(FieldNode):
     def _look(self) -> None:
         self._locate()
         self._keep(self._journal.write)
+        # At home its state says so, and whom it waits for.
+        self._say('name', self._namesakes.heard if self._trip else '')
         self._driver.look()
         self.diagnostics.waiting = self._orders.waiting
         self.diagnostics.state = self._wait() if self._trip is None else self._go_on(self._trip)
