@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Literal
 
 from kbnitp_ros.figures import SERIES, Style, WIDTH
-from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Team
+from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, team_labels
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
@@ -22,31 +21,14 @@ Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 def labels_of(scenario: Scenario) -> dict[Contender, str]:
     """Return what tells each contender from the others."""
-    differ = {
-        field.name
-        for field in fields(Team)
-        if len({getattr(team, field.name) for team in scenario.teams}) > 1
-    }
-    return {each: _label(each, scenario, differ) for each in scenario.contenders}
+    teams = team_labels(scenario)
+    return {each: _label(each, scenario, teams[each.team]) for each in scenario.contenders}
 
 
-def _label(contender: Contender, scenario: Scenario, differ: set[str]) -> str:
-    method, team = contender
-    parts = [method] if len(scenario.methods) > 1 else []
-    if differ & {'agents', 'allocation'}:
-        parts.append('one by one' if team.agents == 1 else f'{team.agents} {team.allocation}')
-    if 'loss_cost' in differ:
-        parts.append(f'loss cost {team.loss_cost:.4g}')
-    if 'last_contact' in differ:
-        parts.append(f'last contact {team.last_contact:.4g}')
-    if 'planner' in differ:
-        parts.append(team.planner or scenario.planning.planner)
-    if differ & {'objective', 'alpha'}:
-        parts.append(team.sought)
-    if differ & {'survey', 'trusted'}:
-        trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
-        parts.append(f'map {team.survey:.4g}{trusted}' if team.survey else 'no map')
-    return ', '.join(parts) or method
+def _label(contender: Contender, scenario: Scenario, team: str) -> str:
+    if len(scenario.methods) == 1 and team:
+        return team
+    return f'{contender.method}, {team}' if team else contender.method
 
 
 def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, MISSING
 from pathlib import Path
 from types import UnionType
@@ -123,17 +123,6 @@ class Team:
         """Return what it seeks in a word: the alpha tells one behavioral objective from others."""
         return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
 
-    def __str__(self) -> str:
-        """Return what tells it from other teams; robots one by one share nothing out."""
-        name = 'one by one' if self.agents == 1 else f'{self.agents} {self.allocation}'
-        cost = f', loss cost {self.loss_cost:.4g}' if self.loss_cost else ''
-        contact = f', last contact {self.last_contact:.4g}' if self.last_contact else ''
-        planner = f', {self.planner}' if self.planner else ''
-        known = f', map {self.survey:.4g}' if self.survey else ''
-        trusted = f' trusted as {self.trusted:.4g}' if self.trusted else ''
-        sought = '' if self.objective == 'information' else f', {self.objective} {self.alpha:.4g}'
-        return name + cost + contact + planner + known + trusted + sought
-
     def options(self) -> dict[str, Any]:
         """Return what `run_mission` is told of it, by name."""
         return {
@@ -156,10 +145,6 @@ class Contender(NamedTuple):
 
     method: str
     team: Team
-
-    def __str__(self) -> str:
-        """Return the method, and the team unless robots go one by one at no cost."""
-        return self.method if self.team == ALONE else f'{self.method}, {self.team}'
 
 
 @dataclass(frozen=True)
@@ -359,6 +344,33 @@ def differ_only_in(scenario: Scenario, *names: str) -> bool:
         for team in scenario.teams
     }
     return len(scenario.teams) > 1 and len(others) == 1
+
+
+def team_labels(scenario: Scenario) -> dict[Team, str]:
+    """Return what tells each team of a scenario from the others; empty if there are no others."""
+    differ = {
+        field.name
+        for field in fields(Team)
+        if len({getattr(team, field.name) for team in scenario.teams}) > 1
+    }
+    return {team: ', '.join(_differing(team, scenario, differ)) for team in scenario.teams}
+
+
+def _differing(team: Team, scenario: Scenario, differ: set[str]) -> Iterator[str]:
+    """Yield the words for what teams differ in."""
+    if differ & {'agents', 'allocation'}:
+        yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'
+    if 'loss_cost' in differ:
+        yield f'loss cost {team.loss_cost:.4g}'
+    if 'last_contact' in differ:
+        yield f'last contact {team.last_contact:.4g}'
+    if 'planner' in differ:
+        yield team.planner or scenario.planning.planner
+    if differ & {'objective', 'alpha'}:
+        yield team.sought
+    if differ & {'survey', 'trusted'}:
+        trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
+        yield f'map {team.survey:.4g}{trusted}' if team.survey else 'no map'
 
 
 def in_percent(lethality: float | None) -> str:

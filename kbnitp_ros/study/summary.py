@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import ALONE, in_short, Team
+from kbnitp_ros.study.scenario import in_short, Team, team_labels
 import numpy as np
 from numpy.typing import NDArray
 
@@ -161,18 +160,21 @@ def summarise(results: Results) -> dict[str, Any]:
     -------
     dict
         ``trials``, ``robots``, ``reference`` (the scenario's last method) and ``rows``: one for
-        each lethality, method and team, with the mean and interval of each of `SUMMARISED`, of
-        ``false_targets``, how many targets are believed to be in cells with a hazard alone, and
-        of ``difference``, the reference's total log loss less this method's with the same team in
-        the same trial: negative where the reference is nearer to the truth.
+        each lethality, method and team, with a ``label`` that tells the team from the others, the
+        mean and interval of each of `SUMMARISED`, of ``false_targets``, how many targets are
+        believed to be in cells with a hazard alone, and of ``difference``, the reference's total
+        log loss less this method's with the same team in the same trial: negative where the
+        reference is nearer to the truth.
 
     """
     scenario = results.scenario
     reference = scenario.methods[-1]
+    labels = team_labels(scenario)
     rows = []
     for lethality in scenario.lethalities:
         for method, team in scenario.contenders:
             row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
+            row['label'] = labels[team]
             for name, measures in SUMMARISED.items():
                 final = results.series(lethality, method, *measures, team=team)[:, -1]
                 row[name] = as_json(mean_of(final))
@@ -192,11 +194,6 @@ def summarise(results: Results) -> dict[str, Any]:
         'reference': reference,
         'rows': rows,
     }
-
-
-def team_of(row: Mapping[str, Any]) -> Team:
-    """Return the team that a row of a summary is of."""
-    return Team(**{field.name: row[field.name] for field in fields(Team)})
 
 
 def as_json(mean: Mean) -> dict[str, float | None]:
@@ -223,8 +220,7 @@ def markdown(summary: dict[str, Any]) -> str:
         )
     rows = []
     for row in summary['rows']:
-        team = team_of(row)
-        method = f'`{row["method"]}`' if team == ALONE else f'`{row["method"]}`, {team}'
+        method = ', '.join(filter(None, [f'`{row["method"]}`', row['label']]))
         cells = [shown(row[name]) if name in row else '' for name in columns]
         rows.append([in_short(row['lethality']), method, *cells])
     heads = ['lethality', 'method', *(name.replace('_', ' ') for name in columns)]

@@ -8,8 +8,8 @@ from typing import Any
 
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL, means_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_short, Scenario, Team
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table, team_of
+from kbnitp_ros.study.scenario import in_short, Scenario, Team, team_labels
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
@@ -58,13 +58,15 @@ def summarise_teams(results: Results) -> dict[str, Any]:
     -------
     dict
         ``robots``, ``rounds`` (as many as the largest team can do in full) and ``rows``: one for
-        each lethality, method and team, with how many rounds it takes (``rounds``) and the mean
+        each lethality, method and team, with what tells the team from the others (``label``), how
+        many rounds it takes (``rounds``) and the mean
         and interval of: the information gained a robot and a round, nats, over the whole mission;
         the total log loss at its end; ``difference``, that less the smallest team's in the same
         trial; and what is reached after the common ``rounds``.
 
     """
     scenario = results.scenario
+    labels = team_labels(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)
     common = scenario.robots // max(team.agents for team in scenario.teams)
     rows = []
@@ -84,7 +86,7 @@ def summarise_teams(results: Results) -> dict[str, Any]:
             'early_robots_lost': after_rounds(lost, team.agents)[:, common],
         }
         row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
-        row['rounds'] = rounds
+        row |= {'label': labels[team], 'rounds': rounds}
         rows.append(row | {name: as_json(mean_of(values)) for name, values in measured.items()})
     return {'robots': scenario.robots, 'rounds': common, 'rows': rows}
 
@@ -108,8 +110,12 @@ def teams_markdown(summary: dict[str, Any]) -> str:
     )
     rows = []
     for row in summary['rows']:
-        team = team_of(row)
-        cells = [in_short(row['lethality']), f'`{row["method"]}`', str(team), str(row['rounds'])]
+        cells = [
+            in_short(row['lethality']),
+            f'`{row["method"]}`',
+            row['label'],
+            str(row['rounds']),
+        ]
         cells += [shown(row[name], decimals) for name, (_, decimals) in columns.items()]
         rows.append(cells)
     heads = ['lethality', 'method', 'team', 'rounds', *(head for head, _ in columns.values())]

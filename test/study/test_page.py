@@ -8,7 +8,7 @@ import re
 
 from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
-from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED
+from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED, team_labels
 import numpy as np
 from PIL import Image
 import pytest
@@ -68,6 +68,19 @@ def test_the_page_shows_full_studies_of_teams(name):
         rf'<!-- table {name} -->\nAfter (\d+) robots: means of (\d+) trials', text
     )
     assert said == (str(scenario.robots), str(scenario.trials))
+
+
+@pytest.mark.parametrize(
+    'name', ['teams', 'loss_cost', 'behavioral', 'planners', 'last_contact', 'prior_maps']
+)
+def test_rows_are_called_as_a_study_calls_them(name):
+    scenario = read_scenario(SCENARIOS / f'{name}.yaml')
+    labels = team_labels(scenario)
+    assert [row['method'] for row in rows_of(name)] == [
+        f'`{method}`, {labels[team]}'
+        for _ in scenario.lethalities
+        for method, team in scenario.contenders
+    ]
 
 
 def test_every_figure_is_shown():
@@ -285,7 +298,7 @@ def test_what_not_knowing_anything_costs():
 def teams(place):
     """Return {(lethality, team): {column: (mean, low, high)}} of either table."""
     scenario = read_scenario(SCENARIOS / 'teams.yaml')
-    keys = product(scenario.lethalities, map(str, scenario.teams))
+    keys = product(scenario.lethalities, team_labels(scenario).values())
     return {
         key: {column: numbers(cell) for column, cell in row.items()}
         for key, row in zip(keys, rows_of('teams', place), strict=True)
@@ -523,7 +536,7 @@ def test_what_behavioral_entropies_change():
     assert all(equal[key][1] < 0 for key in product(lethalities, costs))
     targets = [
         numbers(row['target log loss'])[0]
-        for end_of in ('`kappa_bnitp_smoothed`', 'behavioral 2')
+        for end_of in ('loss cost 0, information', 'loss cost 0, alpha 2')
         for row in rows_of('behavioral')
         if row['method'].endswith(end_of)
     ]

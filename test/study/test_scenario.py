@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from kbnitp_ros.study.scenario import read_scenario, Team
+from kbnitp_ros.study.scenario import ALONE, read_scenario, Team, team_labels
 import pytest
 import small_study
 import yaml
@@ -92,10 +92,14 @@ def test_teams_are_what_the_file_says_and_robots_go_one_by_one_without(tmp_path,
     read = read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
     assert read.teams == (Team(4, 'voronoi', 0.5), Team(2, 'greedy', 0.0), Team(1))
     assert len(read.contenders) == 3 * 3
-    names = [str(contender) for contender in read.contenders[:3]]
-    first = 'relaxed_bnitp'
-    assert names == [f'{first}, 4 voronoi, loss cost 0.5', f'{first}, 2 greedy', first]
-    assert [str(contender) for contender in scenario.contenders] == list(scenario.methods)
+    labels = team_labels(read)
+    assert [*labels] == [*read.teams]
+    assert [*labels.values()] == [
+        '4 voronoi, loss cost 0.5',
+        '2 greedy, loss cost 0',
+        'one by one, loss cost 0',
+    ]
+    assert team_labels(scenario) == {ALONE: ''}
 
 
 def test_the_teams_shipped_send_the_same_robots():

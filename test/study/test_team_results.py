@@ -6,7 +6,6 @@ from dataclasses import replace
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Team
-from kbnitp_ros.study.summary import team_of
 from kbnitp_ros.study.teams import after_rounds, differ_in_size, summarise_teams, teams_markdown
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 import numpy as np
@@ -62,7 +61,7 @@ def test_what_a_robot_and_a_round_bring(teams):
 
     loss = ('hazard_log_loss', 'target_log_loss')
     for row, team in zip(summary['rows'], TEAMS, strict=True):
-        assert team_of(row) == team
+        assert {name: row[name] for name in vars(team)} == vars(team)
         prior = mean(team, 0, 'joint_entropy')
         gained = prior - mean(team, 4, 'joint_entropy')
         first = {1: 1, 2: 2, 3: 3}[team.agents]
