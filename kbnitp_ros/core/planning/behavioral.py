@@ -14,18 +14,11 @@ from functools import lru_cache
 from math import log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import (
-    as_path,
-    Belief,
-    log_predicted_survival,
-    SensorModel,
-    surprisal,
-    Visits,
-)
+from kbnitp_ros.core.field import Belief, SensorModel, surprisal
 from kbnitp_ros.core.planning.behavioral_kernels import coin, fate_left_open, new_falls
 from kbnitp_ros.core.planning.fates import Fates, nobody_sent
-from kbnitp_ros.core.planning.information_kernels import exposed
 from kbnitp_ros.core.planning.moments import WEIGHTS as SHANNONS
+from kbnitp_ros.core.planning.outlook import look_ahead
 from kbnitp_ros.core.planning.readings import Readings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,18 +135,13 @@ def behavioral_information(
 
     """
     fates = nobody_sent(belief) if fates is None else fates
-    visits = Visits.of(as_path(path))
-    joint, readings = fates.of_cells(visits.cells)
-    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
-    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
-    survival = np.exp(log_survival.sum(axis=1))
-    read = Readings.of(model, int(visits.counts.max()), fates.most_readings)
-    fallen = falls(read, joint, readings, visits.counts, alpha)
+    ahead = look_ahead(belief, model, path, fates)
+    fallen = falls(ahead.readings, ahead.joint, ahead.earlier, ahead.visits.counts, alpha)
     if interest is not None:
-        fallen = fallen * interest[visits.cells]
-    chance, log_alive = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
-    open_fate = fate_left_open(chance, log_alive, alpha, beta_of(alpha))
-    of_each = behavioral_entropy(survival, alpha) + survival * fallen.sum(axis=1) - open_fate
+        fallen = fallen * interest[ahead.visits.cells]
+    open_fate = fate_left_open(*ahead.exposures, alpha, beta_of(alpha))
+    fate = behavioral_entropy(ahead.survival, alpha)
+    of_each = fate + ahead.survival * fallen.sum(axis=1) - open_fate
     return float((fates.probability * of_each).sum())
 
 

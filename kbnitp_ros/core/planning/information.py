@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kbnitp_ros.core.field import (
-    as_path,
     Belief,
     binary_entropy,
     Kind,
@@ -16,8 +15,8 @@ from kbnitp_ros.core.field import (
     Visits,
 )
 from kbnitp_ros.core.planning.fates import after_sending, Fates, nobody_sent
-from kbnitp_ros.core.planning.information_kernels import exposed, left_open
-from kbnitp_ros.core.planning.readings import Readings
+from kbnitp_ros.core.planning.information_kernels import left_open
+from kbnitp_ros.core.planning.outlook import look_ahead
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -156,21 +155,8 @@ def added_information(belief: Belief, model: SensorModel, path: ArrayLike, fates
         If the path has no step or leaves the belief's cells.
 
     """
-    cells = as_path(path)
-    if cells.min() < 0 or cells.max() >= belief.cells:
-        raise ValueError(
-            f'path has cells from {cells.min()} to {cells.max()}: '
-            f'the belief has the cells 0 to {belief.cells - 1}'
-        )
-    visits = Visits.of(cells)
-    joint, readings = fates.of_cells(visits.cells)
-    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
-    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
-    survival = np.exp(log_survival.sum(axis=1))
-    read = Readings.of(model, int(visits.counts.max()), fates.most_readings)
-    added = read.new(joint, readings, visits.counts).sum(axis=1)
-    # What is left open is the same whatever became of the others.
-    exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
-    open_fate = left_open(*exposures)
-    of_each = binary_entropy(survival) + survival * added - open_fate
+    ahead = look_ahead(belief, model, path, fates)
+    added = ahead.readings.new(ahead.joint, ahead.earlier, ahead.visits.counts).sum(axis=1)
+    open_fate = left_open(*ahead.exposures)
+    of_each = binary_entropy(ahead.survival) + ahead.survival * added - open_fate
     return float((fates.probability * of_each).sum())
