@@ -37,7 +37,7 @@ AWAITED = {
 }
 
 DEPLOYMENTS = 2000  # unless told otherwise
-PERIOD = 0.5  # seconds between two looks at the memory
+PERIOD = 0.5  # seconds between two looks
 PATIENCE = 60.0  # seconds that a deployment may take
 MEBIBYTE = 2**20
 
@@ -53,16 +53,15 @@ class Sample:
         In seconds.
     deployments : int
         How many the belief held.
-    rss, pss : dict of str to int
-        The memory of each node's process in bytes: all that is resident, and with what it shares
-        with other processes divided among them.
+    memory : dict of str to dict of str to int
+        Of each node's process in bytes: 'Rss' is all that is resident, and in 'Pss' what it shares
+        with other processes is divided among them.
 
     """
 
     time: float
     deployments: int
-    rss: dict[str, int]
-    pss: dict[str, int]
+    memory: dict[str, dict[str, int]]
 
 
 def main() -> None:
@@ -96,7 +95,12 @@ def run_nodes(deployments: int) -> list[Sample]:
             'recorder': {'file': str(Path(folder, 'mission.mcap'))},
             'estimator': {},
             'agent': {'recorded': True},
-            'planner': {'robots': deployments, 'planner': 'relaxed', 'recorded': True},
+            'planner': {
+                'robots': deployments,
+                'planner': 'relaxed',
+                'recorded': True,
+                'keep_running': True,
+            },
         }
         for name, awaited in AWAITED.items():
             given = {'await_nodes': awaited} if awaited else {}
@@ -108,20 +112,20 @@ def run_nodes(deployments: int) -> list[Sample]:
         node.create_subscription(BeliefMaps, 'belief', beliefs.append, qos.LATCHED)
         running = processes.started.items()
         held = 0
-        heard = looked = time.monotonic()
+        heard = time.monotonic()
         with tqdm(total=deployments, unit='deployment', disable=None) as bar:
             while held < deployments:
-                rclpy.spin_once(node, timeout_sec=PERIOD)
+                # The newest belief waits until then: to take each would slow the nodes down.
+                time.sleep(PERIOD)
+                rclpy.spin_once(node, timeout_sec=0.0)
                 now = time.monotonic()
                 if beliefs:
                     heard = now
                     bar.update(beliefs[-1].deployments - held)
                     held = beliefs.pop().deployments
-                if held and now > looked + PERIOD:
-                    looked = now
-                    rss = {name: memory(process.pid, 'Rss') for name, process in running}
-                    pss = {name: memory(process.pid, 'Pss') for name, process in running}
-                    samples.append(Sample(now, held, rss, pss))
+                if 0 < held < deployments:
+                    memories = {name: memory(process.pid) for name, process in running}
+                    samples.append(Sample(now, held, memories))
                 if processes.ended() or now > heard + PATIENCE:
                     raise RuntimeError(f'no belief after {held}; ended are {processes.ended()}')
         node.destroy_node()
@@ -135,12 +139,11 @@ def rate_of(samples: list[Sample]) -> float:
     return (last.deployments - first.deployments) / (last.time - first.time)
 
 
-def memory(pid: int, kind: str) -> int:
-    """Return the Rss or Pss of a process in bytes."""
-    for line in Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines():
-        if line.startswith(f'{kind}:'):
-            return int(line.split()[1]) * 1024
-    raise ValueError(f'kind is {kind!r}: it must be Rss or Pss')
+def memory(pid: int) -> dict[str, int]:
+    """Return the Rss and the Pss of a process in bytes."""
+    lines = Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()
+    kibibytes = dict(line.split()[:2] for line in lines)
+    return {kind: int(kibibytes[f'{kind}:']) * 1024 for kind in ('Rss', 'Pss')}
 
 
 def run_bare(rounds: int) -> float:
@@ -171,10 +174,10 @@ def table(samples: list[Sample], deployments: int) -> str:
         f'| node | | 1 to {fifth} | {deployments - fifth + 1} to {deployments} | growth |',
         '|---|---|---|---|---|',
     ]
-    for name in samples[0].rss:
-        for kind in ('rss', 'pss'):
+    for name in samples[0].memory:
+        for kind in ('Rss', 'Pss'):
             before, after = (
-                np.mean([getattr(sample, kind)[name] for sample in part]) / MEBIBYTE
+                np.mean([sample.memory[name][kind] for sample in part]) / MEBIBYTE
                 for part in (early, late)
             )
             lines.append(
