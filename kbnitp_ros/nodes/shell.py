@@ -29,6 +29,8 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import Executor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -210,7 +212,17 @@ class Shell(Node):
 
     def tell_deployment(self, words: str) -> None:
         """Say something of a deployment on the console, by a logger that can be silenced alone."""
-        self._deployments.info(words)
+        # The logger's own methods look for the source of each of their callers, which takes longer
+        # than to take a deployment in.
+        here = sys._getframe()
+        rclpy_implementation.rclpy_logging_rcutils_log(
+            LoggingSeverity.INFO,
+            self._deployments.name,
+            words,
+            here.f_code.co_name,
+            here.f_code.co_filename,
+            here.f_lineno,
+        )
 
     def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
         """
