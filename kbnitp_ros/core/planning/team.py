@@ -115,11 +115,12 @@ def plan_team(
         fates = after_sending(fates, kind.model(model), grid.check_path(path))
     robots = {kind: robot.given(fates) for kind, robot in alone.items()}
     paths, regions = allocated(allocation, [robots[kind] for kind in kinds])
-    return TeamPlan(
-        tuple(Plan.along(path, belief, kind.model(model)) for path, kind in zip(paths, kinds)),
-        team_information(belief, model, paths, fates, kinds),
-        regions,
+    plans = tuple(Plan.along(path, belief, kind.model(model)) for path, kind in zip(paths, kinds))
+    is_alone = len(plans) == 1 and not len(out)
+    information = (
+        plans[0].information if is_alone else team_information(belief, model, paths, fates, kinds)
     )
+    return TeamPlan(plans, information, regions)
 
 
 def check_team(
