@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from functools import partial
 from itertools import dropwhile
+import time
 import traceback
 from types import FrameType
 from typing import Any
 
 from rclpy.client import Client
+from rclpy.event_handler import EventHandler
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.service import Service
@@ -21,6 +23,11 @@ from rclpy.task import Future, Task
 from rclpy.timer import Timer
 from rclpy.utilities import timeout_sec_to_nsec
 from rclpy.waitable import NumberOfEntities, Waitable
+
+# How often it is looked whether DDS has an event to tell, such as a publisher that nobody can hear
+# for its quality of service, in seconds. A node has two for each topic, and to wait for them with
+# each message takes longer than to wait for all else.
+LOOK = 0.05
 
 
 class OneByOne(Executor):
@@ -38,6 +45,8 @@ class OneByOne(Executor):
         self._held = ExitStack()
         self._ready: deque[Callable[[], None]] = deque()
         self._waitables: list[Waitable] = []
+        self._events: list[Waitable] = []
+        self._look_at = 0.0
         super().__init__()
 
     def wake(self) -> None:
@@ -67,12 +76,18 @@ class OneByOne(Executor):
         def held(entities: Iterable[Any]) -> list[Any]:
             return [each for each in entities if self._hold(each.handle)]
 
-        self._subscriptions = held(each for node in nodes for each in node.subscriptions)
+        self._subscriptions = held(
+            each
+            for node in nodes
+            for each in node.subscriptions
+            if each.callback_group.can_execute(each)
+        )
         self._timers = held(each for node in nodes for each in node.timers)
         self._clients = held(each for node in nodes for each in node.clients)
         self._services = held(each for node in nodes for each in node.services)
-        waitables = (each for node in nodes for each in node.waitables)
-        self._waitables = [each for each in waitables if self._hold(each)]
+        waitables = [each for node in nodes for each in node.waitables if self._hold(each)]
+        self._events = [each for each in waitables if isinstance(each, EventHandler)]
+        self._waitables = [each for each in waitables if not isinstance(each, EventHandler)]
         self._hold(self._guard.handle)
         self._hold(self._context.handle)
         count = NumberOfEntities(
@@ -82,7 +97,7 @@ class OneByOne(Executor):
             len(self._clients),
             len(self._services),
         )
-        for waitable in self._waitables:
+        for waitable in waitables:
             count += waitable.get_num_entities()
         self._wait_set = rclpy_implementation.WaitSet(
             count.num_subscriptions,
@@ -123,12 +138,16 @@ class OneByOne(Executor):
         for each in self._services:
             wait_set.add_service(each.handle)
         wait_set.add_guard_condition(self._guard.handle)
-        for each in self._waitables:
+        waitables = self._waitables
+        if (now := time.monotonic()) > self._look_at:
+            self._look_at = now + LOOK
+            waitables = waitables + self._events
+        for each in waitables:
             each.add_to_wait_set(wait_set)
         wait_set.wait(timeout_sec_to_nsec(timeout_sec))
         if not self._context.ok():
             raise ExternalShutdownException
-        for each in self._waitables:
+        for each in waitables:
             if each.is_ready(wait_set):
                 self._ready.append(partial(self._handle_waitable, each))
         for kind, entities, handle in (
@@ -141,6 +160,9 @@ class OneByOne(Executor):
                 self._ready.extend(
                     partial(handle, each) for each in entities if each.handle.pointer in pointers
                 )
+        if not self._ready and waitables is self._waitables:
+            # An event ends the wait of what it is about, again and again until it is looked at.
+            self._look_at = 0.0
 
     def _handle_waitable(self, waitable: Waitable) -> None:
         run_task(Task(waitable.execute, (waitable.take_data(),)))
