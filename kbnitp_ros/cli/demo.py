@@ -512,7 +512,7 @@ def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) 
     for name, known in last.learnt.items():
         low, _, middle, _, high = known.quantiles
         is_known = f'; it is {truth[name]:.3g}' if name in truth else ''
-        say(f'{name} learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}{is_known}')
+        say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')
     return 0 if reproduction.reproduced else 1
 
 

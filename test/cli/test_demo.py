@@ -313,7 +313,7 @@ def test_a_demo_says_how_far_its_paths_reach_learns_the_lethality_and_shows_it(t
     history = read_history(tmp_path)
     assert len(history.learnt) == len(history.beliefs) == 7
     low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles
-    told = f'lethality learnt: {middle:.2g}, and with 90 % from {low:.2g} to {high:.2g}; it is 0.9'
+    told = f'lethality learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}; it is 0.9'
     assert told in done.stdout.splitlines()
     assert (tmp_path / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
     # Nobody but the robots was told.
