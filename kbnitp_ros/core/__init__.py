@@ -14,6 +14,7 @@ from kbnitp_ros.core.field import (
     ORDINARY,
     SensorModel,
     Traverse,
+    while_compiling,
     World,
 )
 from kbnitp_ros.core.inference import (
@@ -106,4 +107,5 @@ __all__ = [
     'team_size',
     'update',
     'versions',
+    'while_compiling',
 ]

@@ -12,6 +12,7 @@ import time
 import traceback
 from typing import Any, TypeVar
 
+from kbnitp_ros.core import while_compiling
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.headers import LATEST
 from kbnitp_ros.messages.sizes import check_size
@@ -80,8 +81,14 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 SIGNALS: list[int] = []
 
 
-class StoppedError(Exception):
-    """A signal came before the node was made."""
+class StoppedError(BaseException):
+    """A signal came before the node was made or while it compiles; no error to be handled."""
+
+
+def _stop_compiling() -> None:
+    """End a compilation, which takes up to a minute, after a signal."""
+    if SIGNALS:
+        raise StoppedError
 
 
 class Shell(Node):
@@ -333,6 +340,7 @@ def run(
     SIGNALS.clear()
     for number in ENDING:
         signal.signal(number, lambda received, _: SIGNALS.append(received))
+    while_compiling(_stop_compiling)
     try:
         return _run(name, make, list(sys.argv[1:] if args is None else args), linger)
     finally:
@@ -383,11 +391,12 @@ def _live(node: Shell, executor: Executor, linger: float) -> Exception | None:
     """Run a node until a signal comes, and close it; return what broke, if anything did."""
     broken: Exception | None = None
     try:
-        while not (SIGNALS or node.is_over):
-            _spin(node, executor, SPIN)
-        end = time.monotonic() + linger
-        while time.monotonic() < end:
-            _spin(node, executor, linger)
+        with suppress(StoppedError):
+            while not (SIGNALS or node.is_over):
+                _spin(node, executor, SPIN)
+            end = time.monotonic() + linger
+            while time.monotonic() < end:
+                _spin(node, executor, linger)
         node.finish()
     except Exception as error:
         broken = error

@@ -17,6 +17,7 @@ from kbnitp_ros.log.bag.reader import is_finished
 from kbnitp_ros.nodes import shell
 from kbnitp_ros.nodes.given import check_given
 from kbnitp_ros.nodes.parameters import NODES, parameters_of
+from nav_msgs.msg import Path
 import pytest
 
 
@@ -161,6 +162,27 @@ def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
         assert process.wait(timeout=60) == 0, name
         assert complaints(field.said(name)) == []
     assert is_finished(log)
+
+
+@pytest.fixture
+def nothing_compiled(tmp_path, monkeypatch):
+    """Have the nodes that are started next compile their kernels, for the first time."""
+    pytest.importorskip('numba')
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
+
+
+def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
+    paths = field.listen(Path, '/scout_1/path')
+    field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6})
+    field.until(lambda: 'kernels are compiled' in field.said('/planner'), 'compiling planner')
+    planner = field.processes.started['/planner']
+    planner.send_signal(signal.SIGINT)
+    field.until(lambda: planner.poll() is not None, 'end of the planner', may_end=True)
+    assert planner.returncode == 0
+    assert len(complaints(field.said('/planner'))) == 1
+    # It did not complete what it was compiling for.
+    field.until(lambda: field.node.count_publishers('/scout_1/path') == 0, 'silence')
+    assert paths == []
 
 
 def test_the_second_signal_changes_nothing(field):

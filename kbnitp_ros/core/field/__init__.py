@@ -3,7 +3,7 @@
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
-from kbnitp_ros.core.field.compiled import compiled
+from kbnitp_ros.core.field.compiled import compiled, while_compiling
 from kbnitp_ros.core.field.conduct import Conduct, OBEDIENT, Traverse
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
@@ -39,6 +39,7 @@ __all__ = [
     'sum_of_others',
     'surprisal',
     'times_log',
+    'while_compiling',
     'whole_number',
     'yes_or_no',
 ]

@@ -20,6 +20,8 @@ from warnings import warn
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
+_CHECKS: list[Callable[[], None]] = []
+
 # The versions that the kernels were run with.
 TRIED = ('0.61', '0.62', '0.68')
 
@@ -66,6 +68,20 @@ class Compiled:
         return self._code(*arguments)
 
 
+def while_compiling(check: Callable[[], None]) -> None:
+    """
+    Have something called again and again while kernels are compiled.
+
+    Parameters
+    ----------
+    check : callable
+        What it raises ends the compilation. Called before each of numba's passes over a function.
+
+    """
+    if check not in _CHECKS:
+        _CHECKS.append(check)
+
+
 def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return the kernel compiled, or itself where that cannot be."""
     numba = _numba()
@@ -99,15 +115,19 @@ def _numba() -> Any:
     event = numba.core.event
 
     class Notice(event.Listener):  # type: ignore[misc, name-defined]
-        """Hears of code that is compiled, but not of what was kept."""
+        """Hears of code that is compiled, pass by pass, but not of what was kept."""
 
-        def on_start(self, _: object) -> None:
-            _say_once()
+        def on_start(self, told: Any) -> None:
+            if told.kind == 'numba:compile':
+                _say_once()
+            for check in _CHECKS:
+                check()
 
         def on_end(self, _: object) -> None:
             """Say nothing."""
 
-    event.register('numba:compile', Notice())
+    for kind in ('numba:compile', 'numba:run_pass'):
+        event.register(kind, Notice())
     return numba
 
 
