@@ -60,6 +60,10 @@ AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
 PROGRESS = 'kbnitp_msgs/msg/Progress'
 
+# What is written as it comes, and all else with it or at the next look. Robots wait for evidence;
+# a belief is checked while the next path is planned on it, and not when that waits to be recorded.
+AT_ONCE = (*EVIDENCE, BELIEF)
+
 # Of the topics of a mission, and of those under the name of an agent: nobody who was first to
 # publish something else there keeps them from being recorded.
 TYPES = {
@@ -267,17 +271,16 @@ class RecorderNode(Shell):
         return self.create_subscription(
             message_class(topic.type_name),
             topic.name,
-            partial(self._on_evidence, topic),
+            partial(self._on_message, topic),
             profile,
-            # What is no evidence is written with the next that is, or at the next look.
-            callback_group=None if topic.type_name in EVIDENCE else self._unawaited,
+            callback_group=None if topic.type_name in AT_ONCE else self._unawaited,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 matched=look_again, incompatible_qos=look_again, use_default_callbacks=False
             ),
         )
 
-    def _on_evidence(self, topic: Topic, data: bytes, info: Any) -> None:
+    def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
         self._record((topic, data, info))
 
     def _write(self, topic: Topic, data: bytes, info: Any) -> None:
