@@ -11,7 +11,7 @@ from __future__ import annotations
 from itertools import count
 from typing import Any
 
-from geometry_msgs.msg import Point, Pose, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from kbnitp_msgs.msg import DeploymentReport, TargetReading
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
 from kbnitp_ros.messages.headers import (
@@ -46,13 +46,12 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TO
 
     """
     begun = header(mission or stamp)
-    return Path(
-        header=header(stamp),
-        poses=[
-            PoseStamped(header=begun, pose=Pose(position=Point(x=x, y=y)))
-            for x, y in grid.centers(cells).tolist()
-        ],
-    )
+    positions = grid.centers(cells).tolist()
+    poses = [PoseStamped() for _ in positions]
+    for each, (x, y) in zip(poses, positions):
+        each.header = begun
+        each.pose.position.x, each.pose.position.y = x, y
+    return Path(header=header(stamp), poses=poses)
 
 
 def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDArray[np.intp]]:

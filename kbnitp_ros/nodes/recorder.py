@@ -37,7 +37,7 @@ from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
 from kbnitp_ros.nodes.parameters import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.nodes.shell import run, Shell
 from kbnitp_ros.nodes.succession import Succession
-from kbnitp_ros.nodes.topic import Message, message_class, time_received, Topic, Unawaited
+from kbnitp_ros.nodes.topic import message_class, time_received, Topic
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -59,10 +59,6 @@ AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to pub
 AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
 PROGRESS = 'kbnitp_msgs/msg/Progress'
-
-# What is written as it comes, and all else with it or at the next look. Robots wait for evidence;
-# a belief is checked while the next path is planned on it, and not when that waits to be recorded.
-AT_ONCE = (*EVIDENCE, BELIEF)
 
 # Of the topics of a mission, and of those under the name of an agent: nobody who was first to
 # publish something else there keeps them from being recorded.
@@ -125,7 +121,6 @@ class RecorderNode(Shell):
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, Topic] = {}
-        self._unawaited = Unawaited()
         # Topics whose publishers are all heard, and what cannot be recorded.
         self._settled: set[str] = set()
         self._refused: set[tuple[str, str]] = set()
@@ -140,20 +135,13 @@ class RecorderNode(Shell):
 
     def finish(self) -> None:
         """Record what has arrived."""
-        self._record()
+        self._write_arrived()
 
-    def _record(self, *taken: Message) -> None:
-        """Write what has arrived, and a message that was taken before, in the order it came."""
+    def _write_arrived(self) -> None:
+        """Write what has arrived, in the order it came."""
         arrived = [topic.arrived() for topic in self._topics.values()]
-        is_evidence = False
-        for message in heapq.merge(taken, *chain(*arrived), key=time_received):
+        for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
-            is_evidence |= message[0].type_name in EVIDENCE
-        if is_evidence:
-            # One sync serves all that has arrived: the paths of a round come together, and so does
-            # a whole history. What was published before is on the disk before evidence counts.
-            self._sync()
-            self._tell_recorded()
 
     def close(self) -> None:
         """Finish the file."""
@@ -163,9 +151,8 @@ class RecorderNode(Shell):
             super().close()
 
     def _discover(self) -> None:
-        """Subscribe to what is published and not heard yet, and write what has arrived."""
+        """Subscribe to what is published and not heard yet."""
         self._log.check_in_place()
-        self._record()
         # The estimator publishes as soon as belief has its readers, so the maps, which it created
         # before, must be known and subscribed to before belief is: two looks that agree show all
         # that was created before anything they show, and belief comes last backwards.
@@ -273,7 +260,6 @@ class RecorderNode(Shell):
             topic.name,
             partial(self._on_message, topic),
             profile,
-            callback_group=None if topic.type_name in AT_ONCE else self._unawaited,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 matched=look_again, incompatible_qos=look_again, use_default_callbacks=False
@@ -281,7 +267,13 @@ class RecorderNode(Shell):
         )
 
     def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
-        self._record((topic, data, info))
+        self._write(topic, data, info)
+        if topic.type_name in EVIDENCE:
+            # One sync serves all that waits: the paths of a round come together, and so does a
+            # whole history. What was published before this is then on the disk before it counts.
+            self._write_arrived()
+            self._sync()
+            self._tell_recorded()
 
     def _write(self, topic: Topic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""

@@ -11,7 +11,6 @@ from typing import Any
 
 from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.recent import Recent
-from rclpy.callback_groups import CallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -21,21 +20,6 @@ RECENT = 1000
 
 # A topic, the bytes that came on it and what rclpy knows of them.
 Message = tuple['Topic', bytes, dict[str, Any]]
-
-
-class Unawaited(CallbackGroup):
-    """Of subscriptions whose messages no executor waits for: they are taken as they `arrived`."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Return whether it is anything else, such as an event of a subscription."""
-        return not isinstance(entity, Subscription)
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Allow any callback."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Allow the next one."""
 
 
 @dataclass
