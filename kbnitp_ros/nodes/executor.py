@@ -76,12 +76,7 @@ class OneByOne(Executor):
         def held(entities: Iterable[Any]) -> list[Any]:
             return [each for each in entities if self._hold(each.handle)]
 
-        self._subscriptions = held(
-            each
-            for node in nodes
-            for each in node.subscriptions
-            if each.callback_group.can_execute(each)
-        )
+        self._subscriptions = held(each for node in nodes for each in node.subscriptions)
         self._timers = held(each for node in nodes for each in node.timers)
         self._clients = held(each for node in nodes for each in node.clients)
         self._services = held(each for node in nodes for each in node.services)
@@ -160,7 +155,7 @@ class OneByOne(Executor):
                 self._ready.extend(
                     partial(handle, each) for each in entities if each.handle.pointer in pointers
                 )
-        if not self._ready and waitables is self._waitables:
+        if not self._ready:
             # An event ends the wait of what it is about, again and again until it is looked at.
             self._look_at = 0.0
 
