@@ -22,7 +22,8 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
-from kbnitp_ros.core.inference.chains import CHAINS, Chains
+from kbnitp_ros.core.inference.chain_state import CHAINS
+from kbnitp_ros.core.inference.chains import Chains
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
 from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Unknowns
@@ -58,10 +59,10 @@ def posterior(lethality: float, observations: list[Observation], seed: int) -> N
     for observation in observations:
         sampler.assimilate(observation)
         tally = tally.and_one_more(observation, ORDINARY)
-    start = sampler._inference
     hypotheses = Hypotheses(PRIOR, SensorModel(lethality), Unknowns())
+    nothing = np.empty(0, np.intp)
     rng = np.random.default_rng(seed)
-    moving = Chains(hypotheses, tally, start._hazardous, start._place, rng)
+    moving = Chains(hypotheses, tally, sampler._inference._state, nothing, rng)
     for _ in range(SWEEPS // CHAINS):
         moving.sweep()
     return moving.joint()[0]

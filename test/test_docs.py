@@ -5,7 +5,7 @@ from pydoc import locate
 import re
 
 from documented import ROOT, rows, words
-from kbnitp_ros.core.inference import chains, sampled, smoothed, swept, unknowns
+from kbnitp_ros.core.inference import chain_state, chains, sampled, smoothed, swept, unknowns
 from kbnitp_ros.core.planning import fates, greedy, labels, moments, voronoi
 from kbnitp_ros.log.bag import part
 from kbnitp_ros.nodes import qos
@@ -45,14 +45,16 @@ def test_what_the_method_is_said_to_take():
 
 def test_what_sampling_is_said_to_take():
     page = 'docs/mathematics.md'
-    says(page, f'in each of {chains.CHAINS} chains')
+    says(page, f'in each of {chain_state.CHAINS} chains')
     says(page, IN_WORDS[chains.EXCHANGES].capitalize(), ' exchanges: a lost path is drawn')
     says(page, f'one of {unknowns.VALUES} values')
-    says(page, f'so {chains.GROUPS} groups of {chains.CHAINS // chains.GROUPS} give')
-    says(page, f'the variance v / {chains.GROUPS}')
-    says(page, f'Σ v / ({chains.GROUPS} · 2 p)')
-    says(page, f'until it is below {sampled.SETTLED:.4f} nats')
-    says(page, f'below {sampled.SETTLED_LEARNING:.3f} where numbers are learnt')
+    says(
+        page, f'so {chain_state.GROUPS} groups of {chain_state.CHAINS // chain_state.GROUPS} give'
+    )
+    says(page, f'the variance v / {chain_state.GROUPS}')
+    says(page, f'Σ v / ({chain_state.GROUPS} · 2 p)')
+    says(page, f'until it is below {sampled.Sampler.settled:.5f} nats')
+    says(page, f'below {sampled.Sampler.settled_learning:.3f} where numbers are learnt')
     says(page, f'and {sampled.MOST_SWEEPS} at most')
     says(page, IN_WORDS[sampled.SWEEPS].capitalize(), ' sweeps are made at a time')
 

@@ -145,11 +145,13 @@ def test_a_later_contact_is_reproduced(replayed, recorded):
     assert report.evidence.observation(key).steps_survived == 3
 
 
-@pytest.mark.parametrize('version', versions('kappa_bnitp_smoothed'))
+@pytest.mark.parametrize('method', ['kappa_bnitp_smoothed', 'kappa_bnitp_sampled'])
+@pytest.mark.parametrize('version', [1, 2])
 def test_a_log_is_reproduced_by_the_version_that_it_was_recorded_with(
-    replayed, tmp_path, capsys, version
+    replayed, tmp_path, capsys, method, version
 ):
-    whole = Mission('kappa_bnitp_smoothed', version=version)
+    assert version in versions(method)
+    whole = Mission(method, version=version)
     for deployment in observations(ROBOTS):
         whole.deploy(deployment.observation)
     report = replayed(whole.sent)

@@ -3,59 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from kbnitp_ros.core.field import ORDINARY, SensorModel, times_log
 from kbnitp_ros.core.inference import gibbs
+from kbnitp_ros.core.inference.chain_state import CHAINS, ChainState, Floats, GROUPS, Places
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.prior_map import expit, softplus
+from kbnitp_ros.core.inference.prior_map import CERTAIN_HAZARD, CERTAIN_TARGET, softplus
 from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Learnt
+from kbnitp_ros.core.inference.unvisited import Unvisited
 import numpy as np
-from numpy.typing import NDArray
 
-CHAINS = 256
-# Chains are independent of each other, so groups of them tell how far chance takes an average.
-GROUPS = 16
 # Exchanges proposed in a sweep.
 EXCHANGES = 4
-# Log odds beyond which a hazard is as good as certain, and a target, and what readings alone may
-# come to: it stays below what stands for certainty in a prior.
-CERTAIN_HAZARD = 300.0
-CERTAIN_TARGET = 700.0
+# What the log odds of readings alone may come to: it stays below what stands for certainty in a
+# prior.
 CERTAIN_READING = 1e5
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
-
-
-def start(
-    hypotheses: Hypotheses, rng: np.random.Generator
-) -> tuple[NDArray[np.int8], dict[str, Places]]:
-    """
-    Draw chains from the prior, as evenly as chance allows.
-
-    Returns
-    -------
-    hazardous : ndarray of int8, shape (chains, cells)
-        Z.
-    place : dict of str to ndarray of int, shape (chains,)
-        Which value of its bins each number has, by name.
-
-    """
-    place = {
-        name: np.searchsorted(np.cumsum(np.exp(bins.log_prior))[:-1], even(1, rng)[:, 0], 'right')
-        for name, bins in hypotheses.bins.items()
-    }
-    hazard = expit(hypotheses.hazard.at(place['hazard_density']))
-    return (even(hazard.shape[1], rng) < hazard).astype(np.int8), place
-
-
-def even(numbers: int, rng: np.random.Generator) -> Floats:
-    """Return `numbers` uniform numbers a chain, each spread evenly over the chains."""
-    order = rng.permuted(np.tile(np.arange(CHAINS), (numbers, 1)), axis=1).T
-    uniform: Floats = (order + rng.random(order.shape)) / CHAINS
-    return uniform
 
 
 def log(likelihood: Floats) -> Floats:
@@ -75,15 +37,15 @@ class Chains:
         The values of the numbers.
     tally : Tally
         The evidence.
-    hazardous, place
-        Where the chains are, as `start` returns them; left as they are.
+    state : ChainState
+        Where the chains are, with all cells that were visited.
+    read : ndarray of int
+        The cells whose targets are drawn, to learn numbers by: those with readings, at least.
     rng : numpy.random.Generator
         The only source of randomness.
 
     Attributes
     ----------
-    hazardous, place
-        Where the chains are now.
     sweeps : int
         How many were made.
 
@@ -93,25 +55,26 @@ class Chains:
         self,
         hypotheses: Hypotheses,
         tally: Tally,
-        hazardous: NDArray[np.int8],
-        place: Mapping[str, Places],
+        state: ChainState,
+        read: Places,
         rng: np.random.Generator,
     ) -> None:
+        # From here on, cells are those that the chains hold; of the others nothing is drawn.
+        self._cells = state.cells
+        self._unvisited = Unvisited(hypotheses, state.cells)
         self._hypotheses = hypotheses
-        self._tally = tally
+        self._maps = maps = hypotheses.maps.within(state.cells)
+        self._tally = tally = tally.within(state.cells)
+        self._read = np.searchsorted(state.cells, read)
         self._rng = rng
-        self.hazardous = hazardous.copy()
-        self.place = {name: each.copy() for name, each in place.items()}
+        self._hazardous = state.hazardous.copy()
+        self._place = {name: each.copy() for name, each in state.place.items()}
         self.sweeps = 0
-        self._undecided = np.flatnonzero(hypotheses.hazard.undecided)
-        self._ties = tally.ties(hypotheses.belief.hazard > 0.0, hypotheses.hazard.undecided)
+        self._undecided = np.flatnonzero(maps.hazard.undecided)
+        self._ties = tally.ties(maps.possible, maps.hazard.undecided)
         # On a large field robots come back from few cells, and of the others nothing is told.
         self._told = np.flatnonzero(tally.survived.any(axis=0))
-        self._prior_odds = {
-            'hazard_density': hypotheses.hazard.odds(-CERTAIN_HAZARD, CERTAIN_HAZARD),
-            'target_background': hypotheses.background.odds(-np.inf, CERTAIN_TARGET),
-            'kappa': hypotheses.kappa.odds(-np.inf, CERTAIN_TARGET),
-        }
+        self._prior_odds = maps.odds()
         # By kind, as the tally counts them.
         self._rates = [hypotheses.rates(kind) for kind in tally.kinds]
         # What losses have in common with others: the kind of robot and the number of steps.
@@ -126,16 +89,16 @@ class Chains:
         self._endured = np.exp(times_log(steps, of_lengths))
         self._spared = np.exp(times_log(exposures, log_spared[:, :, None]))
         self._moving = gibbs.Chains(
-            self.hazardous,
+            self._hazardous,
             np.zeros((CHAINS, tally.steps.size), np.int32),
-            self.place['malfunction'],
-            self.place['lethality'],
+            self._place['malfunction'],
+            self._place['lethality'],
         )
         gibbs.count_exposures(self._moving, self._ties)
-        self._uniform = np.empty(hazardous.shape)
-        certain = np.where(hypotheses.belief.hazard > 0.0, gibbs.LARGE, 0.0)
+        self._uniform = np.empty(state.hazardous.shape)
+        certain = np.where(maps.possible, gibbs.LARGE, 0.0)
         self._odds = np.tile(certain, (CHAINS, 1))
-        self._joints = np.zeros((GROUPS, *hypotheses.belief.joint.shape))
+        self._joints = np.zeros((GROUPS, maps.possible.size, 2, 2))
         self._weights = {
             name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
             for name in hypotheses.unknown
@@ -165,7 +128,13 @@ class Chains:
             gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
         self._draw_survival()
         self._draw_the_rest(target_if_safe, target_if_hazardous)
+        self._unvisited.add(self._place)
         self.sweeps += 1
+
+    @property
+    def state(self) -> ChainState:
+        """Where the chains are now; they are not to go on from there."""
+        return ChainState(self._place, self._cells, self._hazardous)
 
     def joint(self) -> tuple[Floats, float]:
         """
@@ -174,7 +143,8 @@ class Chains:
         The latter is the expected KL divergence of the joints from what endless sweeps would give,
         in nats summed over the cells, by the spread of the groups of chains.
         """
-        by_group = self._joints / self.sweeps
+        by_group = self._unvisited.joints(self.sweeps)
+        by_group[:, self._cells] = self._joints / self.sweeps
         joint = by_group.mean(axis=0)
         variance = by_group.var(axis=0, ddof=1) / GROUPS
         seen = joint > 0.0
@@ -182,7 +152,7 @@ class Chains:
 
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
         """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
-        return of_values[None] if of_values.size == 1 else of_values[self.place[name], None]
+        return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
     def _survival_of_kinds(self) -> tuple[Floats, Floats]:
         """Return log chances of no malfunction and of no strike, each of shape (values, kinds)."""
@@ -201,12 +171,12 @@ class Chains:
 
         That is the odds of a hazard, and those of a target without and with one.
         """
-        tally, hypotheses = self._tally, self._hypotheses
+        tally, maps = self._tally, self._maps
         cells = self._told
         read: Floats = np.zeros((1, cells.size))
-        log_odds = hypotheses.hazard.at(self.place['hazard_density'], cells)
-        if_safe = hypotheses.background.at(self.place['target_background'], cells)
-        if_hazardous = hypotheses.kappa.at(self.place['kappa'], cells)
+        log_odds = maps.hazard.at(self._place['hazard_density'], cells)
+        if_safe = maps.background.at(self._place['target_background'], cells)
+        if_hazardous = maps.kappa.at(self._place['kappa'], cells)
         for rates, survived, positive, negative in zip(
             self._rates,
             tally.survived[:, cells],
@@ -233,7 +203,7 @@ class Chains:
         """Return the odds by a map of the prior, but for the cells that more is told of."""
         of_values = self._prior_odds[name]
         is_known = of_values.shape[0] == 1
-        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self.place[name]]
+        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._place[name]]
         odds[:, self._told] = np.exp(log_odds)
         return odds
 
@@ -256,7 +226,7 @@ class Chains:
         """
         log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
         weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-        gibbs.draw_values(weight, self._rng.random(CHAINS), self.place[name])
+        gibbs.draw_values(weight, self._rng.random(CHAINS), self._place[name])
         self._weights[name] += weight.reshape(GROUPS, -1, weight.shape[1]).mean(axis=1)
         return weight
 
@@ -267,23 +237,23 @@ class Chains:
         if 'lethality' in hypotheses.unknown:
             values, kinds, most = self._spared.shape
             likelihood = np.ones((CHAINS, values))
-            endured = self._endured[self.place['malfunction'][:, None], lengths]
+            endured = self._endured[self._place['malfunction'][:, None], lengths]
             spared: Floats = self._spared.reshape(values, kinds * most).T.copy()
             place = exposures + (tally.kind * most).astype(np.int32)
             gibbs.weigh_by_losses(endured, place, spared, likelihood)
             log_likelihood = log(likelihood)
             for kind, rates, survived in zip(tally.kinds, self._rates, tally.survived):
                 if kind.lethality is None:
-                    exposed = (self.hazardous[:, self._told] * survived[self._told]).sum(axis=1)
+                    exposed = (self._hazardous[:, self._told] * survived[self._told]).sum(axis=1)
                     log_likelihood = log_likelihood + exposed[:, None] * rates.log_spared
             weight = self._draw('lethality', log_likelihood)
             ordinary = self._rates[tally.kinds.index(ORDINARY)]
             spared = (weight * np.exp(ordinary.log_spared)).sum(axis=1)
-            endured = np.exp(ordinary.log_endured[self.place['malfunction']])
+            endured = np.exp(ordinary.log_endured[self._place['malfunction']])
             self._steps_survived += endured.sum(), (endured * spared).sum()
         if 'malfunction' in hypotheses.unknown:
             likelihood = np.ones((CHAINS, self._endured.shape[0]))
-            spared = self._spared[self.place['lethality'][:, None], tally.kind, exposures]
+            spared = self._spared[self._place['lethality'][:, None], tally.kind, exposures]
             length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
             gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
             log_likelihood = log(likelihood)
@@ -294,33 +264,39 @@ class Chains:
 
     def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
         """Draw the numbers of the prior and of the target sensor, given hazards and targets."""
-        tally, hypotheses, unknown = self._tally, self._hypotheses, self._hypotheses.unknown
-        hazardous = self.hazardous.astype(bool)
+        tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
+        unknown = hypotheses.unknown
+        hazardous = self._hazardous.astype(bool)
         if 'hazard_density' in unknown:
-            prior = hypotheses.hazard
+            prior = maps.hazard
             count = (hazardous & prior.undecided).sum(axis=1)
             log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
             self._draw('hazard_density', log_likelihood)
         if not {'kappa', 'target_background', 'true_positive', 'false_positive'} & {*unknown}:
             return
-        odds = np.where(hazardous, target_if_hazardous, target_if_safe)
-        target = self._rng.random(out=self._uniform) * (1.0 + odds) < odds
+        # Of a target that nobody looked for nothing is told.
+        read = self._read
+        hazardous, if_safe, if_hazardous = (
+            np.take(each, read, axis=1)
+            for each in (hazardous, target_if_safe, target_if_hazardous)
+        )
+        odds = np.where(hazardous, if_hazardous, if_safe)
+        target = self._rng.random(odds.shape) * (1.0 + odds) < odds
         for name, prior, concerned in (
-            ('kappa', hypotheses.kappa, hazardous),
-            ('target_background', hypotheses.background, ~hazardous),
+            ('kappa', maps.kappa, hazardous),
+            ('target_background', maps.background, ~hazardous),
         ):
             if name in unknown:
-                cells = concerned & prior.undecided
+                cells = concerned & prior.undecided[read]
                 log_likelihood = (cells & target).sum(axis=1)[:, None] * prior.offset
-                gibbs.sum_of_cells(cells, prior.log_absent, log_likelihood)
+                gibbs.sum_of_cells(cells, prior.log_absent[read], log_likelihood)
                 self._draw(name, log_likelihood)
         for name, concerned in (('true_positive', target), ('false_positive', ~target)):
             if name in unknown:
                 values = hypotheses.bins[name].values
                 learning = [getattr(kind, name) is None for kind in tally.kinds]
-                concerned = concerned[:, self._told]
                 positive, negative = (
-                    (concerned * counts[learning].sum(axis=0)[self._told]).sum(axis=1)[:, None]
+                    (concerned * counts[learning].sum(axis=0)[read]).sum(axis=1)[:, None]
                     for counts in (tally.positive, tally.negative)
                 )
                 log_likelihood = positive * np.log(values) + negative * np.log1p(-values)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 from kbnitp_ros.core.field import Belief, Kind, SensorModel, times_log
-from kbnitp_ros.core.inference.prior_map import PriorMap
+from kbnitp_ros.core.inference.prior_map import PriorMap, PriorMaps
 from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Bins, Unknowns
 import numpy as np
@@ -59,8 +59,8 @@ class Hypotheses:
         The values of each number in `Unknowns`, by its name; of one that is known just one.
     unknown : tuple of str
         Which are not.
-    hazard, kappa, background : PriorMap
-        P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
+    maps : PriorMaps
+        The prior, cell by cell.
 
     Raises
     ------
@@ -88,9 +88,12 @@ class Hypotheses:
         background = np.zeros_like(safe)
         np.divide(belief.joint[:, 0, 1], safe, out=background, where=safe > 0.0)
         possible = belief.hazard > 0.0
-        self.hazard = self._map('hazard_density', belief.hazard, possible)
-        self.kappa = self._map('kappa', belief.kappa, possible)
-        self.background = self._map('target_background', background.clip(max=1.0), safe > 0.0)
+        self.maps = PriorMaps(
+            possible=possible,
+            hazard=self._map('hazard_density', belief.hazard, possible),
+            kappa=self._map('kappa', belief.kappa, possible),
+            background=self._map('target_background', background.clip(max=1.0), safe > 0.0),
+        )
         self.prior_is_known = not {'hazard_density', 'kappa', 'target_background'}.intersection(
             self.unknown
         )
@@ -109,9 +112,9 @@ class Hypotheses:
         hazard, kappa, background = (
             prior_map.mean(self.bins[name].log_prior)
             for name, prior_map in (
-                ('hazard_density', self.hazard),
-                ('kappa', self.kappa),
-                ('target_background', self.background),
+                ('hazard_density', self.maps.hazard),
+                ('kappa', self.maps.kappa),
+                ('target_background', self.maps.background),
             )
         )
         joint = [(1.0 - hazard) * (1.0 - background), (1.0 - hazard) * background]

@@ -14,6 +14,7 @@ from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel
 from kbnitp_ros.core.inference import exact, multi_universe, published
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.sampled import Sampler
+from kbnitp_ros.core.inference.sampled_everywhere import EverywhereSampler
 from kbnitp_ros.core.inference.smoothed import Smoother
 from kbnitp_ros.core.inference.swept import SweptSmoother
 from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
@@ -112,7 +113,7 @@ METHODS = Registry(
         'kappa_bnitp_published': OnePass(published.lost_likelihood, correlated=True),
         'kappa_bnitp': OnePass(exact.lost_likelihood, correlated=True),
         'kappa_bnitp_smoothed': (SweptSmoother, Smoother),
-        'kappa_bnitp_sampled': Sampler,
+        'kappa_bnitp_sampled': (EverywhereSampler, Sampler),
     },
 )
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A map of prior probabilities whose average may be unknown."""
+"""Maps of prior probabilities whose averages may be unknown."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.inference.unknowns import Bins
 import numpy as np
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 # Log odds that stand for certainty where others are added to them: far above what evidence comes
 # to, and low enough to keep it apart.
 CERTAIN = 1e6
+# Log odds beyond which a hazard is as good as certain, and a target.
+CERTAIN_HAZARD = 300.0
+CERTAIN_TARGET = 700.0
 # Offsets of log odds within which that of any average is found, and how often they are halved.
 FURTHEST = 1000.0
 HALVINGS = 60
@@ -76,6 +79,15 @@ class PriorMap:
         log_absent[undecided] = -softplus(log_odds[undecided, None] + offset)
         return cls(log_odds, undecided, offset, log_absent)
 
+    def within(self, cells: NDArray[np.intp]) -> PriorMap:
+        """Return the map of some of the cells."""
+        return replace(
+            self,
+            log_odds=self.log_odds[cells],
+            undecided=self.undecided[cells],
+            log_absent=self.log_absent[cells],
+        )
+
     def at(
         self, place: NDArray[np.intp], cells: NDArray[np.intp] | slice = slice(None)
     ) -> NDArray[np.float64]:
@@ -95,6 +107,41 @@ class PriorMap:
         shifted = self.log_odds[:, None] + self.undecided[:, None] * self.offset
         mean: NDArray[np.float64] = (expit(shifted) * np.exp(log_prior)).sum(axis=1)
         return mean
+
+
+@dataclass(frozen=True, eq=False)
+class PriorMaps:
+    """
+    What a prior says of each cell, one array or map of all cells each.
+
+    Attributes
+    ----------
+    possible : ndarray of bool, shape (cells,)
+        Where there may be a hazard.
+    hazard, kappa, background : PriorMap
+        P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
+
+    """
+
+    possible: NDArray[np.bool_]
+    hazard: PriorMap
+    kappa: PriorMap
+    background: PriorMap
+
+    def within(self, cells: NDArray[np.intp]) -> PriorMaps:
+        """Return what it says of some of the cells."""
+        hazard, kappa, background = (
+            each.within(cells) for each in (self.hazard, self.kappa, self.background)
+        )
+        return PriorMaps(self.possible[cells], hazard, kappa, background)
+
+    def odds(self) -> dict[str, NDArray[np.float64]]:
+        """Return the odds with each value of a map's average, (values, cells), by its name."""
+        return {
+            'hazard_density': self.hazard.odds(-CERTAIN_HAZARD, CERTAIN_HAZARD),
+            'target_background': self.background.odds(-np.inf, CERTAIN_TARGET),
+            'kappa': self.kappa.odds(-np.inf, CERTAIN_TARGET),
+        }
 
 
 def offsets(log_odds: NDArray[np.float64], averages: NDArray[np.float64]) -> NDArray[np.float64]:

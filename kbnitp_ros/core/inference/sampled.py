@@ -6,7 +6,8 @@ Every lost path stays a factor 1 - prod_i s_{z_i}^{n_i}, and every step survived
 a local likelihood in which targets are summed out. Each chain holds the hazards of all cells and a
 value of each number that is not known; a sweep draws each of these given all others. The belief
 averages the conditional probabilities that hazards were drawn with, which tells more than what was
-drawn (Rao-Blackwell). The chains go on from deployment to deployment.
+drawn (Rao-Blackwell). Cells that no evidence tells of are summed out like targets: they enter the
+chains when a robot is first sent to them. The chains go on from deployment to deployment.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from copy import copy
 from typing import ClassVar
 
 from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel
-from kbnitp_ros.core.inference import chains
+from kbnitp_ros.core.inference.chain_state import CHAINS, ChainState, Places
 from kbnitp_ros.core.inference.chains import Chains
 from kbnitp_ros.core.inference.evidence import check_cells
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
@@ -24,12 +25,9 @@ from kbnitp_ros.core.inference.tally import Tally
 from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
 import numpy as np
 
-# Sweeps are made so many at a time, until chance takes the belief less than this from what endless
-# sweeps would give (KL divergence, nats), and at most MOST_SWEEPS for a deployment. What is yet to
-# be learnt of a number moves the belief by nats, so there more is left to chance.
+# Sweeps are made so many at a time until the belief is settled, and at most MOST_SWEEPS for a
+# deployment.
 SWEEPS = 4
-SETTLED = 5e-4
-SETTLED_LEARNING = 5e-3
 MOST_SWEEPS = 32
 
 # The most bytes that the chains may take, and how many they take for each of their cells.
@@ -66,6 +64,10 @@ class Sampler:
 
     Attributes
     ----------
+    settled, settled_learning : float
+        How far chance may take the belief from what endless sweeps would give (KL divergence,
+        nats), with all numbers told and with some to learn. What is yet to be learnt of a number
+        moves the belief by nats, so there more is left to chance.
     belief : Belief
         Given all deployments so far, averaged over what is not known.
     model : SensorModel
@@ -88,13 +90,15 @@ class Sampler:
     """
 
     learns: ClassVar[bool] = True
+    settled: ClassVar[float] = 2.5e-4
+    settled_learning: ClassVar[float] = 5e-3
 
     def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
         check_memory(belief.cells)
         self._hypotheses = Hypotheses(belief, model, unknowns)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
-        self._hazardous, self._place = chains.start(self._hypotheses, generator(seed, 0))
+        self._state = ChainState.start(self._hypotheses, generator(seed, 0))
         self.belief = self._hypotheses.belief
         self.parameters: Mapping[str, Learnt] = {
             name: Learnt(bins, np.exp(bins.log_prior))
@@ -121,22 +125,27 @@ class Sampler:
         tally = self._tally.and_one_more(observation, kind)
         self._hypotheses.refuse_impossible(tally)
         rng = generator(self._seed, tally.deployments)
-        settled = SETTLED_LEARNING if self._hypotheses.unknown else SETTLED
-        moving = Chains(self._hypotheses, tally, self._hazardous, self._place, rng)
+        visited, read = self._drawn(tally)
+        state = self._state.with_cells(visited, self._hypotheses.maps.hazard, rng)
+        moving = Chains(self._hypotheses, tally, state, read, rng)
+        settled = self.settled_learning if self._hypotheses.unknown else self.settled
         for _ in range(MOST_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 moving.sweep()
             joint, error = moving.joint()
             if error <= settled:
                 break
-        self._tally = tally
-        self._hazardous, self._place = moving.hazardous, moving.place
+        self._tally, self._state = tally, moving.state
         if self._hypotheses.prior_is_known:
             joint[~tally.visited] = self._hypotheses.belief.joint[~tally.visited]
         self.belief = self._hypotheses.belief_of(joint)
         self.sampling_error, self.is_settled = error, error <= settled
         self.parameters = moving.learnt()
         self.model = moving.model()
+
+    def _drawn(self, tally: Tally) -> tuple[Places, Places]:
+        """Return the cells whose hazards chains draw, and whose targets, to learn numbers by."""
+        return np.flatnonzero(tally.visited), np.flatnonzero(tally.read)
 
     def copy(self) -> Sampler:
         """Return a sampler that goes on by itself from here."""
@@ -153,7 +162,7 @@ def check_memory(cells: int) -> None:
         With an estimate, if not.
 
     """
-    estimate = BYTES * chains.CHAINS * cells
+    estimate = BYTES * CHAINS * cells
     if estimate > MOST_MEMORY:
         raise ValueError(
             f'sampling {cells} cells takes about {estimate / 1e9:.1f} GB, and '

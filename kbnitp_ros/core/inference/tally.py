@@ -103,6 +103,22 @@ class Tally:
         visited[self.cell] = True
         return visited
 
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """In which cells a target was looked for, shape (cells,)."""
+        read: NDArray[np.bool_] = np.any(self.positive + self.negative > 0, axis=0)
+        return read
+
+    def within(self, cells: NDArray[np.intp]) -> Tally:
+        """Return the same of cells in ascending order, all that were visited among them."""
+        return replace(
+            self,
+            survived=self.survived[:, cells],
+            positive=self.positive[:, cells],
+            negative=self.negative[:, cells],
+            cell=np.searchsorted(cells, self.cell).astype(np.int32),
+        )
+
     def ties(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> gibbs.Ties:
         """Return how lost paths tie the cells of possible, and those of undecided hazards."""
         held = np.flatnonzero(possible[self.cell])

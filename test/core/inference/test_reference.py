@@ -13,7 +13,7 @@ GRID = Grid(9, 9)
 LETHALITIES = (0.1, 0.3, 0.5, 0.9)
 WORLDS = 3
 # KL divergence, nats: what sampling may be away by default, and the two halves of the chains.
-CLOSE = 0.001
+CLOSE = 0.0005
 APART = 1e-5
 
 
@@ -61,4 +61,4 @@ def test_sampling_is_close_and_where_losses_tie_cells_much_closer_than_smoothing
     print(f'{lethality}: sampled {sampled:.2g}, smoothed {smoothed:.2g}')
     assert sampled < CLOSE
     if lethality >= 0.3:
-        assert 5.0 * sampled < smoothed
+        assert 10.0 * sampled < smoothed

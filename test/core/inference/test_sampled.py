@@ -138,12 +138,11 @@ def posterior(joint, model, seen, name, bins):
     return weights, np.einsum('g,gczx->czx', weights, joints)
 
 
-@pytest.mark.parametrize('name', EVERYTHING)
-@pytest.mark.parametrize('seed', range(3))
-def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
-    monkeypatch.setattr(sampled, 'SETTLED_LEARNING', 0.0)
+def check_by_enumeration(name, seed, cells, monkeypatch):
+    """Check what 20 robots on 2x2 of some cells tell of a number, and of the cells."""
+    monkeypatch.setattr(sampled.Sampler, 'settled_learning', 0.0)
     rng = np.random.default_rng(seed)
-    joint = brute_force.random_joint(rng, 4, 0)
+    joint = brute_force.random_joint(rng, cells, 0)
     model = SensorModel(0.6, malfunction=0.1)
     seen = random_mission(rng, 2, 2, 20, joint, model)
     unknowns = Unknowns(**{name: EVERYTHING[name]})
@@ -157,6 +156,18 @@ def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
     assert learnt.mean == pytest.approx(weights @ learnt.bins.values, abs=0.003)
     assert divergence(after, estimator.belief.joint) < 1e-4
     assert estimator.parameters.keys() == {name}
+
+
+@pytest.mark.parametrize('name', EVERYTHING)
+@pytest.mark.parametrize('seed', range(3))
+def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
+    check_by_enumeration(name, seed, 4, monkeypatch)
+
+
+@pytest.mark.parametrize('name', ['hazard_density', 'kappa', 'target_background'])
+@pytest.mark.parametrize('seed', some(range(3), 1))
+def test_cells_that_nobody_went_to_are_as_by_enumeration(name, seed, monkeypatch):
+    check_by_enumeration(name, seed, 9, monkeypatch)
 
 
 HAZARDS = np.array([[0, *bits] for bits in np.ndindex(*15 * [2])], dtype=float)
@@ -212,6 +223,17 @@ def mission_of_25(seed, model):
     return [world.traverse(path, model, rng) for path in paths]
 
 
+def test_the_first_version_gives_what_it_gave():
+    model, unknowns = SensorModel(0.5), Unknowns(lethality=(0.05, 1.0), kappa=(0.1, 0.9))
+    estimator = Estimator(ENTROPIC, model, METHOD, unknowns, 1, version=1)
+    for observation in mission_of_25(0, model):
+        estimator.assimilate(observation)
+    hazard = [0.0, 0.97395108, 0.68673945, 0.5, 0.76462131, 0.22906735, 0.2661579, 0.5]
+    np.testing.assert_allclose(estimator.belief.hazard[:8], hazard, rtol=0, atol=1e-8)
+    assert estimator.parameters['lethality'].mean == pytest.approx(0.4125899636107997, abs=1e-12)
+    assert estimator.parameters['kappa'].mean == pytest.approx(0.5930383835316975, abs=1e-12)
+
+
 @pytest.mark.parametrize('lethality', some([0.9, 0.1, 0.3, 0.5], 2))
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
@@ -244,7 +266,7 @@ def test_a_lethality_that_nobody_knows_is_learnt(lethality):
 
 
 def test_more_sweeps_come_as_close_as_anyone_likes(monkeypatch):
-    monkeypatch.setattr(sampled, 'SETTLED', 0.0)
+    monkeypatch.setattr(sampled.Sampler, 'settled', 0.0)
     model = SensorModel(0.5)
     observations = mission_of_25(3, model)
     exact = marginals(*weight_of_hazards(ENTROPIC.joint, model, observations))
