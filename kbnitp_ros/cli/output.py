@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import wraps
 from io import TextIOWrapper
 import os
 import signal
 import sys
-from typing import Protocol
+from typing import Protocol, TextIO
 
 from kbnitp_ros.files import in_words
 
@@ -43,8 +43,10 @@ def say(*lines: str) -> None:
 def complain(name: str, error: object) -> None:
     """Print a line on standard error, which begins with the command; nothing if that is closed."""
     words = in_words(error) if isinstance(error, BaseException) else error
-    with suppress(OSError):
+    try:
         print(f'{name}: {words}', file=sys.stderr, flush=True)
+    except OSError:
+        discard(sys.stderr)
 
 
 def command(name: str) -> Callable[[Main], Main]:
@@ -72,7 +74,7 @@ def command(name: str) -> Callable[[Main], Main]:
                 complain(name, f'there is not enough memory: {error}')
                 return 1
             except OutputError as error:
-                discard_output()
+                discard(sys.stdout)
                 reason = error.__cause__
                 if isinstance(reason, BrokenPipeError):
                     return 128 + signal.SIGPIPE
@@ -101,8 +103,8 @@ def flush() -> None:
             sys.stdout.flush()
 
 
-def discard_output() -> None:
+def discard(stream: TextIO) -> None:
     """Have what cannot be printed disappear, which Python would try to print when it ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
+    os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

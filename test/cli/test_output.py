@@ -74,10 +74,13 @@ def test_a_closed_output_is_no_error(arguments):
     assert (done.returncode, done.stderr) == (0, b'')
 
 
-def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path):
+@pytest.mark.parametrize('unbuffered', ['', '1'])
+def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered):
     command = [sys.executable, '-m', 'kbnitp_ros', 'replay', tmp_path / 'nothing.mcap']
+    environment = {**os.environ, 'PYTHONUNBUFFERED': unbuffered}
     with Path('/dev/full').open('wb') as full:
-        assert subprocess.run(command, stderr=full, timeout=60).returncode == 2
+        done = subprocess.run(command, stderr=full, env=environment, timeout=60)
+    assert done.returncode == 2
 
 
 def test_a_name_that_is_no_text_is_printed(log, tmp_path):
