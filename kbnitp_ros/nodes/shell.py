@@ -85,8 +85,8 @@ class StoppedError(BaseException):
     """A signal came before the node was made or while it compiles; no error to be handled."""
 
 
-def _stop_compiling() -> None:
-    """End a compilation, which takes up to a minute, after a signal."""
+def _stop_on_signal() -> None:
+    """End what takes long after a signal, such as a compilation of up to a minute."""
     if SIGNALS:
         raise StoppedError
 
@@ -255,8 +255,7 @@ class Shell(Node):
         """
         say_at = time.monotonic() + SAY_FIRST
         for number, item in enumerate(items):
-            if SIGNALS:
-                raise StoppedError
+            _stop_on_signal()
             if time.monotonic() > say_at:
                 say_at = time.monotonic() + SAY_AGAIN
                 self.get_logger().info(f'{doing}: {number} messages so far')
@@ -280,8 +279,7 @@ class Shell(Node):
         executor.add_node(self)
         try:
             while not condition():
-                if SIGNALS:
-                    raise StoppedError
+                _stop_on_signal()
                 _spin(self, executor, SPIN)
         finally:
             executor.remove_node(self)
@@ -340,7 +338,7 @@ def run(
     SIGNALS.clear()
     for number in ENDING:
         signal.signal(number, lambda received, _: SIGNALS.append(received))
-    while_compiling(_stop_compiling)
+    while_compiling(_stop_on_signal)
     try:
         return _run(name, make, list(sys.argv[1:] if args is None else args), linger)
     finally:

@@ -98,8 +98,12 @@ class Sampler:
         self._hypotheses = Hypotheses(belief, model, unknowns)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
-        self._state = ChainState.start(self._hypotheses, generator(seed, 0))
         self.belief = self._hypotheses.belief
+        rng = generator(seed, 0)
+        cells, _ = self._drawn(self._tally)
+        self._state = ChainState.start(self._hypotheses, rng).with_cells(
+            cells, self._hypotheses.maps.hazard, rng
+        )
         self.parameters: Mapping[str, Learnt] = {
             name: Learnt(bins, np.exp(bins.log_prior))
             for name, bins in self._hypotheses.bins.items()

@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from kbnitp_ros.core.field import Belief, SensorModel
-from kbnitp_ros.core.inference.chain_state import ChainState, Places
-from kbnitp_ros.core.inference.sampled import generator, Sampler
+from kbnitp_ros.core.inference.chain_state import Places
+from kbnitp_ros.core.inference.sampled import Sampler
 from kbnitp_ros.core.inference.tally import Tally
-from kbnitp_ros.core.inference.unknowns import Unknowns
 import numpy as np
 
 
@@ -22,13 +20,6 @@ class EverywhereSampler(Sampler):
     """A `Sampler` that draws the hazards and targets of all cells, and settles for less."""
 
     settled: ClassVar[float] = 5e-4
-
-    def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
-        super().__init__(belief, model, unknowns, seed)
-        rng = generator(seed, 0)
-        state = ChainState.start(self._hypotheses, rng)
-        everywhere, _ = self._drawn(self._tally)
-        self._state = state.with_cells(everywhere, self._hypotheses.maps.hazard, rng)
 
     def _drawn(self, tally: Tally) -> tuple[Places, Places]:
         everywhere = np.arange(self.belief.cells)

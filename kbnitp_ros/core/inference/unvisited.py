@@ -26,19 +26,20 @@ class Unvisited:
 
     def __init__(self, hypotheses: Hypotheses, held: Places) -> None:
         cells = np.setdiff1d(np.arange(hypotheses.belief.cells), held)
+        if hypotheses.prior_is_known:
+            # It is their joint as it stands: there is nothing to average.
+            cells = cells[:0]
         self._cells = cells
         self._prior = hypotheses.belief.joint
-        self._is_prior_known = hypotheses.prior_is_known
         self._odds = hypotheses.maps.within(cells).odds()
         self._joints = np.zeros((GROUPS, cells.size, 2, 2))
 
     def add(self, place: Mapping[str, Places]) -> None:
         """Add the joints by the numbers of each chain, whose values `place` has by name."""
-        if not self._is_prior_known:
-            hazard, target_if_safe, target_if_hazardous = (
-                odds[place[name]] for name, odds in self._odds.items()
-            )
-            gibbs.add_joints(hazard, target_if_safe, target_if_hazardous, self._joints)
+        hazard, target_if_safe, target_if_hazardous = (
+            odds[place[name]] for name, odds in self._odds.items()
+        )
+        gibbs.add_joints(hazard, target_if_safe, target_if_hazardous, self._joints)
 
     def joints(self, sweeps: int) -> Floats:
         """
@@ -47,6 +48,5 @@ class Unvisited:
         The shape is (groups, cells, 2, 2). Cells that the chains hold have the prior's.
         """
         joints = np.tile(self._prior, (GROUPS, 1, 1, 1))
-        if not self._is_prior_known:
-            joints[:, self._cells] = self._joints / sweeps
+        joints[:, self._cells] = self._joints / sweeps
         return joints
