@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks docs linkcheck test test-full coverage check clean
+.PHONY: build demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -20,7 +20,7 @@ SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
   $(wildcard kbnitp_ros/report/assets/* foxglove/*.json msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.yaml)
 
 # They say what they fetch, of which tools/step.sh shows some.
-PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off
+PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off --require-hashes
 NPM := npm ci --loglevel http --no-audit --no-fund
 
 build: install/.done
@@ -45,7 +45,7 @@ docs: build .venv/.docs
 	@echo 'wrote build/docs/html/index.html'
 
 # How much of the package the tests run; what they leave out stands in build/coverage/html.
-coverage: build .venv/.dev
+coverage: build .venv/.dev .venv/.npm
 	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal --cov --cov-config setup.cfg \
 	  --cov-report term --cov-report html:build/coverage/html
 
@@ -53,12 +53,16 @@ coverage: build .venv/.dev
 linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
+# What takes no seconds, no processes and no npm: for every edit.
+test-quick: build .venv/.dev
+	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
+
 # Nodes start sooner where Python may keep what it compiled.
-test: build .venv/.dev
+test: build .venv/.dev .venv/.npm
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
 
 # What `test` leaves out, but for what takes minutes a test.
-test-full: build .venv/.dev
+test-full: build .venv/.dev .venv/.npm
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= KBNITP_TESTS=full \
 	  python3 -m pytest -n $(WORKERS) --dist worksteal -m 'full and not campaign'
 
@@ -74,26 +78,30 @@ clean:
 	rm -rf .venv build install log
 
 # What was built with another environment may not fit a new one, so it goes with the old one.
-.venv/.run: requirements.txt
+.venv/.run: requirements.lock
 	tools/check_machine.sh $(PYTHON)
 	rm -rf .venv build install log
 	$(PYTHON) -m venv .venv
-	tools/step.sh 'Installing requirements.txt into .venv' $(PIP) --requirement requirements.txt
+	tools/step.sh 'Installing requirements.lock into .venv' $(PIP) --requirement requirements.lock
 	touch $@
 
-.venv/.dev: requirements-dev.txt test/log/package-lock.json test/report/package-lock.json .venv/.run
-	tools/step.sh 'Installing requirements-dev.txt into .venv' $(PIP) --requirement requirements-dev.txt
+.venv/.dev: requirements-dev.lock .venv/.run
+	tools/step.sh 'Installing requirements-dev.lock into .venv' $(PIP) --requirement requirements-dev.lock
+	touch $@
+
+# What reads logs in JavaScript, and the library that the page of a mission is tested against.
+.venv/.npm: test/log/package-lock.json test/report/package-lock.json .venv/.run
 	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
 	tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
 	tools/step.sh 'Installing test/report/package-lock.json with npm' $(NPM) --prefix test/report
 	touch $@
 
-.venv/.benchmarks: requirements-benchmarks.txt .venv/.run
-	tools/step.sh 'Installing requirements-benchmarks.txt into .venv' $(PIP) --requirement requirements-benchmarks.txt
+.venv/.benchmarks: requirements-benchmarks.lock .venv/.run
+	tools/step.sh 'Installing requirements-benchmarks.lock into .venv' $(PIP) --requirement requirements-benchmarks.lock
 	touch $@
 
-.venv/.docs: requirements-docs.txt .venv/.run
-	tools/step.sh 'Installing requirements-docs.txt into .venv' $(PIP) --requirement requirements-docs.txt
+.venv/.docs: requirements-docs.lock .venv/.run
+	tools/step.sh 'Installing requirements-docs.lock into .venv' $(PIP) --requirement requirements-docs.lock
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)

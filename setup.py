@@ -40,7 +40,6 @@ setup(
             'report = kbnitp_ros.starting:report',
             'robot = kbnitp_ros.starting:robot',
             'study = kbnitp_ros.starting:study',
-            'team = kbnitp_ros.starting:team',
         ],
     },
 )

@@ -23,7 +23,7 @@ from typing import Any
 from cases import Benchmark
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 import numpy as np
 import rclpy
 from rclpy.signals import SignalHandlerOptions

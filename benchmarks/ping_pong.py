@@ -27,7 +27,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, report_message
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import rclpy
 from rclpy.executors import SingleThreadedExecutor

@@ -6,7 +6,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cases import Benchmark, timed
-from kbnitp_ros.core import Belief, Estimator, Grid, plan, plan_team, SensorModel, World
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    plan,
+    plan_team,
+    SearchOptions,
+    SensorModel,
+    Team,
+    World,
+)
 import numpy as np
 
 # The malfunction of robots that are to survive this many steps.
@@ -39,7 +49,7 @@ def one_round(robots: int) -> Callable[[], float]:
 
     def run() -> float:
         grid, belief, model = belief_of_a_mission(9, 18, 10)
-        return timed(lambda: plan_team(grid, belief, model, 18, robots))
+        return timed(lambda: plan_team(grid, belief, model, Team(robots), SearchOptions()))
 
     return run
 

@@ -19,14 +19,15 @@ from kbnitp_ros.core import (
     Observation,
     ORDINARY,
     run_mission,
+    SearchOptions,
     SensorModel,
     World,
 )
-from kbnitp_ros.core.inference.chain_state import CHAINS
-from kbnitp_ros.core.inference.chains import Chains
-from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.tally import Tally
-from kbnitp_ros.core.inference.unknowns import Unknowns
+from kbnitp_ros.core.field.unknowns import Unknowns
+from kbnitp_ros.core.inference.sampling.chain_state import CHAINS
+from kbnitp_ros.core.inference.sampling.chains import Chains
+from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -47,7 +48,7 @@ def mission(lethality: float, number: int) -> list[Observation]:
     world = World.random(GRID, rng, 0.15, 0.8, 0.1)
     model = SensorModel(lethality)
     deployments = run_mission(
-        GRID, PRIOR, model, world, ROBOTS, rng, 'kappa_bnitp_smoothed', planner='relaxed'
+        GRID, PRIOR, model, world, ROBOTS, rng, 'kappa_bnitp_smoothed', SearchOptions('relaxed')
     )
     return [deployment.observation for deployment in deployments]
 
@@ -58,11 +59,10 @@ def posterior(lethality: float, observations: list[Observation], seed: int) -> N
     tally = Tally.empty(GRID.cells)
     for observation in observations:
         sampler.assimilate(observation)
-        tally = tally.and_one_more(observation, ORDINARY)
+        tally = tally.with_deployment(observation, ORDINARY)
     hypotheses = Hypotheses(PRIOR, SensorModel(lethality), Unknowns())
-    nothing = np.empty(0, np.intp)
     rng = np.random.default_rng(seed)
-    moving = Chains(hypotheses, tally, sampler._inference._state, nothing, rng)
+    moving = Chains(hypotheses, tally, sampler._inference._state, rng)
     for _ in range(SWEEPS // CHAINS):
         moving.sweep()
     return moving.joint()[0]

@@ -14,6 +14,7 @@ import platform
 import sys
 
 from cases import Benchmark, in_words
+import executors
 import nodes
 import numba
 import numpy as np
@@ -31,6 +32,7 @@ BENCHMARKS = (
     *updates.BENCHMARKS,
     *sampling.BENCHMARKS,
     *nodes.BENCHMARKS,
+    *executors.BENCHMARKS,
     *study.BENCHMARKS,
     *peers.BENCHMARKS,
 )

@@ -11,7 +11,14 @@ copyright = '2026, kbnitp_ros maintainers'
 author = 'kbnitp_ros maintainers'
 version = release = package.findtext('version')
 
-extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode', 'numpydoc']
+extensions = [
+    'myst_nb',
+    'numpydoc',
+    'sphinx.ext.autodoc',
+    'sphinx.ext.mathjax',
+    'sphinx.ext.viewcode',
+    'sphinx-mathjax-offline',
+]
 source_suffix = {'.md': 'myst-nb', '.ipynb': 'myst-nb'}
 exclude_patterns = ['_build']
 

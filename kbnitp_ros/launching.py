@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+import os
+from pathlib import Path
 import signal
 from typing import Any
 
-from kbnitp_ros.nodes.given import read_sections, values_for
-from kbnitp_ros.nodes.parameters import nearest, parameters_of
+from kbnitp_ros.configuration import nearest, parameters_of
+from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.nodes.runtime.transport import udp_only
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -17,10 +20,7 @@ from launch.actions import (
     SetEnvironmentVariable,
     Shutdown,
 )
-from launch.conditions import IfCondition
 from launch.substitutions import (
-    EnvironmentVariable,
-    EqualsSubstitution,
     LaunchConfiguration,
     PathJoinSubstitution,
 )
@@ -29,7 +29,6 @@ from launch_ros.substitutions import FindPackageShare
 
 SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
-PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 # How processes may end that launch was told to end: one that did not listen yet was killed, and of
 # one that ended while launch was about to signal it, asyncio says 255.
@@ -55,6 +54,17 @@ OPTIONS = (
     'approval',
     'keep_running',
 )
+
+
+def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
+    """Return what sets the transport of the nodes."""
+    config = Path(SHARE.perform(context), 'config')
+    return [SetEnvironmentVariable(*each) for each in udp_only(os.environ, config).items()]
+
+
+# Nodes find each other at once, give memory back and use no shared memory, unless the user has a
+# Fast DDS profile of their own.
+TRANSPORT = OpaqueFunction(function=transport)
 
 
 def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
@@ -118,7 +128,7 @@ def description_of(name: str) -> str:
 
 def mission_description(
     arguments: Sequence[DeclareLaunchArgument],
-    nodes: Callable[[Mission], Iterable[Node]],
+    nodes: Callable[[MissionArguments], Iterable[Node]],
 ) -> LaunchDescription:
     """
     Return what a launch file starts.
@@ -132,31 +142,16 @@ def mission_description(
 
     """
     hear_interrupts_once()
-    # Nodes find each other at once and give memory back, unless the user has a Fast DDS profile of
-    # their own.
-    memory = SetEnvironmentVariable(
-        'RMW_FASTRTPS_USE_QOS_FROM_XML',
-        '1',
-        condition=IfCondition(
-            EqualsSubstitution(EnvironmentVariable(PROFILES, default_value=''), '')
-        ),
-    )
-    discovery = SetEnvironmentVariable(
-        PROFILES,
-        EnvironmentVariable(
-            PROFILES, default_value=PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
-        ),
-    )
     names = [argument.name for argument in arguments]
 
     def start(context: LaunchContext) -> list[Node]:
         check_arguments(context.argv, names)
-        return list(nodes(Mission(context)))
+        return list(nodes(MissionArguments(context)))
 
     mission = GroupAction(
         [PushROSNamespace(LaunchConfiguration('namespace')), OpaqueFunction(function=start)]
     )
-    return LaunchDescription([*arguments, memory, discovery, mission])
+    return LaunchDescription([*arguments, TRANSPORT, mission])
 
 
 def hear_interrupts_once() -> None:
@@ -187,7 +182,7 @@ def check_arguments(given: Iterable[str], names: Sequence[str]) -> None:
             raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
 
 
-class Mission:
+class MissionArguments:
     """
     A mission as the arguments of a launch file describe it.
 

@@ -20,7 +20,6 @@ COMMANDS = {
 NODES = {
     'planner': 'kbnitp_ros.nodes.planner',
     'agent': 'kbnitp_ros.nodes.agent',
-    'team': 'kbnitp_ros.nodes.team',
     'robot': 'kbnitp_ros.nodes.robot',
     'estimator': 'kbnitp_ros.nodes.estimator',
     'recorder': 'kbnitp_ros.nodes.recorder',
@@ -68,4 +67,4 @@ def _end_as_interrupted(number: int, _frame: FrameType | None) -> None:
 
 # What `ros2 run kbnitp_ros NAME` calls.
 demo, study, replay, report = (partial(start, name) for name in COMMANDS)
-planner, agent, team, robot, estimator, recorder = (partial(start, name) for name in NODES)
+planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch the agent of one real robot, on its own computer."""
 
-from kbnitp_ros.launching import PROFILES, SHARE
-from kbnitp_ros.nodes.given import read_sections
+from kbnitp_ros.configuration.given import read_sections
+from kbnitp_ros.launching import SHARE, TRANSPORT
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import (
-    EnvironmentVariable,
-    EqualsSubstitution,
     LaunchConfiguration,
     PathJoinSubstitution,
 )
@@ -48,18 +45,7 @@ def generate_launch_description():
             for name, text in OPTIONS.items()
         ),
     ]
-    is_unset = EqualsSubstitution(EnvironmentVariable(PROFILES, default_value=''), '')
-    profile = PathJoinSubstitution([SHARE, 'config', 'fastdds.xml'])
-    return LaunchDescription(
-        [
-            *arguments,
-            SetEnvironmentVariable(
-                'RMW_FASTRTPS_USE_QOS_FROM_XML', '1', condition=IfCondition(is_unset)
-            ),
-            SetEnvironmentVariable(PROFILES, EnvironmentVariable(PROFILES, default_value=profile)),
-            OpaqueFunction(function=robot),
-        ]
-    )
+    return LaunchDescription([*arguments, TRANSPORT, OpaqueFunction(function=robot)])
 
 
 def robot(context):

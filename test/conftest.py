@@ -1,37 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tests run: those of the marker `full` only when all are asked for; and how they draw."""
+"""Which tests run, which of them may start processes, and how they draw."""
 
 import os
-from pathlib import Path
+import sys
 
 import extent
 from hypothesis import HealthCheck, settings
+import laws
 import pytest
 
-# Folders whose tests mostly start processes, and take seconds.
-PROCESSES = ('cli', 'faults', 'nodes', 'plugins', Path(__file__).parent.name)
+# Fixtures that start processes, so that the tests that ask for them are marked `processes`.
+STARTERS = {'browser', 'field', 'set_out'}
+
+# What Python's audit hooks call the start of a process.
+STARTS = {'os.fork', 'os.forkpty', 'os.posix_spawn', 'os.spawn', 'os.system', 'subprocess.Popen'}
 
 # How long something takes is the machine's affair.
 settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('busy')
 
 
-def pytest_configure():
+# The test without the marker `processes` that runs now.
+_without_processes = None
+
+
+def _refuse_processes(event, _):
+    if event in STARTS and _without_processes is not None:
+        pytest.fail(f'{_without_processes} starts a process: mark it with pytest.mark.processes')
+
+
+sys.addaudithook(_refuse_processes)
+
+
+def pytest_addoption(parser):
+    """Let one case of a law run alone."""
+    parser.addoption('--case', help='run this case of laws alone, as its failure names it')
+
+
+def pytest_configure(config):
     """Refuse a misspelt wish for all tests, which would run less than was meant."""
     if (asked := os.environ.get(extent.VARIABLE, '')) not in ('', 'full'):
         raise pytest.UsageError(f'{extent.VARIABLE} is {asked!r}: it must be full, or not be set')
+    laws.alone = config.getoption('--case')
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """
-    Skip the tests of the marker `full` unless all are asked for.
+    Mark the tests that start processes, and skip those marked `full` unless all are asked for.
 
     Tests of processes come first, so that several workers end at about the same time.
     """
-    items.sort(key=lambda item: item.path.parent.name not in PROCESSES)
+    for item in items:
+        if STARTERS.intersection(item.fixturenames):
+            item.add_marker('processes')
+    items.sort(key=lambda item: item.get_closest_marker('processes') is None)
     if extent.FULL:
         return
     skip = pytest.mark.skip(reason=f'only with {extent.VARIABLE}=full')
     for item in items:
         if item.get_closest_marker('full'):
             item.add_marker(skip)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Have a test fail that starts a process and is not marked so."""
+    global _without_processes
+    _without_processes = None if item.get_closest_marker('processes') else item.nodeid
+    try:
+        return (yield)
+    finally:
+        _without_processes = None
+
+
+@pytest.fixture(scope='session')
+def whole_mission():
+    """Return a mission of 8 robots, made once; not to be changed."""
+    # It needs ROS, which most tests do not import.
+    from mission_log import mission
+
+    return mission()

@@ -4,7 +4,10 @@
 from pathlib import Path
 import subprocess
 
+from laws import for_each
 import pytest
+
+pytestmark = pytest.mark.processes
 
 SCRIPT = Path(__file__).parents[1] / 'tools' / 'check_machine.sh'
 
@@ -53,7 +56,7 @@ def machine(tmp_path):
     return check
 
 
-@pytest.mark.parametrize('version', ['3.10', '3.11', '3.12', '3.13'])
+@for_each('version', ['3.10', '3.11', '3.12', '3.13'])
 def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
     done = machine(version=version)
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')

@@ -7,11 +7,11 @@ import re
 import subprocess
 import sys
 
-from extent import some
 from kbnitp_ros import __main__ as commands
-from kbnitp_ros.nodes.command_line import node_parser
-from kbnitp_ros.nodes.parameters import NODES, parameter_of, parameters_of
+from kbnitp_ros.configuration import NODES, parameter_of, parameters_of
+from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.starting import EXECUTABLES
+from laws import for_each
 import pytest
 
 # Options that stand for nothing when they are not given.
@@ -25,9 +25,8 @@ def test_the_rest_of_the_line_goes_to_the_command(monkeypatch, tmp_path):
     assert commands.main(['echo', '--help', 'b']) == ['--help', 'b']
 
 
-@pytest.mark.parametrize(
-    'arguments, status', [([], 2), (['fly'], 2), (['--help'], 0), (['-h'], 0)], ids=str
-)
+@pytest.mark.processes
+@for_each('arguments, status', [([], 2), (['fly'], 2), (['--help'], 0), (['-h'], 0)])
 def test_the_names_are_listed(arguments, status):
     done = subprocess.run(
         [sys.executable, '-m', 'kbnitp_ros', *arguments], capture_output=True, text=True
@@ -37,7 +36,8 @@ def test_the_names_are_listed(arguments, status):
     assert all(name in told for name in EXECUTABLES)
 
 
-@pytest.mark.parametrize('name', some(['', *EXECUTABLES], 2))
+@pytest.mark.processes
+@for_each('name', ['', *EXECUTABLES], every=2)
 def test_every_command_tells_its_version_and_how_to_use_it(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]
@@ -61,7 +61,7 @@ def options_of(told):
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
 
 
-@pytest.mark.parametrize('name', ['demo', 'study', 'replay', 'report'])
+@for_each('name', ['demo', 'study', 'replay', 'report'])
 def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(name, capsys):
     with pytest.raises(SystemExit):
         commands.main([name, '--help'])
@@ -75,7 +75,7 @@ def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(na
         assert set(re.findall(r'--[\w-]+', line)) <= options.keys()
 
 
-@pytest.mark.parametrize('name', NODES)
+@for_each('name', NODES)
 def test_the_help_of_a_node_has_its_parameters_with_defaults_and_what_they_must_be(name):
     parser = node_parser(name, 'Does it.')
     told = ' '.join(parser.format_help().split())
@@ -92,6 +92,7 @@ def test_an_unknown_name_is_named(capsys):
     assert "'fly'" in capsys.readouterr().err
 
 
+@pytest.mark.processes
 def test_nothing_is_imported_before_its_name_is_known():
     program = 'import sys, kbnitp_ros.__main__; sys.exit("rclpy" in sys.modules)'
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0

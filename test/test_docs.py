@@ -4,13 +4,20 @@
 from pydoc import locate
 import re
 
+from demo_mission import demo_mission
 from documented import ROOT, rows, words
-from kbnitp_ros.core.inference import chain_state, chains, sampled, smoothed, swept, unknowns
-from kbnitp_ros.core.planning import fates, greedy, labels, moments, voronoi
-from kbnitp_ros.log.bag import part
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import TABLE
+from kbnitp_ros.bag import file_writer
+from kbnitp_ros.configuration import TABLE
+from kbnitp_ros.core import log_loss
+from kbnitp_ros.core.field import unknowns
+from kbnitp_ros.core.inference.sampling import chain_state, chains, sampler
+from kbnitp_ros.core.inference.smoothing import smoother
+from kbnitp_ros.core.planning.objective import joint_outcomes, moments
+from kbnitp_ros.core.planning.search import labels
+from kbnitp_ros.core.planning.teams import greedy, voronoi
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import read_scenario
+import numpy as np
 import pytest
 import yaml
 
@@ -35,28 +42,27 @@ def says(page, *parts):
 
 def test_what_the_method_is_said_to_take():
     page = 'docs/mathematics.md'
-    cells = smoothed.CONDITIONED_CELLS
-    says(page, 'the ', cells, ' undecided cells that the messages say most about')
-    says(page, f'to each of their {2**cells} joint values in turn')
-    says(page, f'by more than a part in {1 / smoothed.TOLERANCE:,.0f} tells its factors')
-    says(page, 'or for ', smoothed.ROUNDS, ' rounds')
-    says(page, 'sent again after each deployment, ', swept.SWEEPS, ' times at most')
+    cells = smoother.CONDITIONED_CELLS
+    says(page, 'the ', cells, ' undecided cells with the largest product of message and variance')
+    says(page, f'to each of their {2**cells} joint values $v$ in turn')
+    says(page, f'has changed by more than a part in {1 / smoother.TOLERANCE:,.0f}, and only')
+    says(page, 'or for ', smoother.ROUNDS, ' rounds')
 
 
 def test_what_sampling_is_said_to_take():
     page = 'docs/mathematics.md'
     says(page, f'in each of {chain_state.CHAINS} chains')
-    says(page, IN_WORDS[chains.EXCHANGES].capitalize(), ' exchanges: a lost path is drawn')
+    says(page, IN_WORDS[chains.SWAPS].capitalize(), ' swaps are proposed: a lost path is drawn')
     says(page, f'one of {unknowns.VALUES} values')
     says(
         page, f'so {chain_state.GROUPS} groups of {chain_state.CHAINS // chain_state.GROUPS} give'
     )
-    says(page, f'the variance v / {chain_state.GROUPS}')
-    says(page, f'Σ v / ({chain_state.GROUPS} · 2 p)')
-    says(page, f'until it is below {sampled.Sampler.settled:.5f} nats')
-    says(page, f'below {sampled.Sampler.settled_learning:.3f} where numbers are learnt')
-    says(page, f'and {sampled.MOST_SWEEPS} at most')
-    says(page, IN_WORDS[sampled.SWEEPS].capitalize(), ' sweeps are made at a time')
+    says(page, f'the variance $v / {chain_state.GROUPS}$')
+    says(page, f'\\sum \\frac{{v}}{{{chain_state.GROUPS} \\cdot 2 p}}')
+    says(page, f'until it is below {sampler.CONVERGED:.5f} nats')
+    says(page, f'below {sampler.CONVERGED_LEARNING:.3f} where numbers are learnt')
+    says(page, f'and {sampler.MOST_SWEEPS} at most')
+    says(page, IN_WORDS[sampler.SWEEPS].capitalize(), ' sweeps are made at a time')
 
 
 def test_what_the_search_is_said_to_take():
@@ -67,13 +73,14 @@ def test_what_the_search_is_said_to_take():
     says(page, f'an error of at most {1e5 * moments.ERROR:.3g}e-5 nats')
     says(page, 'the error is as large ', moments.WEIGHTS.size + 1, ' times')
     says(page, f'In the {IN_WORDS[labels.RANKED]} best closed paths, one or two cells in a row')
-    says(page, f'So they are in {IN_WORDS[labels.TURNED]} paths that go to a cell')
+    says(page, f'The same is done in {IN_WORDS[labels.TURNED]} paths that go to a cell')
     says(page, f'In the {IN_WORDS[labels.BEST]} best of all these, up to three cells in a row')
-    assert labels.EXCHANGED == 2
-    says(page, f'Of more than {fates.MOST_FATES} fates the least probable are merged')
-    says(page, 'from the sixth robot on, fates are merged')
-    # The fates before robot j are 2^(j-1).
-    assert 2 ** (5 - 1) <= fates.MOST_FATES < 2 ** (6 - 1)
+    assert labels.REPLACED == 2
+    most = joint_outcomes.MOST_OUTCOMES
+    says(page, f'Of more than {most} joint outcomes the least probable are merged')
+    says(page, 'from the sixth robot on, joint outcomes are merged')
+    # The joint outcomes before robot j are 2^(j-1).
+    assert 2 ** (5 - 1) <= most < 2 ** (6 - 1)
     most = greedy.ROBOTS_SIDE_BY_SIDE
     says(page, f'{most // 2} teams of two robots, {most // 4} of four, {most // 8} of eight')
     says(page, 'one of nine and more')
@@ -88,6 +95,53 @@ def test_what_the_demo_is_said_to_do():
     says(page, f'The demo deploys {DEFAULTS["robots"]} robots')
     says(page, f'A hundred robots, {100 * DEFAULTS["sensor.lethality"]:.0f} % lethality')
     assert DEFAULTS['robots'] == 100
+
+
+@pytest.mark.parametrize('page', ['README.md', 'docs/index.md'])
+def test_only_a_loss_is_said_to_tell_of_something_that_destroyed_the_robot(page):
+    telling = re.findall(r'([^.;:]*) destroyed the robot', words(page))
+    assert telling
+    assert not [told for told in telling if 'return' in told]
+    says(page, 'a return says that nothing on the path did')
+
+
+def test_what_the_demo_is_said_to_find():
+    first, deployments, world, _ = demo_mission()
+    beliefs = [first, *(deployment.belief for deployment in deployments)]
+    entropy = [f'{belief.entropy():.1f}' for belief in beliefs]
+    loss = [
+        f'{log_loss(belief.hazard, world.hazard) + log_loss(belief.target, world.target):.1f}'
+        for belief in beliefs
+    ]
+    lost = [number for number, each in enumerate(deployments, 1) if not each.observation.survived]
+    says('README.md', f'Of the robots {len(lost)} were lost')
+    says('README.md', f'the entropy fell from {entropy[0]} to {entropy[-1]} nats')
+    page = 'docs/reading.md'
+    says(page, f'begins with {entropy[0]} nats in both and ends with {entropy[-1]}')
+    highest = max(range(len(beliefs)), key=lambda moment: beliefs[moment].entropy())
+    says(page, f'rises to {entropy[highest]} nats after the fifteenth robot')
+    assert highest == 15
+    says(page, f'from {loss[1]} nats after the first robot to {loss[-1]} after the last')
+    for name, words_of in (('lethality', 'with a lethality of'), ('hazard_density', 'ends at')):
+        known = deployments[-1].parameters[name]
+        low, middle, high = (known.quantile(each) for each in (0.05, 0.5, 0.95))
+        says(page, f'{words_of} {middle:.2f}, between {low:.2f} and {high:.2f}')
+
+    def gained(robots):
+        before_and_after = ((beliefs[robot - 1], beliefs[robot]) for robot in robots)
+        one, two, three = (
+            f'{a.joint_entropy() - b.joint_entropy():.1f}' for a, b in before_and_after
+        )
+        return f'{one}, {two} and {three} nats'
+
+    in_vain, home = (66, 68, 69), (61, 65, 67)
+    assert {*in_vain, 11} <= {*lost}
+    assert {*home}.isdisjoint(lost)
+    says(page, f'robots 66, 68 and 69 were lost and gained next to nothing: {gained(in_vain)}')
+    says(page, f'robots 61, 65 and 67 returned and gained {gained(home)}')
+    # The dark cells after the eleventh robot: four with a reading of a target, and (2, 1).
+    dark = np.flatnonzero(beliefs[11].hazard > 0.45)
+    assert dark.tolist() == [2, 11, 20, 27, 30]
 
 
 def test_what_a_study_is_said_to_take():
@@ -127,7 +181,7 @@ def test_which_quality_of_service_topics_are_said_to_have():
 
 
 def test_how_much_a_log_is_said_to_lose():
-    assert part.CHUNK == 2**20
+    assert file_writer.CHUNK == 2**20
     says('docs/log.md', 'at most 1 MiB of them')
 
 
@@ -138,8 +192,10 @@ def test_the_paper_gives_what_mathematics_says_it_gives(scenario):
     assert sensor['malfunction'] == sensor['false_negative'] == 0.05
 
 
-def test_the_glossary_names_code_that_is_there():
+def test_the_glossary_is_short_and_names_code_that_is_there():
     glossary = ROOT.joinpath('docs/glossary.md').read_text()
-    names = re.findall(r'`((?:core|log|study)[\w.]*)`', glossary)
-    assert len(names) > 20
+    words_explained = re.findall(r'^\| (?!word)[a-z]', glossary, re.MULTILINE)
+    assert 0 < len(words_explained) < 25
+    names = re.findall(r'`(core\.[\w.]+)`', glossary)
+    assert names
     assert [name for name in names if locate(f'kbnitp_ros.{name}') is None] == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What takes long is tested when all is asked for, and a wish that is misspelt is refused."""
+"""Which tests run: those that take long, those that start processes, and one case alone."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,9 @@ import sys
 from extent import VARIABLE
 import pytest
 
-TESTS = """
+pytestmark = pytest.mark.processes
+
+LONG = """
 import pytest
 from extent import FULL
 
@@ -23,27 +25,102 @@ def test_short():
     print(f'all: {FULL}')
 """
 
+PROCESSES = """
+import os
+import subprocess
+import pytest
+
+
+@pytest.fixture
+def field():
+    subprocess.run(['true'])
+
+
+def test_by_a_fixture(field):
+    pass
+
+
+@pytest.mark.processes
+def test_marked():
+    os.system('true')
+
+
+@pytest.mark.parametrize('start', [subprocess.run, subprocess.Popen])
+def test_not_marked(start):
+    start(['true'])
+
+
+def test_without():
+    pass
+"""
+
+CASES = """
+from laws import for_each
+
+
+@for_each('seed', range(6))
+def test_law(seed):
+    assert seed not in (3, 4)
+
+
+@for_each('place', 'ab')
+def test_other(place):
+    pass
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return a function that runs tests as `make test` does, and returns its status and words."""
+    folder = Path(__file__).parent
+    for name in ('conftest.py', 'extent.py', 'laws.py'):
+        tmp_path.joinpath(name).write_text(folder.joinpath(name).read_text())
+    markers = '[pytest]\nmarkers =\n    full: long\n    processes: starts them\n'
+    tmp_path.joinpath('pytest.ini').write_text(markers)
+
+    def run(tests, *options, asked=''):
+        tmp_path.joinpath('test_all.py').write_text(tests)
+        tested = subprocess.run(
+            [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', *options],
+            cwd=tmp_path,
+            env={**os.environ, VARIABLE: asked},
+            capture_output=True,
+            text=True,
+        )
+        return tested.returncode, tested.stdout + tested.stderr
+
+    return run
+
 
 @pytest.mark.parametrize(
-    'asked, status, told',
+    'asked, expected, told',
     [
         ('', 0, '1 passed, 1 skipped'),
         ('full', 0, '2 passed'),
         ('ful', 4, f"{VARIABLE} is 'ful': it must be full, or not be set"),
     ],
 )
-def test_all_is_tested_if_asked_for(tmp_path, asked, status, told):
-    folder = Path(__file__).parent
-    for name in ('conftest.py', 'extent.py'):
-        tmp_path.joinpath(name).write_text(folder.joinpath(name).read_text())
-    tmp_path.joinpath('test_all.py').write_text(TESTS)
-    tmp_path.joinpath('pytest.ini').write_text('[pytest]\nmarkers =\n    full: long\n')
-    tested = subprocess.run(
-        [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider'],
-        cwd=tmp_path,
-        env={**os.environ, VARIABLE: asked},
-        capture_output=True,
-        text=True,
-    )
-    assert tested.returncode == status
-    assert told in tested.stdout + tested.stderr
+def test_all_is_tested_if_asked_for(run, asked, expected, told):
+    status, words = run(LONG, asked=asked)
+    assert status == expected
+    assert told in words
+
+
+def test_what_starts_processes_is_marked_and_may_be_left_out(run):
+    status, words = run(PROCESSES)
+    assert status == 1
+    assert '2 failed, 3 passed' in words
+    for start in ('run', 'Popen'):
+        assert f'test_not_marked[{start}] starts a process: mark it with' in words
+    _, words = run(PROCESSES, '-m', 'not processes')
+    assert '2 failed, 1 passed, 2 deselected' in words
+
+
+def test_the_case_that_failed_runs_alone(run):
+    status, words = run(CASES)
+    assert status == 1
+    assert '1 failed, 1 passed' in words
+    assert 'case seed=3: ' in words
+    assert 'alone: --case seed=3' in words
+    assert '1 passed, 1 skipped' in run(CASES, '--case', 'seed=2')[1]
+    assert '1 failed, 1 skipped' in run(CASES, '--case', 'seed=4')[1]

@@ -10,9 +10,9 @@ import subprocess
 import sys
 from typing import get_args, get_type_hints
 
+from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import Grid
-from kbnitp_ros.nodes.given import read_sections, values_for
-from kbnitp_ros.nodes.world_file import read_world
 from kbnitp_ros.study.scenario import read_scenario, Scenario
 from kbnitp_ros.study.trial import trials_of
 import pytest
@@ -69,6 +69,7 @@ def test_a_scenario_with_every_key(shown):
     assert missing == []
 
 
+@pytest.mark.processes
 @pytest.mark.full
 @pytest.mark.parametrize('command', COMMANDS)
 def test_the_commands(shown, tmp_path, command):

@@ -5,6 +5,7 @@ import ast
 from collections import defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
+import re
 import sys
 
 ROOT = Path(__file__).parents[1]
@@ -14,43 +15,75 @@ BELOW = {
     'files': set(),
     'plugins': set(),
     'core.field': set(),
-    'core.inference': {'core.field', 'plugins'},
-    'core.planning': {'core.field', 'core.inference', 'plugins'},
+    'core.inference.filtering': {'core.field'},
+    'core.inference.smoothing': {'core.field', 'core.inference.filtering'},
+    'core.inference.sampling': {'core.field', 'core.inference.filtering'},
+    'core.inference': {
+        'core.field',
+        'core.inference.filtering',
+        'core.inference.smoothing',
+        'core.inference.sampling',
+        'plugins',
+    },
+    'core.planning.objective': {'core.field', 'core.inference'},
+    'core.planning.search': {'core.field', 'core.planning.objective', 'plugins'},
+    'core.planning.teams': {
+        'core.field',
+        'core.planning.objective',
+        'core.planning.search',
+        'plugins',
+    },
+    'core.planning': {
+        'core.planning.objective',
+        'core.planning.search',
+        'core.planning.teams',
+    },
     'core': {'core.field', 'core.inference', 'core.planning'},
-    'testing': {'core', 'core.inference', 'core.planning'},
+    'testing': {
+        'core',
+        'core.inference',
+        'core.planning',
+        'core.planning.search',
+        'core.planning.teams',
+    },
     'messages': {'core'},
     'maps': {'files', 'core'},
-    'log.bag': {'files'},
-    'log': {'files', 'core', 'messages', 'log.bag'},
-    'robot': {'core'},
+    'bag': {'files'},
+    'log': {'core', 'messages', 'bag'},
+    'robot': {'files', 'core', 'messages'},
     'figures': set(),
-    'study': {'files', 'core', 'maps', 'messages', 'figures'},
-    'report': {'core', 'maps', 'messages', 'log', 'log.bag', 'figures'},
-    'nodes.parameters': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
+    'study': {'files', 'core', 'figures'},
+    'report': {'core', 'maps', 'messages', 'log', 'bag', 'figures'},
+    'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
+    'base': {'core', 'messages', 'configuration'},
+    'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {
         'files',
         'core',
-        'maps',
         'messages',
         'log',
-        'log.bag',
-        'study',
+        'bag',
+        'base',
         'robot',
-        'nodes.parameters',
+        'configuration',
+        'nodes.runtime',
     },
     'cli': {
         'files',
         'core',
-        'maps',
         'messages',
         'log',
-        'log.bag',
+        'bag',
         'study',
         'report',
-        'nodes',
-        'nodes.parameters',
+        'configuration',
+        'base',
+        'nodes.runtime',
     },
 }
+
+# What a method calls the object, or the class, that it belongs to.
+OWN = ('self', 'cls')
 
 # Modules and functions of files, processes and sockets that the core has no use for.
 FILES = 'glob io multiprocessing os pathlib pickle shutil socket subprocess tempfile'
@@ -109,6 +142,51 @@ def test_imports_point_down():
     assert not upwards
 
 
+def test_all_that_a_layer_may_stand_on_it_stands_on():
+    used = {
+        (layer, layer_of(MODULES[module_of(name)]))
+        for _, layer, name in imports()
+        if name.startswith('kbnitp_ros.')
+    }
+    assert {(layer, below) for layer, each in BELOW.items() for below in each} <= used
+
+
+def test_no_private_name_of_another_module_is_imported():
+    private = [
+        (path, name)
+        for path, _, name in imports()
+        if name.startswith('kbnitp_ros.')
+        if any(re.fullmatch('_(?!_).*', part) for part in name.split('.'))
+    ]
+    assert not private
+
+
+def private_names(tree):
+    """Return the private names that a module defines, those of its classes included."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names.add(node.attr)
+    return {name for name in names if re.fullmatch('_(?!_).*', name)}
+
+
+def test_no_private_name_of_an_object_is_reached_from_another_module():
+    own = {path: private_names(tree) for path, tree in SOURCES.items()}
+    everywhere = set().union(*own.values())
+    reached = [
+        (str(path.relative_to(ROOT)), node.lineno, node.attr)
+        for path, tree in SOURCES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and getattr(node.value, 'id', '') not in OWN
+        if node.attr in everywhere - own[path]
+    ]
+    assert not reached
+
+
 def test_no_files_import_each_other():
     needs = defaultdict(set)
     for path, _, name in imports():
@@ -124,6 +202,25 @@ def test_only_nodes_and_commands_run_ros():
         if layer.split('.')[0] not in ('nodes', 'cli') and name.split('.')[0] == 'rclpy'
     ]
     assert not spinning
+
+
+# What makes messages of these modules imports their packages at once.
+WRITERS = {'messages/markers.py', 'messages/poses.py', 'messages/progress.py'}
+
+
+def test_logs_are_read_without_ros():
+    """Only what makes messages, or describes the types of a log, imports packages of ROS."""
+    needed = [
+        (str(path.relative_to(ROOT)), name)
+        for path, tree in SOURCES.items()
+        if layer_of(path).split('.')[0] in ('messages', 'log', 'bag', 'report', 'maps', 'figures')
+        if str(path.relative_to(ROOT / 'kbnitp_ros')) not in WRITERS
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom | ast.Import)
+        for name in [getattr(node, 'module', None) or node.names[0].name]
+        if re.match(r'(ament|rclpy|rosidl|\w+_(msgs|interfaces)\b)', name)
+    ]
+    assert not needed
 
 
 def test_the_core_needs_numpy_only_and_compiles_in_one_place():

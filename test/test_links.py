@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 import re
 
-import pytest
+from laws import for_each
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
@@ -49,7 +49,7 @@ def dead(path):
             yield link
 
 
-@pytest.mark.parametrize('path', PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+@for_each('path', PAGES)
 def test_links_lead_somewhere(path):
     assert list(dead(path)) == []
 

@@ -12,14 +12,15 @@ from subprocess import DEVNULL
 import sys
 import time
 
+from kbnitp_ros.bag.reader import LogError, read_log
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.log.bag.reader import LogError, read_log
+from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes.given import read_sections, values_for
-from kbnitp_ros.nodes.parameters import NODES, parameters_of
+from laws import for_each
 import pytest
 import yaml
 
@@ -43,7 +44,7 @@ sys.exit(service.run())
 """
 
 
-@pytest.mark.parametrize('node', NODES)
+@for_each('node', NODES)
 def test_the_configuration_has_every_parameter_with_its_default(node):
     given = values_for(read_sections(CONFIG), f'/north/{node}')
     table = parameters_of(node)
@@ -141,6 +142,7 @@ def configured(tmp_path):
     return change
 
 
+@pytest.mark.processes
 def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path, configured):
     arguments = ['params_file:=short.yaml', 'namespace:=north', 'file:=mission.mcap']
     configured(robots=3)
@@ -149,6 +151,7 @@ def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_p
     run_until_over(tmp_path, 5, {'mission.mcap': [*arguments, 'resume:=mission.mcap']})
 
 
+@pytest.mark.processes
 def test_two_teams_are_launched_side_by_side(tmp_path, configured):
     configured(robots=6, publish_pose='true', step_period=0.01)
     teams = {'north': 3, 'south': 2}
@@ -178,6 +181,7 @@ def output_of(folder, *arguments):
     return mission.returncode, told
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     'content, told',
     [
@@ -198,6 +202,7 @@ def test_a_bad_parameter_file_starts_nothing(tmp_path, configured, content, told
     assert 'process started' not in said
 
 
+@pytest.mark.processes
 def test_a_log_is_not_written_over_and_launch_fails(tmp_path, configured):
     (tmp_path / 'mission.mcap').touch()
     code, said = output_of(tmp_path, 'file:=mission.mcap')
@@ -206,6 +211,7 @@ def test_a_log_is_not_written_over_and_launch_fails(tmp_path, configured):
     assert 'the mission failed: recorder-1 ended with exit code 2' in said
 
 
+@pytest.mark.processes
 def test_a_mission_that_is_over_is_kept_if_wished_and_takes_options(tmp_path, configured):
     configured(robots=1000)
     log = tmp_path / 'mission.mcap'
@@ -227,6 +233,7 @@ def test_a_mission_that_is_over_is_kept_if_wished_and_takes_options(tmp_path, co
     assert parameters['/planner']['max_steps'] == parameters['/estimator']['max_steps'] == 4
 
 
+@pytest.mark.processes
 @pytest.mark.usefixtures('configured')
 def test_a_robot_is_launched_in_its_namespaces(tmp_path):
     given = {
@@ -255,6 +262,7 @@ def test_a_robot_is_launched_in_its_namespaces(tmp_path):
     assert '"agent":"scout_7"' in tmp_path.joinpath('journal').read_text()
 
 
+@pytest.mark.processes
 def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
     configured()
     arguments = ['params_file:=short.yaml', 'file:=mission.mcap', 'robots:=3', 'agents:=ada']
@@ -270,6 +278,7 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
     assert_is_whole(tmp_path / 'mission.mcap', 3)
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not which('ros2'), reason='ros2 comes with an installation of ROS 2 only')
 @pytest.mark.parametrize(
     'file, arguments, code, told',
@@ -295,6 +304,7 @@ def test_ros2_launch_ends_by_itself(tmp_path, configured, file, arguments, code,
     assert told in ended.stdout
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     'argument, told',
     [
@@ -310,6 +320,7 @@ def test_the_launch_file_refuses_options_that_are_none(tmp_path, configured, arg
     assert 'process started' not in said
 
 
+@pytest.mark.processes
 def test_an_option_that_the_parameter_file_overrules_is_refused(tmp_path, configured):
     sections = '/planner: {ros__parameters: {}}\n/**/planner: {ros__parameters: {robots: 5}}\n'
     (tmp_path / 'late.yaml').write_text(sections)
@@ -318,6 +329,7 @@ def test_an_option_that_the_parameter_file_overrules_is_refused(tmp_path, config
     assert 'robots:=3 would change nothing' in said
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('agents', ['0', '-1', 'a b'])
 def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agents):
     code, said = output_of(tmp_path, f'agents:={agents}')
@@ -347,6 +359,7 @@ def launched_until(folder, domain, condition, *arguments):
     return mission, *logs
 
 
+@pytest.mark.processes
 def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
     configured(robots=2)
     for _ in range(2):
@@ -357,6 +370,7 @@ def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
     assert [replay(log).reproduced for log in logs] == [True, True]
 
 
+@pytest.mark.processes
 def test_a_node_that_dies_ends_the_mission_and_fails_it(tmp_path, configured):
     configured(robots=1000)
     with free_domain() as domain:
@@ -365,6 +379,7 @@ def test_a_node_that_dies_ends_the_mission_and_fails_it(tmp_path, configured):
         assert mission.wait(timeout=120) == 1
 
 
+@pytest.mark.processes
 def test_an_agent_of_a_team_that_dies_fails_the_mission_when_that_ends(tmp_path, configured):
     configured(robots=1000, step_period=0.02)
     with free_domain() as domain:
@@ -380,6 +395,7 @@ def test_an_agent_of_a_team_that_dies_fails_the_mission_when_that_ends(tmp_path,
         assert mission.wait(timeout=120) == 1
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('trial', range(5))
 def test_any_number_of_interrupts_ends_a_mission(tmp_path, configured, trial):
     with free_domain() as domain:

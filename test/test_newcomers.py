@@ -15,18 +15,20 @@ import sys
 import pytest
 from strangers import install
 
+pytestmark = pytest.mark.processes
+
 ROOT = Path(__file__).parents[1]
 
 NAME = 'newcomer'
 SOURCE = """
 from kbnitp_ros.core import update
-from kbnitp_ros.core.inference import Told
-from kbnitp_ros.core.planning.planners import beam
+from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core.planning.search.planners import beam
 
 
-class Returns(Told):
-    def assimilate(self, observation, kind):
-        after = update(self.belief, kind.model(self.model), observation)
+class Returns(KnownModel):
+    def assimilate(self, observation, robot_type):
+        after = update(self.belief, robot_type.model(self.model), observation)
         if observation.survived:
             self.belief = after
 
@@ -36,7 +38,7 @@ def worst(finder, objective):
 
 
 def allocate(robots):
-    first, *others = ([each.path for each in r.finder.paths(r.objective)] for r in robots)
+    first, *others = ([each.path for each in r.finder.candidates(r.objective)] for r in robots)
     return [first[0], *(paths[-1] for paths in others)], None
 """
 ADDED = {
@@ -56,7 +58,7 @@ CONCERNED = [
     'test/nodes/test_given.py',
 ]
 QUICK = [
-    'test/core/inference/test_update.py',
+    'test/core/inference/test_methods.py',
     'test/core/inference/test_ledger.py',
     'test/core/planning/test_planning.py',
     'test/messages/test_beliefs.py',

@@ -43,6 +43,7 @@ def output(told):
     return told.get('text', data.get('text/plain')), sorted(data)
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('path', NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_shows_what_comes_out(path, executed):
     assert shown(path) == shown(executed / path.name), 'python3 tools/notebooks.py'

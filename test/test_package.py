@@ -2,6 +2,7 @@
 """What the package says of itself agrees with what it is."""
 
 import ast
+from collections import defaultdict
 from importlib import import_module, metadata
 import json
 import os
@@ -13,6 +14,7 @@ from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 from kbnitp_ros.starting import EXECUTABLES
+from laws import for_each
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -21,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 # name, the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
 PYTHON_PACKAGES = {
     'colorspacious': (None, 'colorspacious'),
+    'cyclonedds': (None, 'cyclonedds'),
     'foxglove': (None, 'foxglove-sdk'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'irsim': (None, 'ir-sim'),
@@ -75,6 +78,9 @@ def declared(manifest, *kinds):
     return {element.text for kind in kinds for element in root.iter(kind)}
 
 
+FILES = sorted(path.name for path in ROOT.glob('requirements*.txt'))
+
+
 def pinned(*files):
     lines = [line for name in files for line in ROOT.joinpath(name).read_text().splitlines()]
     requirements = [line.partition('#')[0].strip() for line in lines]
@@ -101,6 +107,35 @@ def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds,
     assert wheels <= pinned(*files).keys()
 
 
+@pytest.mark.parametrize('file', FILES)
+def test_all_that_is_installed_is_locked_by_its_hashes(file):
+    lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
+    entries = re.findall(
+        r'^([\w.-]+==[\w.]+)( ; .+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)',
+        lock,
+        re.M,
+    )
+    # Nothing else stands in it, such as a registry.
+    comment, _, rest = lock.partition('\n')
+    assert comment.startswith('#')
+    assert len(rest.splitlines()) == sum(1 + hashes.count('\n') for _, _, hashes in entries)
+    locked = {requirement for requirement, _, _ in entries}
+    required = {re.sub(r'\[\w+\]', '', line) for line in pinned(file).values()}
+    assert {each.lower() for each in required} <= locked
+
+
+def test_packages_in_several_locks_have_the_same_versions():
+    found = defaultdict(set)
+    for file in FILES:
+        lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
+        versions = defaultdict(set)
+        for name, version, condition in re.findall(r'^([\w.-]+)==([\w.]+)(.*) \\$', lock, re.M):
+            versions[name].add((version, condition))
+        for name, each in versions.items():
+            found[name].add(frozenset(version for version, _ in each))
+    assert {name: each for name, each in found.items() if len(each) > 1} == {}
+
+
 def test_every_requirement_is_pinned_exactly():
     loose = [
         line
@@ -124,7 +159,7 @@ def test_every_command_is_installed_as_an_executable():
     assert all(os.access(folder / name, os.X_OK) for name in EXECUTABLES)
 
 
-@pytest.mark.parametrize('module', EXECUTABLES.values())
+@for_each('module', EXECUTABLES.values())
 def test_every_command_can_be_started(module):
     assert callable(import_module(module).main)
 
@@ -140,13 +175,14 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
     assert [str(path) for path in files if not share.joinpath(path).is_file()] == []
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
 def test_nothing_that_is_to_be_ignored_is_in_the_repository():
     command = ['git', '-C', str(ROOT), 'ls-files', '--cached', '--ignored', '--exclude-standard']
     assert subprocess.run(command, check=True, capture_output=True).stdout == b''
 
 
-@pytest.mark.parametrize('message', sorted(ROOT.glob('msg_defs/msg/*.msg')), ids=lambda p: p.stem)
+@for_each('message', sorted(ROOT.glob('msg_defs/msg/*.msg')))
 def test_every_field_of_a_message_is_explained(message):
     fields = [line for line in message.read_text().splitlines() if line and line[0] != '#']
     assert [line for line in fields if '#' not in line] == []

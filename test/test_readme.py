@@ -13,6 +13,8 @@ import time
 from extent import FULL
 import pytest
 
+pytestmark = pytest.mark.processes
+
 ROOT = Path(__file__).parents[1]
 BLOCKS = re.findall(r'```(\w+)\n(.*?)```', (ROOT / 'README.md').read_text(), re.S)
 SHELL = [line for language, block in BLOCKS if language == 'bash' for line in block.splitlines()]

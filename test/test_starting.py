@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A signal ends every executable well, also while it starts."""
 
+from itertools import product
 import os
 from pathlib import Path
 import signal
@@ -9,7 +10,10 @@ import sys
 
 from ament_index_python.packages import get_package_prefix
 from kbnitp_ros.starting import EXECUTABLES, NODES
+from laws import for_each
 import pytest
+
+pytestmark = pytest.mark.processes
 
 # Stands for a library that takes long to import, which all need.
 SLOW = """
@@ -21,11 +25,12 @@ time.sleep(60)
 INSTALLED = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
-@pytest.mark.parametrize('name', EXECUTABLES)
-@pytest.mark.parametrize('is_installed', [False, True], ids=['module', 'installed'])
+@for_each(
+    'number, name, is_installed',
+    product([signal.SIGINT, signal.SIGTERM], EXECUTABLES, [False, True]),
+)
 def test_a_signal_while_it_imports_ends_it_without_a_traceback(
-    tmp_path, name, number, is_installed
+    tmp_path, number, name, is_installed
 ):
     tmp_path.joinpath('numpy.py').write_text(SLOW)
     command = [INSTALLED / name] if is_installed else [sys.executable, '-m', 'kbnitp_ros', name]

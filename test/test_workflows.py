@@ -22,6 +22,7 @@ def steps(name):
     return [line for step in job['steps'] for line in step.get('run', '').splitlines()]
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('path', WORKFLOWS, ids=lambda path: path.stem)
 def test_a_workflow_keeps_to_the_schema(path, tmp_path):
     pytest.importorskip('check_jsonschema', reason='it is of the wheels only')
@@ -35,6 +36,14 @@ def test_a_workflow_keeps_to_the_schema(path, tmp_path):
     broken = tmp_path / path.name
     broken.write_text(path.read_text().replace('runs-on:', 'runs-at:'))
     assert check(broken).returncode != 0
+
+
+@pytest.mark.parametrize('path', WORKFLOWS, ids=lambda path: path.stem)
+def test_actions_are_pinned_by_commit(path):
+    used = re.findall(r'uses: (.*)', path.read_text())
+    assert used
+    for action in used:
+        assert re.fullmatch(r'[\w-]+/[\w-]+@[0-9a-f]{40}  # v\d+\.\d+\.\d+', action)
 
 
 def test_wheels_are_tried_by_the_commands_of_the_readme():

@@ -18,23 +18,13 @@ import sys
 from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
+from kbnitp_ros.base.reachability import reach_note
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
-from kbnitp_ros.core import Belief, DeploymentKey
-from kbnitp_ros.files import in_words
-from kbnitp_ros.log.bag import check_is_new, LogError, LogLock, parts_of, read_log
-from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.evidence import PATH
-from kbnitp_ros.log.naming import NAME, new_log
-from kbnitp_ros.log.replay import replay
-from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.messages.deployments import read_report
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.command_line import command_parser
-from kbnitp_ros.nodes.given import read_sections, values_for
-from kbnitp_ros.nodes.parameters import (
+from kbnitp_ros.configuration import (
     agents_of,
     check_known,
     check_own,
@@ -47,11 +37,23 @@ from kbnitp_ros.nodes.parameters import (
     own_name,
     parameter_of,
     parameters_of,
+    robot_types_of,
     value_for,
 )
-from kbnitp_ros.nodes.reach import reach_note
-from kbnitp_ros.nodes.shell import DEPLOYMENTS
-from kbnitp_ros.nodes.world_file import read_world
+from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.world_file import read_world
+from kbnitp_ros.core import Belief, DeploymentKey
+from kbnitp_ros.files import in_words
+from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.evidence import PATH
+from kbnitp_ros.log.log_path import NAME, new_log
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.command_line import command_parser
+from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
 from kbnitp_ros.report import check_is_free
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -60,23 +62,24 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
-NODES = ('recorder', 'estimator', 'team', 'planner')
+NODES = ('recorder', 'estimator', 'agent', 'planner')
 
 # Nothing is published for good before all of these hear it.
 AWAITED = {
     'estimator': ['planner', 'recorder', 'observer'],
-    'team': ['planner', 'estimator', 'recorder', 'observer'],
-    'planner': ['team', 'estimator', 'recorder'],
+    'agent': ['planner', 'estimator', 'recorder', 'observer'],
+    'planner': ['agent', 'estimator', 'recorder'],
 }
 
 # How long after its expected return a silent robot is given up, in seconds: those of the demo
 # need no time for their way, but their processes may be kept waiting by others.
 RETURN_DEADLINE = 1.0
 
-# What the demo sets by itself unless told otherwise: as long as the method is the one that learns,
-# estimator and planner do not know what destroys robots.
+# What the demo sets by itself unless told otherwise. With the method that learns, estimator and
+# planner know neither the lethality nor the hazard density: a lethality learnt under a wrong
+# density is wrong, since fewer hazards that are more lethal destroy as many robots.
 LEARNER = 'kappa_bnitp_sampled'
-LEARNT = ('lethality',)
+LEARNT = ('lethality', 'hazard_density')
 DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'method': LEARNER, 'learn': None}
 
 # Options that set one parameter of that name in every node that has it.
@@ -103,8 +106,8 @@ Run a whole mission with real nodes, each a process of its own: deploy the robot
 mission, compute every belief of the recording again and report what became known. Or go on with
 a mission that died.
 
-The lethality is hidden from estimator and planner, which learn it, unless another method is named
-or --set learn=[].
+Estimator and planner know neither the lethality nor the hazard density and learn both, unless
+another method is named or --set learn=[].
 
 Where several say something, --set counts for more than the other options, and these for more than
 the file of --params.
@@ -112,7 +115,7 @@ the file of --params.
 
 EXAMPLES = (
     'python3 -m kbnitp_ros demo --robots 20 --lethality 0.3 --size 7 --seed 3 --out runs/small',
-    'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set team:sensor.lethality=0.9',
+    'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set agent:sensor.lethality=0.9',
     'python3 -m kbnitp_ros demo --agents 2 --set robots.scout_2.sensor.true_positive=0.99',
     'python3 -m kbnitp_ros demo --params config/mission.yaml --set loss_cost=2',
     'python3 -m kbnitp_ros demo --robots 20 --set objective=behavioral --set alpha=2',
@@ -213,7 +216,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         action='append',
         default=[],
         help='a parameter of every node that has it, or of one: planner, estimator, recorder, or '
-        'team, whose sensor is the truth while planner and estimator have what is believed. '
+        'agent. The sensor of agent is the true one, that of planner and estimator the assumed '
+        'one. '
         'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists '
         'the parameters with their defaults and ranges',
     )
@@ -249,14 +253,12 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         table = parameters_of(node)
         values = {name: parameter.default for name, parameter in table.items()}
         values |= {name: value for name, value in DEFAULTS.items() if name in table}
-        # The team is all agents, and takes what a file has for those.
-        for section in ('agent', 'team') if node == 'team' else (node,):
-            given = values_for(sections, f'/{section}')
-            if given.get('use_sim_time'):
-                raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
-            for name, value in given.items():
-                if parameter := parameter_of(node, name):
-                    values[name] = parameter.check(value)
+        given = values_for(sections, f'/{node}')
+        if given.get('use_sim_time'):
+            raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
+        for name, value in given.items():
+            if parameter := parameter_of(node, name):
+                values[name] = parameter.check(value)
         parameters[node] = values
     for name, value in given_by_options(options):
         for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
@@ -269,7 +271,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         estimator['learn'] = LEARNT if estimator['method'] == LEARNER else ()
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
-        values |= {name: '' for name in ('file', 'resume') if name in values}
+        values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}
         values.pop('await_nodes', None)
     check_mission(parameters)
     return parameters
@@ -317,7 +319,7 @@ def set_parameter(parameters: Mapping[str, dict[str, Any]], rule: str) -> None:
 
 def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse parameters that the nodes would refuse, or that would keep them from each other."""
-    for one, other in pairwise(('estimator', 'team', 'planner')):
+    for one, other in pairwise(('estimator', 'agent', 'planner')):
         ours, theirs = parameters[one], parameters[other]
         check_own(theirs)
         for name in sorted({*ours, *theirs}):
@@ -330,14 +332,16 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
                     f'{name} is {value} of {one} and {another} of {other}: nodes of one mission '
                     'must agree'
                 )
-    team, estimator = parameters['team'], parameters['estimator']
-    if team['map_topic']:
-        raise ValueError(f'map_topic is {team["map_topic"]}: no map reaches the demo, use map')
-    grid = grid_of(team)
-    agents_of(team, grid)
-    check_search(parameters['planner'], grid)
-    if team['world.file']:
-        read_world(team['world.file'], grid)
+    simulated, estimator = parameters['agent'], parameters['estimator']
+    if simulated['map_topic']:
+        raise ValueError(
+            f'map_topic is {simulated["map_topic"]}: no map reaches the demo, use map'
+        )
+    grid = grid_of(simulated)
+    agents_of(simulated, grid)
+    check_search(parameters['planner'], grid, robot_types_of(estimator))
+    if simulated['world.file']:
+        read_world(simulated['world.file'], grid)
     estimator_of(estimator, grid)
 
 
@@ -404,7 +408,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
         if 'resume' in known:
             parameters[node]['resume'] = str(log)
     # What the mission came to is shown beside the truth, which the log may lack so far.
-    parameters['team']['publish_truth'] = True
+    parameters['agent']['publish_truth'] = True
     return parameters
 
 
@@ -513,7 +517,7 @@ def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) 
         low, _, middle, _, high = known.quantiles
         is_known = f'; it is {truth[name]:.3g}' if name in truth else ''
         say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')
-    return 0 if reproduction.reproduced else 1
+    return 1 if reproduction.grade == Grade.DIFFERENT else 0
 
 
 def report_folder(log: Path) -> Path:
@@ -523,16 +527,16 @@ def report_folder(log: Path) -> Path:
 
 def true_numbers(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Return what the numbers are that can be learnt, as far as the parameters tell."""
-    team, estimator = parameters['team'], parameters['estimator']
+    agent, estimator = parameters['agent'], parameters['estimator']
     numbers = {
-        name: team[f'sensor.{name}']
+        name: agent[f'sensor.{name}']
         for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
     }
     # A hazard that destroys no robot has failed or was not lethal, which nobody can tell.
     working = 1.0 - estimator['sensor.false_negative']
     if working > 0.0:
-        numbers['lethality'] *= (1.0 - team['sensor.false_negative']) / working
-    if not team['world.file']:
+        numbers['lethality'] *= (1.0 - agent['sensor.false_negative']) / working
+    if not agent['world.file']:
         for name in ('hazard_density', 'kappa', 'target_background'):
-            numbers[name] = team[f'world.{name}']
+            numbers[name] = agent[f'world.{name}']
     return numbers

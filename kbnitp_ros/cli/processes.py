@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, IO
 
 from ament_index_python.packages import get_package_share_directory
+from kbnitp_ros.nodes.runtime.transport import udp_only
 
 # Domains beyond 101 use ports that Linux hands out to others.
 DOMAINS = range(1, 102)
@@ -39,12 +40,13 @@ def share(relative: str) -> Path:
 def environment(domain: int) -> dict[str, str]:
     """Return the environment of a process that talks ROS on `domain` and on this machine only."""
     paths = [str(Path(__file__).parents[2]), os.environ.get('PYTHONPATH', '')]
+    # Neither a profile nor peers of the user's count here.
+    local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    local |= {name: os.environ[name] for name in os.environ.keys() & {'ROS_LOCALHOST_ONLY'}}
     return {
         **os.environ,
         'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(share('config/loopback.xml')),
-        'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
+        **udp_only(local, share('config')),
         'PYTHONPATH': os.pathsep.join(filter(None, paths)),
     }
 
@@ -137,20 +139,26 @@ class Processes:
 
         """
         full_name = f'{namespace.rstrip("/")}/{node}'
-        command = [*END_WITH_PARENT, sys.executable, '-m', 'kbnitp_ros', node, '--ros-args']
-        command += ['--enclave', full_name]
+        arguments = [node, '--ros-args', '--enclave', full_name]
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
-            command += ['--remap', f'{name}:={other}']
+            arguments += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():
             # JSON is the YAML that ROS reads a value as.
-            command += ['--param', f'{name}:={json.dumps(value)}']
+            arguments += ['--param', f'{name}:={json.dumps(value)}']
         for logger, level in (levels or {}).items():
-            command += ['--log-level', f'{logger}:={level}']
-        process = subprocess.Popen(
-            command, env=self._environment, stdout=output, stderr=output and subprocess.STDOUT
-        )
+            arguments += ['--log-level', f'{logger}:={level}']
+        process = self.launch(arguments, output)
         self.started[full_name] = process
         return process
+
+    def launch(self, arguments: list[str], output: IO[Any] | None) -> subprocess.Popen[bytes]:
+        """Start a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
+        return subprocess.Popen(
+            [*END_WITH_PARENT, sys.executable, '-m', 'kbnitp_ros', *arguments],
+            env=self._environment,
+            stdout=output,
+            stderr=output and subprocess.STDOUT,
+        )
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of the nodes that have ended, by their full names."""

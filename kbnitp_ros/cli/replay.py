@@ -9,18 +9,20 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from kbnitp_ros.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.core import versions
-from kbnitp_ros.log.bag import log_size, LogError, LoggedMessage, Recorded, repair
-from kbnitp_ros.log.replay import replay, ReplayReport
-from kbnitp_ros.nodes.command_line import add_log, command_parser
+from kbnitp_ros.log.configuration import recorded_environment
+from kbnitp_ros.log.environment import numerical_environment
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.replay_report import Grade, ReplayReport, TOLERANCE
+from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from tqdm import tqdm
 
 DESCRIPTION = """
-Compute the beliefs of a mission's log again from the evidence in it, and say which of them are not
-reproduced bit for bit.
+Compute the beliefs of a mission's log again from the evidence in it, and say whether they are
+identical, equal to 1e-9 as on another kind of processor, or different.
 
-The exit code is 0 if all are, 1 if not, and 2 if the log cannot be used or repaired.
+The exit code is 0 if none is different, 1 if one is, and 2 if the log cannot be used or repaired.
 """
 
 EXAMPLES = (
@@ -30,6 +32,9 @@ EXAMPLES = (
 
 # How many messages that nobody took are told of one by one.
 REFUSALS = 20
+
+# And how many beliefs.
+FINDINGS = 3
 
 T = TypeVar('T', LoggedMessage, Recorded)
 
@@ -42,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all beliefs are reproduced, 1 if not, 2 if the log cannot be used or repaired.
+        0 if no belief is different, 1 if one is, 2 if the log cannot be used or repaired.
 
     """
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
@@ -51,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         '--repair',
         metavar='OUT.mcap',
         type=Path,
-        help='write what is intact of an unfinished or damaged log to a new file, best in a new '
+        help='write what is intact of an unfinished or corrupt log to a new file, best in a new '
         'folder, which is made; and replay that',
     )
     options = parser.parse_args(argv)
@@ -68,7 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain('replay', error)
         return 2
     say(*lines(report))
-    return 0 if report.reproduced else 1
+    if report.roundings:
+        say(*computed_with(log, report))
+    return 1 if report.grade == Grade.DIFFERENT else 0
 
 
 def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
@@ -83,21 +90,20 @@ def lines(report: ReplayReport) -> Iterator[str]:
     """Yield what a replay found: a summary, then what is not reproduced, then what is missing."""
     evidence = report.evidence
     deployments, survived = len(evidence.reports), evidence.survived
-    is_earlier = report.version and report.version < versions(report.method)[-1]
     yield (
         f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
         f'method {report.method or "not on record"}'
-        f'{f", version {report.version}" if is_earlier else ""}'
     )
-    for decision in report.decisions:
-        yield f'the operator {decision}, at {decision.when}'
-    missed = Counter(each.topic for each in (*report.mismatches, *report.undecided))
+    for action in report.actions:
+        yield f'the operator {action}, at {action.when}'
+    missed = Counter(each.topic for each in report.mismatches)
+    rounded = Counter(each.topic for each in report.roundings)
     for topic, compared in sorted(report.compared.items()):
-        yield f'{topic}: {compared - missed[topic]} of {compared} reproduced'
-    for mismatch in report.mismatches:
-        yield f'not reproduced: {mismatch}'
-    for belief in report.undecided:
-        yield f'not decided: {belief}'
+        equal = f', {rounded[topic]} of them equal to {TOLERANCE:g}' if rounded[topic] else ''
+        yield f'{topic}: {compared - missed[topic]} of {compared} reproduced{equal}'
+    yield from first_few('not reproduced', report.mismatches)
+    yield from first_few('not compared', report.not_compared)
+    yield from first_few('repeated', report.repeated)
     for key in report.passed_over:
         yield f'not reproduced: deployment {key} is in no belief, though later ones are'
     for key in report.not_yet_held:
@@ -106,9 +112,27 @@ def lines(report: ReplayReport) -> Iterator[str]:
         yield f'deployment {key} has no report on record: the robot was still out'
     for key in evidence.without_path:
         yield f'deployment {key} has no path on record'
-    for refusal in evidence.refused[:REFUSALS]:
-        yield f'refused: {refusal}'
-    if len(evidence.refused) > REFUSALS:
-        yield f'refused: {len(evidence.refused) - REFUSALS} more'
+    yield from first_few('refused', evidence.refused, REFUSALS)
     if not report.finished:
         yield 'the log is unfinished: it was still being written, or its end is missing'
+
+
+def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:
+    """Yield a line for each of the first findings, and one that counts the others."""
+    for each in found[:most]:
+        yield f'{what}: {each}'
+    if len(found) > most:
+        yield f'{what}: {len(found) - most} more'
+
+
+def computed_with(log: str | Path, report: ReplayReport) -> Iterator[str]:
+    """Yield by how much beliefs differ, and what the recorded ones were made with."""
+    yield (
+        f'equal to {TOLERANCE:g}, not identical: the largest difference is '
+        f'{report.largest_rounding:.2g}'
+    )
+    here = numerical_environment()
+    for name, recorded in recorded_environment(log).items():
+        if name not in here or here[name] != recorded:
+            is_other = f', here {here[name]}' if name in here else ''
+            yield f'made with {name.replace("_", " ")} {recorded}{is_other}'

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from kbnitp_ros.bag import log_size, LogError
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
-from kbnitp_ros.log.bag import log_size, LogError
-from kbnitp_ros.nodes.command_line import add_log, command_parser
+from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report import check_is_free, curves_of, Mission, PARTS, read_mission, write_report
 from tqdm import tqdm
 

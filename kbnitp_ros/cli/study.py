@@ -12,7 +12,7 @@ import sys
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.processes import share
-from kbnitp_ros.nodes.command_line import command_parser
+from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results

@@ -3,23 +3,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import (
+    ALL_KNOWN,
+    AS_ORDERED,
     Belief,
-    Conduct,
+    Execution,
     Grid,
-    Kind,
-    OBEDIENT,
+    Learnt,
     Observation,
-    of_each,
     SensorModel,
+    Unknowns,
     whole_number,
     World,
 )
-from kbnitp_ros.core.inference import ALL_KNOWN, Estimator, Learnt, Unknowns
-from kbnitp_ros.core.planning import count_visits, Plan, plan_team, team_size
+from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.planning import (
+    count_visits,
+    Plan,
+    plan_team,
+    SearchOptions,
+    Team,
+    team_size,
+)
 import numpy as np
 
 
@@ -50,37 +58,64 @@ class Deployment:
     parameters: Mapping[str, Learnt]
 
 
+@dataclass(frozen=True)
+class Truth:
+    """
+    What the robots of a mission are really like.
+
+    Attributes
+    ----------
+    model : SensorModel, optional
+        Of robots like all others and their sensors; None if they are as believed.
+    execution : Execution
+        How they depart from their orders; by default they do not.
+
+    """
+
+    model: SensorModel | None = None
+    execution: Execution = AS_ORDERED
+
+
+@dataclass(frozen=True)
+class Learning:
+    """
+    What a mission learns besides the maps.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+        Which numbers of the sensor model and of the prior are not known. Robots are planned with
+        what is known of them by then: with the estimator's model.
+    seed : int
+        Of the random numbers that the method draws.
+
+    """
+
+    unknowns: Unknowns = ALL_KNOWN
+    seed: int = 0
+
+
 def run_mission(
     grid: Grid,
     belief: Belief,
     model: SensorModel,
     world: World,
     robots: int,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     method: str = 'kappa_bnitp',
+    options: SearchOptions = SearchOptions(),
     *,
-    max_steps: int = 18,
-    planner: str = 'beam',
-    width: int = 16,
-    max_visits: int = 3,
-    agents: int = 1,
-    allocation: str = 'greedy',
-    loss_cost: float = 0.0,
-    world_model: SensorModel | None = None,
-    unknowns: Unknowns = ALL_KNOWN,
-    seed: int = 0,
-    conduct: Conduct = OBEDIENT,
-    kinds: Sequence[Kind] = (),
-    objective: str = 'information',
-    alpha: float = 1.0,
+    team: Team | None = None,
+    truth: Truth | None = None,
+    learning: Learning | None = None,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
 
-    The robots of a round are planned on the same belief, and their evidence is taken in in their
-    order. Robot k of the mission is traversed with the k-th child of `rng`, so that its fate does
-    not depend on what was drawn before, and missions that differ in their method or their teams
-    share their random numbers.
+    The robots of a round are planned on the same belief, and their evidence is assimilated in
+    their order. Robot k of the mission is traversed with the k-th child of `rng`, so that its
+    outcome does not depend on what was drawn before, and missions that differ in their method or
+    their teams share their random numbers.
 
     Parameters
     ----------
@@ -94,26 +129,20 @@ def run_mission(
         The hidden truth.
     robots : int
         How many are deployed, at least 0.
-    rng : numpy.random.Generator
-        The only source of randomness: ``rng.spawn(1)`` for each robot.
+    rng : int or numpy.random.Generator
+        The only source of randomness, as `numpy.random.default_rng` takes it:
+        ``rng.spawn(1)`` for each robot.
     method : str
         The estimator's, one of `METHODS`.
-    max_steps, planner, width, max_visits, allocation, loss_cost, objective, alpha
-        As for `plan_team`.
-    agents : int
-        How many leave together, from 1 to the number of free cells; fewer in the last round if
-        `robots` is no multiple of it.
-    world_model : SensorModel, optional
-        What the robots and their sensors are really like, if not as believed.
-    unknowns : Unknowns
-        Which numbers of `model` and of the prior are not known. Robots are planned with what is
-        known of them by then: with the estimator's model.
-    seed : int
-        Of the random numbers that the method draws.
-    conduct : Conduct
-        How the robots depart from their orders; by default they do not.
-    kinds : sequence of Kind
-        Of the robots of each agent, which they are like in truth as well; empty if all are alike.
+    options : SearchOptions
+        Of the search for paths.
+    team : Team, optional
+        The robots that leave together, by default one; fewer in the last round if `robots` is no
+        multiple of them. They are of their types in truth as well.
+    truth : Truth, optional
+        What the robots are really like, if not as believed.
+    learning : Learning, optional
+        What is learnt besides the maps; by default nothing.
 
     Returns
     -------
@@ -126,41 +155,28 @@ def run_mission(
         If the world or the belief does not fit the grid, or an argument is out of range.
 
     """
+    team, truth, learning = team or Team(), truth or Truth(), learning or Learning()
+    rng = np.random.default_rng(rng)
     world.check(grid)
-    estimator = Estimator(belief, model, method, unknowns, seed)
-    truth = model if world_model is None else world_model
+    estimator = Estimator(belief, model, method, learning.unknowns, learning.seed)
+    robots = whole_number('robots', robots, 0)
+    team_size(grid, team.agents)
     deployments: list[Deployment] = []
-    robots, agents = whole_number('robots', robots, 0), team_size(grid, agents)
-    kinds = of_each(agents, kinds)
     visited = count_visits(grid, [])
     while len(deployments) < robots:
-        leaving = kinds[: robots - len(deployments)]
-        team = plan_team(
-            grid,
-            estimator.belief,
-            estimator.model,
-            max_steps,
-            len(leaving),
-            allocation,
-            planner,
-            width=width,
-            max_visits=max_visits,
-            loss_cost=loss_cost,
-            kinds=leaving,
-            visited=visited,
-            objective=objective,
-            alpha=alpha,
+        leaving = team.first(robots - len(deployments))
+        planned = plan_team(
+            grid, estimator.belief, estimator.model, leaving, options, visited=visited
         )
-        visited += count_visits(grid, [planned.path for planned in team.plans])
-        for planned, kind in zip(team.plans, leaving):
-            own = kind.model(truth)
-            made = conduct.traverse(world, grid, planned.path, own, rng.spawn(1)[0])
-            observation = made.observation
-            estimator.assimilate(observation, kind)
+        visited += count_visits(grid, [plan.path for plan in planned.plans])
+        for plan, robot_type in zip(planned.plans, leaving.types):
+            own = robot_type.model(truth.model or model)
+            made = truth.execution.traverse(world, grid, plan.path, own, rng.spawn(1)[0])
+            estimator.assimilate(made.observation, robot_type)
             deployments.append(
                 Deployment(
-                    planned,
-                    observation,
+                    plan,
+                    made.observation,
                     estimator.belief,
                     estimator.model,
                     estimator.parameters,

@@ -3,10 +3,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+import errno
+from pathlib import Path
+
+# What a user can do about an error of the disk.
+REMEDIES = {
+    errno.ENOSPC: 'free some space on that disk',
+    errno.EDQUOT: 'free some space within the disk quota',
+    errno.EFBIG: 'raise the limit on the size of files, see ulimit -f',
+    errno.EROFS: 'name a file on a disk that can be written to',
+    errno.EACCES: 'check the permissions of the file and its folder',
+    errno.EPERM: 'check the permissions of the file and its folder',
+    errno.EIO: 'check the disk',
+}
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """
+    Have every OSError name a file.
+
+    The system names the file when one is opened, but not when an open one is written, as on a
+    full disk.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file that an error is about if it names none.
+
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
 
 def in_words(error: BaseException) -> str:
-    """Return an error as one line; of an error of the system which file it is about, and why."""
+    """Return an error as one line; of an error of the system the file, the reason and a remedy."""
     if isinstance(error, OSError) and error.strerror:
         about = [error.filename] if error.filename is not None else []
-        return ': '.join(map(str, [*about, error.strerror]))
+        remedy = REMEDIES.get(error.errno or 0)
+        return ': '.join(map(str, [*about, error.strerror])) + (f' ({remedy})' if remedy else '')
     return ' '.join(str(error).split()) or type(error).__name__

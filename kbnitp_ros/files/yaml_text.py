@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.files.regular import open_file
+from kbnitp_ros.files.words import naming
 import yaml
 
 # Bytes of a file. Two pictures of a world of 1000x1000 cells have 2 million.
@@ -73,7 +74,7 @@ def read_yaml(path: str | Path) -> Any:
         As `parse_yaml`; also if it is too large.
 
     """
-    with open_file(path) as file:
+    with naming(path), open_file(path) as file:
         text = file.read(MOST_BYTES + 1)
     if len(text) > MOST_BYTES:
         raise ValueError(f'it has more than {MOST_BYTES} bytes')

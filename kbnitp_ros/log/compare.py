@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare a recorded message with a computed one, field by field and bit for bit."""
+"""Compare a recorded message with computed fields: bit for bit, or up to rounding."""
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from hashlib import blake2b
 from math import nan
 from typing import Any
 
+from kbnitp_ros.messages.fields import Fields
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 # The array fields that are maps, and how many values they have for each cell.
 VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
@@ -28,7 +29,9 @@ class Difference:
     text : str
         How it differs.
     largest : float
-        Largest absolute difference of an array's values; NaN if there is none to be taken.
+        Largest absolute difference of its numbers; NaN if there is none to be taken.
+    is_rounding : bool
+        Whether it is not larger than another processor's rounding makes it.
     cell : int or None
         Where in a map that is.
 
@@ -37,13 +40,16 @@ class Difference:
     field: str
     text: str
     largest: float = nan
+    is_rounding: bool = False
     cell: int | None = None
 
     def __str__(self) -> str:
         return f'{self.field} {self.text}'
 
 
-def differences(recorded: Any, computed: Any) -> Iterator[Difference]:
+def differences(
+    recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
+) -> Iterator[Difference]:
     """
     Yield where a recorded message differs.
 
@@ -51,78 +57,77 @@ def differences(recorded: Any, computed: Any) -> Iterator[Difference]:
     ----------
     recorded : object
         As decoded from a log.
-    computed : ROS message
+    computed : Fields
         Its fields are the ones compared.
+    tolerance : float
+        How far numbers may be apart to be called rounded: this, or times their size if above 1.
+    rounded : collection of str
+        The fields of a single number that may be rounded; those of arrays may be.
 
     """
-    # A field that an earlier version of the type did not have yet says what it says by default.
-    default = type(computed)()
-    for name in computed.get_fields_and_field_types():
-        theirs, ours = getattr(recorded, name, getattr(default, name)), getattr(computed, name)
-        yield from differences_of_field(name, theirs, ours)
+    for name, ours in vars(computed).items():
+        theirs = getattr(recorded, name)
+        if name in rounded:
+            yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
+        else:
+            yield from _differences_of_field(name, theirs, ours, tolerance)
 
 
-def differences_of_field(name: str, theirs: Any, ours: Any) -> Iterator[Difference]:
-    """Yield where a recorded field differs from the computed one."""
-    if hasattr(ours, 'get_fields_and_field_types'):
-        for difference in differences(theirs, ours):
+def content_digest(message: Any, like: Fields) -> bytes:
+    """Return a digest of the fields of a message that `like` has, arrays with the types there."""
+    return blake2b(repr(list(_leaves(message, like))).encode(), digest_size=16).digest()
+
+
+def _leaves(value: Any, like: Any) -> Iterator[Any]:
+    if isinstance(like, Fields):
+        for name, each in vars(like).items():
+            yield from _leaves(getattr(value, name), each)
+    elif isinstance(like, np.ndarray):
+        yield np.asarray(value, like.dtype).tobytes()
+    else:
+        yield value
+
+
+def _differences_of_field(
+    name: str, theirs: Any, ours: Any, tolerance: float
+) -> Iterator[Difference]:
+    if isinstance(ours, Fields):
+        for difference in differences(theirs, ours, tolerance):
             yield replace(difference, field=f'{name}.{difference.field}')
-    elif isinstance(ours, array):
-        yield from array_differences(name, theirs, ours)
-    elif isinstance(ours, list) and len(theirs) == len(ours):
-        for index, elements in enumerate(zip(theirs, ours)):
-            yield from differences_of_field(f'{name}[{index}]', *elements)
-    elif isinstance(ours, list):
+    elif isinstance(ours, np.ndarray):
+        yield from _array_differences(name, theirs, ours, tolerance)
+    elif isinstance(ours, list) and len(theirs) != len(ours):
         yield Difference(name, f'has {len(theirs)} values, computed are {len(ours)}')
+    elif isinstance(ours, list):
+        for index, elements in enumerate(zip(theirs, ours)):
+            yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
     elif theirs != ours:
         yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
 
 
-def content(message: Any, like: Any) -> tuple[Any, ...]:
-    """
-    Return what is in a message: equal for messages that do not differ, whoever decoded them.
-
-    Parameters
-    ----------
-    message : object
-        As decoded from a log, or a ROS message.
-    like : ROS message
-        One of its type.
-
-    """
-    return tuple(
-        content_of_field(getattr(message, name), getattr(like, name))
-        for name in like.get_fields_and_field_types()
-    )
-
-
-def content_of_field(value: Any, like: Any) -> Any:
-    """Return what is in a field, arrays as their bytes."""
-    if hasattr(like, 'get_fields_and_field_types'):
-        return content(value, like)
-    if isinstance(like, list):
-        return tuple(value)
-    return np.asarray(value, like.typecode).tobytes() if isinstance(like, array) else value
-
-
-def array_differences(name: str, theirs: ArrayLike, ours: array[Any]) -> Iterator[Difference]:
+def _array_differences(
+    name: str, theirs: ArrayLike, ours: NDArray[Any], tolerance: float
+) -> Iterator[Difference]:
     """Yield the worst difference of two arrays, if there is any."""
-    recorded, computed = np.asarray(theirs, dtype=ours.typecode), np.asarray(ours)
-    if recorded.size != computed.size:
-        yield Difference(name, f'has {recorded.size} values, computed are {computed.size}')
+    recorded = np.asarray(theirs, dtype=ours.dtype)
+    if recorded.size != ours.size:
+        yield Difference(name, f'has {recorded.size} values, computed are {ours.size}')
         return
-    differ = recorded.view(np.uint8) != computed.view(np.uint8)
-    differ = differ.reshape(computed.size, computed.itemsize).any(axis=1)
+    differ = recorded.view(np.uint8) != ours.view(np.uint8)
+    differ = differ.reshape(ours.size, ours.itemsize).any(axis=1)
     if not differ.any():
         return
-    gap = np.abs(np.subtract(recorded, computed, dtype=np.float64))
-    worst = int(np.argmax(np.where(differ, gap, -1.0)))
+    gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
+    is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
+    # A difference that is no number is the worst.
+    worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
     place = f'value {worst}' if cell is None else f'cell {cell}'
     yield Difference(
         name,
         f'differs in {differ.sum()} values, by up to {gap[worst]:.3g} in {place} '
-        f'({recorded[worst]}, computed is {computed[worst]})',
+        f'({recorded[worst]}, computed is {ours[worst]})',
         float(gap[worst]),
+        bool(is_rounded[differ].all()),
         cell,
     )

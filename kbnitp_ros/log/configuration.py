@@ -13,9 +13,8 @@ import subprocess
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from ament_index_python.packages import get_package_share_directory
-from kbnitp_ros.log.bag import LogError, read_metadata
-import numpy as np
+from kbnitp_ros.bag import LogError, read_metadata
+from kbnitp_ros.log.environment import numerical_environment
 
 # Names of metadata records; a node's full name, which starts with a slash, follows the second.
 RUN = 'run'
@@ -39,10 +38,25 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
         'rmw_implementation': rmw_implementation,
         'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
         'python': platform.python_version(),
-        'numpy': np.__version__,
         'platform': platform.platform(),
+        **numerical_environment(),
         **_revision(Path(__file__).resolve().parents[2]),
     }
+
+
+def recorded_environment(path: str | Path) -> dict[str, str]:
+    """
+    Return what a log was made with: the same, and the version of kbnitp_ros.
+
+    Raises
+    ------
+    LogError
+        If it is no log.
+
+    """
+    run = read_metadata(path).get(RUN, {})
+    names = ('kbnitp_ros', *numerical_environment())
+    return {name: run.get(name, 'not on record') for name in names}
 
 
 def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
@@ -78,13 +92,16 @@ def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
             try:
                 values = {key: json.loads(text) for key, text in record.items()}
             except ValueError as error:
-                raise LogError(f'{path}: record {name!r} is damaged: {error}') from error
+                raise LogError(f'{path}: record {name!r} is corrupt: {error}') from error
             parameters[name.removeprefix(PARAMETERS)] = values
     return parameters
 
 
 def _package_version(package: str) -> str:
     """Return the version that a ROS package's manifest gives."""
+    # Only who writes a log needs to know what is installed.
+    from ament_index_python.packages import get_package_share_directory
+
     try:
         manifest = Path(get_package_share_directory(package), 'package.xml')
         return ElementTree.parse(manifest).findtext('version', 'unknown')

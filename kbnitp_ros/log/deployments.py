@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Kind, Observation
-from kbnitp_ros.log.bag import read_log, same_types
+from kbnitp_ros.bag import LoggedMessage, read_log, same_types
+from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Observation, RobotType
 from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.missions import mission_of_belief, mission_of_path
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +32,8 @@ class RecordedDeployment:
         Its cells.
     message : bytes
         The nav_msgs/Path, as it came off the wire.
+    content : int
+        Hash of what it says.
     observation : Observation or None
         What came of it; None if the robot was still out.
     reported : int
@@ -40,6 +43,7 @@ class RecordedDeployment:
 
     path: NDArray[np.intp]
     message: bytes
+    content: int
     observation: Observation | None = None
     reported: int = 0
 
@@ -48,7 +52,7 @@ def read_deployments(
     log: str | Path,
     grid: Grid,
     max_steps: int,
-    kinds: Mapping[str, Kind] = MappingProxyType({}),
+    robot_types: Mapping[str, RobotType] = MappingProxyType({}),
 ) -> dict[DeploymentKey, RecordedDeployment]:
     """
     Return the deployments on record that the estimator takes, in the order they were made.
@@ -61,33 +65,35 @@ def read_deployments(
         The mission's.
     max_steps : int
         The most steps of a path from now on; those on record may have as many as they had to.
-    kinds : mapping of str to Kind
+    robot_types : mapping of str to RobotType
         Of the robots of each agent from now on.
 
     Raises
     ------
     LogError
-        If it cannot be read or is damaged.
+        If it cannot be read or is corrupt.
     ValueError
         If its beliefs are on another grid.
 
     """
-    belief = check_same_field(log, grid)
-    evidence = Evidence(grid, max_steps, kinds)
+    belief, mission = check_same_field(log, grid), read_mission(log)
+    evidence = Evidence(grid, max_steps, robot_types)
     if belief:
-        evidence.allow(belief.max_steps, belief.kinds)
-    messages: dict[DeploymentKey, bytes] = {}
+        evidence.allow(belief.max_steps, belief.robot_types)
+    messages: dict[DeploymentKey, tuple[bytes, int]] = {}
     with same_types(log):
         for logged in read_log(log, (PATH, REPORT)):
+            if not is_of_mission(logged, mission):
+                continue
             evidence.take(logged)
             if logged.type_name == PATH:
                 key = key_of_path(logged.topic, logged.message)
                 if key and key in evidence.paths:
-                    messages.setdefault(key, logged.data)
+                    messages.setdefault(key, (logged.data, content_hash(logged.message)))
     return {
         key: RecordedDeployment(
             evidence.path(key),
-            messages[key],
+            *messages[key],
             evidence.observation(key) if key in evidence.reports else None,
             evidence.reports[key].stamp if key in evidence.reports else 0,
         )
@@ -119,7 +125,7 @@ def read_newest_round(
     Raises
     ------
     LogError
-        If the log cannot be read or is damaged.
+        If the log cannot be read or is corrupt.
     ValueError
         If that belief is not one.
 
@@ -139,17 +145,69 @@ def read_newest_round(
 
 def read_mission(log: str | Path) -> int | None:
     """
-    Return when the mission of a log began, in nanoseconds; None if no path is on record.
+    Return when the mission of a log began, in nanoseconds; None if no belief is on record.
+
+    Beliefs state it. Paths of other missions may be on record from before the first robot left,
+    and priors of estimators that started anew later: the mission is the first of a path that a
+    belief states as well, and before there is such a path that of the last belief.
 
     Raises
     ------
     LogError
-        If the log cannot be read or is damaged.
+        If the log cannot be read or is corrupt.
+
+    """
+    stated: dict[int, None] = {}
+    sent: dict[int, None] = {}
+    with same_types(log):
+        for logged in read_log(log, (BELIEF, PATH)):
+            with suppress(ValueError):
+                if logged.type_name == BELIEF:
+                    mission = mission_of_belief(logged.message)
+                    stated.pop(mission, None)
+                    stated[mission] = None
+                elif key_of_path(logged.topic, logged.message):
+                    sent.setdefault(mission_of_path(logged.message))
+            for mission in sent:
+                if mission in stated:
+                    return mission
+    return next(reversed(stated), None)
+
+
+def is_of_mission(logged: LoggedMessage, mission: int | None) -> bool:
+    """
+    Return whether a path or a report on record can be of a mission.
+
+    A report is of the mission of its path.
+
+    Parameters
+    ----------
+    logged : LoggedMessage
+        The path or report.
+    mission : int or None
+        When that began, in nanoseconds; None if nothing on record states it.
+
+    """
+    if mission is None or logged.type_name != PATH:
+        return True
+    with suppress(ValueError):
+        return mission_of_path(logged.message) == mission
+    return False
+
+
+def read_paths(log: str | Path) -> Iterator[tuple[str, int, int, int]]:
+    """
+    Yield the topic, stamp, mission and content hash of each path on record.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is corrupt.
 
     """
     with same_types(log):
         for logged in read_log(log, (PATH,)):
-            if key_of_path(logged.topic, logged.message):
+            if key := key_of_path(logged.topic, logged.message):
                 with suppress(ValueError):
-                    return mission_of_path(logged.message)
-    return None
+                    mission = mission_of_path(logged.message)
+                    yield logged.topic, key.stamp, mission, content_hash(logged.message)

@@ -3,16 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Grid, Kind, Outcome, Register, Report
-from kbnitp_ros.log.bag import LoggedMessage, read_log, same_types
-from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
+from kbnitp_ros.core import DeploymentKey, Deployments, Grid, Outcome, Report, RobotType
+from kbnitp_ros.log.configuration import recorded_environment
+from kbnitp_ros.messages.beliefs import (
+    Assimilated,
+    belief_field_names,
+    read_belief_maps,
+    read_robot_types,
+    Snapshot,
+)
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
+from numpy.typing import ArrayLike
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 GRID = 'nav_msgs/msg/OccupancyGrid'
@@ -23,11 +33,8 @@ REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 # Of a refusal, in characters: a report may name any number of cells.
 LONGEST = 500
 
-# A deployment and how it ended, as one message had it.
-Reported = tuple[DeploymentKey, Report]
 
-
-def record(register: Register, logged: LoggedMessage) -> bool:
+def record(register: Deployments, logged: LoggedMessage) -> bool:
     """
     Tell a register of a path or a report on record, as the estimator is told when it comes.
 
@@ -42,12 +49,13 @@ def record(register: Register, logged: LoggedMessage) -> bool:
         If it is refused.
 
     """
-    agent = agent_of(logged.topic)
+    agent, content = agent_of(logged.topic), content_hash(logged.message)
     if logged.type_name == REPORT:
-        return register.record_report(*read_report(logged.message, agent))
+        key, report = read_report(logged.message, agent)
+        return register.record_report(key, replace(report, content=content))
     if key_of_path(logged.topic, logged.message) is None:
         return False
-    return register.record_path(*read_path(register.grid, agent, logged.message))
+    return register.record_path(*read_path(register.grid, agent, logged.message), content)
 
 
 def first_belief(log: str | Path) -> Snapshot | None:
@@ -62,9 +70,34 @@ def first_belief(log: str | Path) -> Snapshot | None:
     """
     with same_types(log):
         for logged in read_log(log, (BELIEF,)):
+            check_version(log, logged.message)
             with suppress(ValueError):
                 return read_belief_maps(logged.message)
     return None
+
+
+def check_version(log: str | Path, belief: Any) -> None:
+    """
+    Check that the messages of a log are those of this version.
+
+    Raises
+    ------
+    LogError
+        If they are of an earlier or a later one, which it names.
+
+    """
+    known, fields = belief_field_names(), set(belief.__slots__)
+    if lacking := known - fields:
+        raise LogError(
+            f'{log} was recorded before version 0.3.0, its beliefs have no {min(lacking)}: '
+            'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
+        )
+    if unknown := fields - known:
+        recorder = recorded_environment(log)['kbnitp_ros']
+        raise LogError(
+            f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
+            f'read it with that version of kbnitp_ros ({recorder})'
+        )
 
 
 def last_belief(log: str | Path) -> Snapshot | None:
@@ -105,16 +138,12 @@ def check_same_field(log: str | Path, grid: Grid) -> Snapshot | None:
     return belief
 
 
-class Evidence(Register):
+class Evidence(Deployments):
     """
     The deployments of a log, judged as the estimator judges them.
 
     Attributes
     ----------
-    said : list of (DeploymentKey, Report)
-        What fits its path: of each deployment all returns that differ and the first loss after
-        each number of steps known to be survived, in the order in which path and report were both
-        on record.
     reports : dict
         By deployment, in the order in which they were reported: the reports that count.
     refused : list of str
@@ -123,23 +152,35 @@ class Evidence(Register):
     """
 
     def __init__(
-        self, grid: Grid, max_steps: int, kinds: Mapping[str, Kind] = MappingProxyType({})
+        self,
+        grid: Grid,
+        max_steps: int,
+        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
     ) -> None:
-        super().__init__(grid, max_steps, kinds)
+        super().__init__(grid, max_steps, robot_types)
         # The most steps of all robots, and of those that have a number of their own.
-        self._rules = [(max_steps, own_steps(kinds))]
-        self.said: list[Reported] = []
+        self._rules = [(max_steps, own_steps(robot_types))]
         self.reports: dict[DeploymentKey, Report] = {}
         self.refused: list[str] = []
-        self._said: set[tuple[DeploymentKey, Outcome]] = set()
-        self._by_stamp: dict[tuple[DeploymentKey, int], list[Report]] = {}
-        self._misfits: dict[DeploymentKey, str] = {}
+        # All that was read, by the hashes of the messages, and after how many beliefs the first
+        # report of each deployment is on record.
+        self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
+        self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
+        self._first_read: dict[DeploymentKey, tuple[int, Report]] = {}
+        self._beliefs = 0
+        self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
 
-    def allow(self, max_steps: int, kinds: Mapping[str, Kind]) -> None:
+    def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
         """Take paths that are as long as the estimator of some belief takes them."""
-        if (rules := (max_steps, own_steps(kinds))) not in self._rules:
+        if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
             self._rules.append(rules)
         self.max_steps = max(self.max_steps, max_steps)
+
+    def pass_belief(self, belief: Any) -> None:
+        """Go past a kbnitp_msgs/BeliefMaps; if it is none that is said when it is read."""
+        self._beliefs += 1
+        with suppress(ValueError):
+            self.allow(belief.max_steps, read_robot_types(belief.own))
 
     def most_steps(self, key: DeploymentKey) -> int:
         """Return the most steps that the path of a deployment may have."""
@@ -147,55 +188,74 @@ class Evidence(Register):
 
     def take(self, logged: LoggedMessage) -> None:
         """Take note of a path or a report, or of why it is refused."""
-        try:
+        with self.refusals(logged.topic):
             record(self, logged)
+
+    @contextmanager
+    def refusals(self, topic: str) -> Iterator[None]:
+        """Take note of why a message is refused."""
+        try:
+            yield
         except ValueError as error:
-            self.refused.append(f'{logged.topic}: {error}'[:LONGEST])
+            self.refused.append(f'{topic}: {error}'[:LONGEST])
+
+    def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
+        """Take note of a path, also of one that is not the first of its deployment."""
+        self._paths_read.setdefault((key, content), path)
+        return super().record_path(key, path, content)
+
+    def record_report(self, key: DeploymentKey, report: Report) -> bool:
+        """Take note of a report, also of one that does not count."""
+        self._reports_read.setdefault((key, report.content), report)
+        self._first_read.setdefault(key, (self._beliefs, report))
+        return super().record_report(key, report)
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
-        try:
-            outcome = super()._outcome(key, report)
-        except ValueError as error:
-            self._misfits.setdefault(key, str(error)[:LONGEST])
-            raise
-        at_once = self._by_stamp.setdefault((key, report.stamp), [])
-        if report not in at_once:
-            at_once.append(report)
-        said = key, outcome
-        if said not in self._said:
-            self._said.add(said)
-            self.said.append((key, report))
+        outcome = super()._outcome(key, report)
+        self._by_stamp.setdefault((key, report.stamp), report)
         return outcome
 
-    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+    def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         self.reports[key] = report
         if key in self.contradicted:
             self.refused.append(self.contradicted[key][:LONGEST])
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:
-        """Return the first of what `reports_at` does."""
-        return self.reports_at(key, stamp)[0]
+        """Return the first report of a deployment of this time, or else the one that counts."""
+        return self._by_stamp.get((key, stamp), self.reports[key])
 
-    def reports_at(self, key: DeploymentKey, stamp: int) -> list[Report]:
+    def named(self, evidence: Assimilated, index: int, stamp: int) -> tuple[ArrayLike, Report]:
         """
-        Return the reports of a deployment of this time, or else the one that counts.
+        Return the path and the report of a deployment that a belief names.
 
-        A report that was not on disk yet when recorder and agent died is on record as it was made
-        again, later; the belief knew of the first.
+        A report that was not on disk yet when recorder and agent died is on record only as the
+        agent made it again: then that one, with the content that is named.
+
+        Parameters
+        ----------
+        evidence : Assimilated
+            What the belief says.
+        index : int
+            Which of the beliefs on record it is, from 0.
+        stamp : int
+            That of the belief, in nanoseconds.
 
         Raises
         ------
         ValueError
-            If none that fits is on record, or not the path.
+            If one of them is not on record.
 
         """
-        if key not in self.paths:
+        key = evidence.key
+        if (key, evidence.path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
-        if key not in self.reports:
-            raise ValueError(
-                self._misfits.get(key, f'report of deployment {key} is not on record')
-            )
-        return self._by_stamp.get((key, stamp)) or [replace(self.reports[key], stamp=stamp)]
+        path = self._paths_read[key, evidence.path]
+        if found := self._reports_read.get((key, evidence.report)):
+            return path, found
+        first, report = self._first_read.get(key, (0, Report(False)))
+        if first <= index:
+            raise ValueError(f'report of deployment {key} is not on record')
+        return path, replace(report, stamp=stamp, content=evidence.report)
 
     @property
     def survived(self) -> int:
@@ -210,9 +270,13 @@ class Evidence(Register):
     @property
     def without_path(self) -> list[DeploymentKey]:
         """Deployments whose end is on record but not their path."""
-        return list(self._waiting)
+        return list(self._pending)
 
 
-def own_steps(kinds: Mapping[str, Kind]) -> dict[str, int]:
+def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
     """Return the most steps of the robots of agents that have such a number of their own."""
-    return {agent: kind.max_steps for agent, kind in kinds.items() if kind.max_steps is not None}
+    return {
+        agent: robot_type.max_steps
+        for agent, robot_type in robot_types.items()
+        if robot_type.max_steps is not None
+    }

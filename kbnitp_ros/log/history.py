@@ -8,8 +8,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.core import Belief, deployment_order, DeploymentKey, Grid, Observation, World
-from kbnitp_ros.log.bag import LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
@@ -121,7 +121,7 @@ def read_history(
             f'{path} has no beliefs on record that can be read: it must have messages of type '
             f'{BELIEF}'
         )
-    history = History(first.grid, Evidence(first.grid, first.max_steps, first.kinds))
+    history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
     with same_types(path):
         for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, REPORT))):
@@ -175,7 +175,7 @@ def take_belief(history: History, logged: LoggedMessage) -> None:
             f'here: at most {MOST_BYTES / 2**30:.0f} GiB are read'
         )
     history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
-    history.evidence.allow(snapshot.max_steps, snapshot.kinds)
+    history.evidence.allow(snapshot.max_steps, snapshot.robot_types)
 
 
 def take_evidence(history: History, logged: LoggedMessage) -> None:

@@ -22,6 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+# Pillow's names of the formats that Nav2's map_saver writes: PGM, PNG and BMP. No decoder of
+# another is tried on a file; that of EPS starts another program.
+FORMATS = ('PPM', 'PNG', 'BMP')
+
 MODES = ('trinary', 'scale', 'raw')
 
 # 350 m x 350 m at 5 cm. Each pixel takes up to 30 bytes while it is read.
@@ -76,8 +80,8 @@ def read_map(yaml_path: str | Path) -> Map:
     Raises
     ------
     MapError
-        If a file is missing or damaged, a value is missing or out of range, the image is larger
-        than `MOST_PIXELS`, or the origin is rotated.
+        If a file is missing or corrupt, a value is missing or out of range, the image is of
+        another format or larger than `MOST_PIXELS`, or the origin is rotated.
 
     """
     file = read_map_file(Path(yaml_path))
@@ -178,11 +182,11 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     Raises
     ------
     MapError
-        If it cannot be read, is no image, or has more than `MOST_PIXELS`.
+        If it cannot be read, is no image of `FORMATS`, or has more than `MOST_PIXELS`.
 
     """
     try:
-        with open_file(path) as file, Image.open(file) as image:
+        with open_file(path) as file, Image.open(file, formats=FORMATS) as image:
             columns, rows = image.size
             if columns * rows > MOST_PIXELS:
                 raise MapError(
@@ -194,7 +198,7 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
                 opaque = np.asarray(image.convert('RGBA').getchannel('A')) == 255
             gray = gray_values(image)
     except UnidentifiedImageError as error:
-        raise MapError(f'{path} is no image that can be read: use PGM or PNG') from error
+        raise MapError(f'{path} is no image in PGM, PNG or BMP, or it is corrupt') from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         if isinstance(error, MapError):
             raise

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import open_file
 from kbnitp_ros.maps.errors import MapError
-from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
+from kbnitp_ros.maps.files import darkness, MOST_PIXELS, read_image, read_map_file, scaled
 from kbnitp_ros.maps.overlap import shares
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 
@@ -84,21 +86,20 @@ def read_array(path: Path) -> NDArray[np.float64]:
     Raises
     ------
     MapError
-        If it is no array of rows and columns or has a value outside [0, 1].
+        If it is no array of rows and columns, has more than `MOST_PIXELS` values or one outside
+        [0, 1].
 
     """
     try:
         with open_file(path) as file:
+            check_header(file)
+            file.seek(0)
             array = np.load(file, allow_pickle=False)
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
     except (ValueError, EOFError) as error:
         raise MapError(f'{path} is no array of numbers: {error}') from error
-    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in 'fiu':
-        raise MapError(f'{path} must hold numbers in rows and columns')
-    if not array.size:
-        raise MapError(f'{path} has the shape {array.shape}: it must have rows and columns')
-    values = array.astype(np.float64)
+    values: NDArray[np.float64] = array.astype(np.float64)
     wrong = np.argwhere(~((values >= 0.0) & (values <= 1.0)))
     if len(wrong):
         row, column = wrong[0]
@@ -107,3 +108,25 @@ def read_array(path: Path) -> NDArray[np.float64]:
             'a probability must be from 0 to 1'
         )
     return values
+
+
+def check_header(file: BinaryIO) -> None:
+    """
+    Check what the header of a .npy file says, before memory is allocated for that.
+
+    Raises
+    ------
+    ValueError
+        If there are no numbers in rows and columns, or too many.
+
+    """
+    version = npy.read_magic(file)  # type: ignore[no-untyped-call]
+    # The header of a later version may have any length; arrays of numbers need none.
+    if version != (1, 0):
+        raise ValueError(f'its format has version {version}: it must be (1, 0)')
+    shape, _, dtype = npy.read_array_header_1_0(file)  # type: ignore[no-untyped-call]
+    if len(shape) != 2 or min(shape) < 1 or dtype.kind not in 'fiu':
+        raise ValueError(f'it has shape {shape} of {dtype}: it must have rows and columns')
+    rows, columns = shape
+    if rows * columns > MOST_PIXELS:
+        raise ValueError(f'it has {rows} x {columns} values: at most {MOST_PIXELS} can be read')

@@ -4,40 +4,65 @@ What the belief message means.
 
 Its joint is the belief, bit for bit; the hazard, target and kappa maps are views for those who do
 not want to derive them. With the grid, the rules, the method and the sensor model in it, every
-message says how it can be computed again from the deployments.
+message says how it can be computed again from the deployments, and which evidence of theirs it has
+assimilated.
 """
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple, TYPE_CHECKING
 
-from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
 from kbnitp_ros.core import (
     Belief,
     Beta,
     DeploymentKey,
+    Estimator,
     Grid,
-    Kind,
     Ledger,
+    RobotType,
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.messages.grids import map_metadata, read_map_metadata
+from kbnitp_ros.messages.fields import Fields, filled
+from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,
     from_stamp,
-    header,
+    header_fields,
     read_name,
     read_stamp,
     shown,
-    to_stamp,
+    stamp_fields,
 )
 from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
 import numpy as np
-from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from kbnitp_msgs.msg import BeliefMaps
+
+
+class Assimilated(NamedTuple):
+    """
+    The evidence of one deployment, as a belief names it.
+
+    Attributes
+    ----------
+    key : DeploymentKey
+        Which deployment.
+    path, report : int
+        Hashes of the contents of the two messages.
+
+    """
+
+    key: DeploymentKey
+    path: int
+    report: int
+
+
+# How hazards change: not at all.
+STATIC = 'static'
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +73,8 @@ class Snapshot:
     Attributes
     ----------
     stamp : int
-        When the base learnt what it took in last, in nanoseconds; of a prior, when the estimator
-        started.
+        When the base learnt what was assimilated last, in nanoseconds; of a prior, when the
+        estimator started.
     mission : int
         When the mission began, in nanoseconds.
     grid : Grid
@@ -58,18 +83,20 @@ class Snapshot:
         The most steps of a path.
     model : SensorModel
         What the estimator believes by then of robots like all others: what to plan with.
-    kinds : mapping of str to Kind
+    robot_types : mapping of str to RobotType
         Of the robots of agents that have something of their own.
     unknowns : Unknowns
         Which numbers of that, and of the prior, it learns.
     method : str
-        How it takes deployments in.
+        How it assimilates deployments.
+    version : int
+        Of the method's arithmetic.
     seed : int
         Of what the method draws at random.
     deployments : int
-        How many it has taken in.
+        How many it has assimilated.
     newest : DeploymentKey or None
-        Whose evidence it took in last; None when there is none.
+        Whose evidence it assimilated last; None when there is none.
     belief : Belief
         Given those.
     prior : Belief
@@ -82,9 +109,10 @@ class Snapshot:
     grid: Grid
     max_steps: int
     model: SensorModel
-    kinds: Mapping[str, Kind]
+    robot_types: Mapping[str, RobotType]
     unknowns: Unknowns
     method: str
+    version: int
     seed: int
     deployments: int
     newest: DeploymentKey | None
@@ -99,18 +127,25 @@ class Snapshot:
             'grid': self.grid,
             'max_steps': self.max_steps,
             'method': self.method,
+            'version': self.version,
             'model': model,
-            'own': dict(self.kinds),
+            'own': dict(self.robot_types),
             'unknowns': unknowns,
             'seed': self.seed,
         }
 
 
-def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> BeliefMaps:
+def belief_fields(
+    ledger: Ledger,
+    started: int,
+    mission: int = NOT_TOLD,
+    since: int = 0,
+    assimilated: Iterable[DeploymentKey] | None = None,
+) -> Fields:
     """
-    Return the message of what is believed now.
+    Return the fields of the message of what is believed now.
 
-    Nothing in it depends on when it is made: the same evidence gives the same message.
+    Nothing in it depends on when it is made: the same evidence gives the same belief.
 
     Parameters
     ----------
@@ -120,41 +155,104 @@ def belief_maps(ledger: Ledger, started: int, mission: int = NOT_TOLD) -> Belief
         The stamp of a prior: when the estimator started, in nanoseconds.
     mission : int
         When the mission began, in nanoseconds.
+    since : int
+        Number of deployments in the belief that it adds to; 0: it names all that it holds.
+    assimilated : iterable of DeploymentKey, optional
+        Whose evidence was assimilated since that belief, in deployment order; all deployments
+        unless given.
 
     """
     belief, grid = ledger.belief, ledger.grid
-    info = map_metadata(grid)
-    info.map_load_time = to_stamp(mission)
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
     unknowns = estimator.unknowns.priors
     given = estimator.prior.joint if unknowns and not ledger.deployments else np.empty(0)
-    return BeliefMaps(
-        header=header(ledger.newest_stamp if ledger.newest else started),
-        info=info,
+    return Fields(
+        header=header_fields(ledger.newest_stamp if ledger.newest else started),
+        mission=stamp_fields(mission),
+        info=metadata_fields(grid),
         base=grid.base,
         blocked=sorted(grid.blocked),
         connectivity=grid.connectivity,
         through_corners=grid.through_corners,
         max_steps=ledger.max_steps,
         method=estimator.method,
+        method_version=estimator.version,
         **asdict(estimator.model),
-        unknowns=[UnknownNumber(name=name, **asdict(prior)) for name, prior in unknowns.items()],
+        unknowns=[Fields(name=name, **asdict(prior)) for name, prior in unknowns.items()],
         seed=estimator.seed,
         own=[
-            OwnNumber(agent=agent, name=name, value=float(value))
-            for agent, kind in sorted(ledger.kinds.items())
-            for name, value in kind.own.items()
+            Fields(agent=agent, name=name, value=float(value))
+            for agent, robot_type in sorted(ledger.robot_types.items())
+            for name, value in robot_type.own.items()
         ],
+        dynamics=STATIC,
+        appear=0.0,
+        vanish=0.0,
+        clustering=0.0,
         deployments=len(ledger.deployments),
         agent=newest.agent,
-        deployment=to_stamp(newest.stamp),
-        hazard=float64s(belief.hazard),
-        target=float64s(belief.target),
-        kappa=float64s(belief.kappa),
-        joint=float64s(belief.joint),
-        prior=float64s(given),
+        deployment=stamp_fields(newest.stamp),
+        since=since,
+        taken_in=[
+            Fields(
+                agent=key.agent,
+                deployment=stamp_fields(key.stamp),
+                path=ledger.path_contents[key],
+                report=ledger.report_contents[key],
+            )
+            for key in (ledger.deployments if assimilated is None else assimilated)
+        ],
+        hazard=belief.hazard,
+        target=belief.target,
+        kappa=belief.kappa,
+        joint=belief.joint.ravel(),
+        prior=given.ravel(),
     )
+
+
+def belief_field_names() -> set[str]:
+    """Return the names of all fields of a kbnitp_msgs/BeliefMaps."""
+    grid = Grid(1, 1)
+    prior = Estimator(Belief.prior(grid, 0.0, 0.0, 0.0), SensorModel(0.0))
+    return set(vars(belief_fields(Ledger(grid, 1, prior), 0)))
+
+
+def belief_maps(
+    ledger: Ledger,
+    started: int,
+    mission: int = NOT_TOLD,
+    since: int = 0,
+    assimilated: Iterable[DeploymentKey] | None = None,
+) -> BeliefMaps:
+    """Return the message of `belief_fields`."""
+    from kbnitp_msgs.msg import BeliefMaps, Evidence, OwnNumber, UnknownNumber
+
+    content = belief_fields(ledger, started, mission, since, assimilated)
+    message = filled(BeliefMaps(), content)
+    message.unknowns = [filled(UnknownNumber(), each) for each in content.unknowns]
+    message.own = [filled(OwnNumber(), each) for each in content.own]
+    message.taken_in = [filled(Evidence(), each) for each in content.taken_in]
+    return message
+
+
+def read_assimilated(message: Any) -> list[Assimilated]:
+    """
+    Return which evidence a kbnitp_msgs/BeliefMaps names.
+
+    Raises
+    ------
+    ValueError
+        If one names no agent, or no time of a path.
+
+    """
+    named = []
+    for number, each in enumerate(message.taken_in):
+        if not each.agent:
+            raise ValueError(f"taken_in[{number}].agent is '': it must name the agent")
+        stamp = read_name(f'taken_in[{number}].deployment', each.deployment)
+        named.append(Assimilated(DeploymentKey(each.agent, stamp), each.path, each.report))
+    return named
 
 
 def read_belief_maps(message: Any) -> Snapshot:
@@ -165,7 +263,8 @@ def read_belief_maps(message: Any) -> Snapshot:
     ------
     ValueError
         If it is in another frame, its geometry or sensor model is out of range, its joint is of
-        another size or no distribution, or it holds deployments and names none.
+        another size or no distribution, it holds deployments and names none, or its hazards are
+        said to change or to cluster.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -173,17 +272,19 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"
         )
+    if message.dynamics != STATIC:
+        raise ValueError(f'dynamics is {shown(message.dynamics)}: known is only {STATIC!r}')
+    for name in ('appear', 'vanish', 'clustering'):
+        if getattr(message, name) != 0.0:
+            raise ValueError(f'{name} is {getattr(message, name)}: known is only 0')
     grid = read_map_metadata(
         message.info,
         base=message.base,
         blocked=message.blocked,
-        # Beliefs of earlier versions are of fields where robots may step past corners.
-        connectivity=getattr(message, 'connectivity', 8),
-        through_corners=getattr(message, 'through_corners', True),
+        connectivity=message.connectivity,
+        through_corners=message.through_corners,
     )
     belief = read_joint('joint', message.joint, grid)
-    # Those of earlier versions had no numbers to learn.
-    given = getattr(message, 'prior', ())
     read_name('deployment', message.deployment)
     return Snapshot(
         stamp=read_stamp('header.stamp', message.header.stamp),
@@ -193,14 +294,15 @@ def read_belief_maps(message: Any) -> Snapshot:
         model=SensorModel(
             **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
         ),
-        kinds=read_kinds(getattr(message, 'own', ())),
-        unknowns=read_unknowns(getattr(message, 'unknowns', ())),
+        robot_types=read_robot_types(message.own),
+        unknowns=read_unknowns(message.unknowns),
         method=message.method,
-        seed=getattr(message, 'seed', 0),
+        version=message.method_version,
+        seed=message.seed,
         deployments=message.deployments,
         newest=newest_deployment(message),
         belief=belief,
-        prior=read_joint('prior', given, grid) if len(given) else belief,
+        prior=read_joint('prior', message.prior, grid) if len(message.prior) else belief,
     )
 
 
@@ -246,7 +348,7 @@ def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
     return Unknowns(**priors)
 
 
-def read_kinds(numbers: Iterable[Any]) -> dict[str, Kind]:
+def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
     """
     Return what kbnitp_msgs/OwnNumbers say of the robots of agents, by the agents' names.
 
@@ -257,7 +359,7 @@ def read_kinds(numbers: Iterable[Any]) -> dict[str, Kind]:
 
     """
     own: dict[str, dict[str, Any]] = {}
-    known = [field.name for field in fields(Kind)]
+    known = [field.name for field in fields(RobotType)]
     for number in numbers:
         of_agent = own.setdefault(number.agent, {})
         if not number.agent or number.name not in known or number.name in of_agent:
@@ -267,18 +369,13 @@ def read_kinds(numbers: Iterable[Any]) -> dict[str, Kind]:
             )
         of_agent[number.name] = number.value
     try:
-        return {agent: Kind(**numbers) for agent, numbers in own.items()}
+        return {agent: RobotType(**numbers) for agent, numbers in own.items()}
     except ValueError as error:
         raise ValueError(f'own: {error}') from error
 
 
 def newest_deployment(message: Any) -> DeploymentKey | None:
-    """Return whose evidence a belief took in last; None if it is a prior."""
+    """Return whose evidence a belief assimilated last; None if it is a prior."""
     if not message.deployments:
         return None
     return DeploymentKey(message.agent, from_stamp(message.deployment))
-
-
-def float64s(values: NDArray[np.float64]) -> array[float]:
-    """Return a float64[] field: of all that can be assigned, what is not checked one by one."""
-    return array('d', values.tobytes())

@@ -8,11 +8,10 @@ report names both.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from itertools import count
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from geometry_msgs.msg import PoseStamped
-from kbnitp_msgs.msg import DeploymentReport, TargetReading
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
 from kbnitp_ros.messages.headers import (
     check_frame,
@@ -24,9 +23,20 @@ from kbnitp_ros.messages.headers import (
     to_stamp,
 )
 from kbnitp_ros.messages.missions import NOT_TOLD
-from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from kbnitp_msgs.msg import DeploymentReport
+    from nav_msgs.msg import Path
+
+
+class Source(IntEnum):
+    """Who says how a deployment ended, as in kbnitp_msgs/DeploymentReport."""
+
+    AGENT = 0
+    SILENCE = 1
+    OPERATOR = 2
 
 
 def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TOLD) -> Path:
@@ -45,6 +55,9 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TO
         When the mission began, in nanoseconds.
 
     """
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path
+
     begun = header(mission or stamp)
     positions = grid.centers(cells).tolist()
     poses = [PoseStamped() for _ in positions]
@@ -133,7 +146,9 @@ def agent_of(topic: str) -> str:
     return topic.rpartition('/')[0].rpartition('/')[2]
 
 
-def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> DeploymentReport:
+def report_message(
+    key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
+) -> DeploymentReport:
     """
     Return the message of how a deployment ended.
 
@@ -145,8 +160,12 @@ def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> 
         What came of it.
     stamp : int
         When the base learnt it, in nanoseconds.
+    source : Source
+        Who says so.
 
     """
+    from kbnitp_msgs.msg import DeploymentReport, TargetReading
+
     readings = () if observation.readings is None else observation.readings.tolist()
     return DeploymentReport(
         header=header(stamp),
@@ -158,6 +177,7 @@ def report_message(key: DeploymentKey, observation: Observation, stamp: int) -> 
             for cell, reading in zip(observation.path[1:].tolist(), readings)
         ],
         steps_survived=observation.steps_survived,
+        source=source,
     )
 
 
@@ -177,8 +197,8 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     Raises
     ------
     ValueError
-        If it is in another frame, a time is none, it names no agent or another one, or something
-        is detected without a look.
+        If it is in another frame, a time is none, it names no agent or another one, something is
+        detected without a look, it says where the robot may have been lost, or its source is none.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -189,15 +209,18 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
     readings = tuple(map(_read_reading, message.readings, count()))
-    # Logs recorded before there were last contacts say nothing of them.
-    steps_survived = int(getattr(message, 'steps_survived', 0))
-    return key, Report(bool(message.survived), readings, stamp, steps_survived)
+    if len(message.lost_at):
+        raise ValueError(
+            f'lost_at has {len(message.lost_at)} values: it is not known how to use it'
+        )
+    if message.source not in list(Source):
+        raise ValueError(f'source is {message.source}: it must be from 0 to {max(Source)}')
+    return key, Report(bool(message.survived), readings, stamp, int(message.steps_survived))
 
 
 def _read_reading(message: Any, number: int) -> tuple[int, int]:
     """Return the cell and the reading of a kbnitp_msgs/TargetReading, the n-th of a report."""
-    # In logs recorded before cameras failed, robots looked everywhere.
-    if not getattr(message, 'not_looked', False):
+    if not message.not_looked:
         return int(message.cell), int(message.detected)
     if message.detected:
         raise ValueError(

@@ -9,16 +9,17 @@ cell 0 and is never rotated.
 
 from __future__ import annotations
 
-from array import array
 from math import isfinite
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from geometry_msgs.msg import Point, Pose
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.headers import check_frame, header
-from nav_msgs.msg import MapMetaData, OccupancyGrid
+from kbnitp_ros.messages.fields import Fields, filled
+from kbnitp_ros.messages.headers import check_frame, header_fields, stamp_fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from nav_msgs.msg import OccupancyGrid
 
 UNKNOWN = -1
 
@@ -28,14 +29,17 @@ def told_resolution(resolution: float) -> float:
     return float(str(np.float32(resolution)))
 
 
-def map_metadata(grid: Grid) -> MapMetaData:
-    """Return the geometry of `grid`."""
+def metadata_fields(grid: Grid) -> Fields:
+    """Return the fields of the nav_msgs/MapMetaData of `grid`."""
     x, y = grid.origin
-    return MapMetaData(
+    return Fields(
+        map_load_time=stamp_fields(0),
+        resolution=float(np.float32(grid.resolution)),
         width=grid.width,
         height=grid.height,
-        resolution=float(np.float32(grid.resolution)),
-        origin=Pose(position=Point(x=x, y=y)),
+        origin=Fields(
+            position=Fields(x=x, y=y, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0)
+        ),
     )
 
 
@@ -77,9 +81,9 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
     )
 
 
-def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> OccupancyGrid:
+def occupancy_fields(grid: Grid, probabilities: ArrayLike, stamp: int) -> Fields:
     """
-    Return a map for people to look at.
+    Return the fields of a map for people to look at.
 
     Parameters
     ----------
@@ -92,13 +96,18 @@ def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> Occupanc
 
     """
     percent = np.rint(100.0 * np.asarray(probabilities, dtype=np.float64)).astype(np.int8)
-    shown = np.where(grid.free, percent, np.int8(UNKNOWN))
-    return OccupancyGrid(
-        header=header(stamp),
-        info=map_metadata(grid),
-        # Of all that can be assigned, only this type is not checked value by value.
-        data=array('b', shown.tobytes()),
+    return Fields(
+        header=header_fields(stamp),
+        info=metadata_fields(grid),
+        data=np.where(grid.free, percent, np.int8(UNKNOWN)),
     )
+
+
+def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> OccupancyGrid:
+    """Return the message of `occupancy_fields`."""
+    from nav_msgs.msg import OccupancyGrid
+
+    return filled(OccupancyGrid(), occupancy_fields(grid, probabilities, stamp))
 
 
 def read_occupancy_grid(message: Any) -> NDArray[np.float64]:

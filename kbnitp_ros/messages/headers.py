@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from builtin_interfaces.msg import Time
-from std_msgs.msg import Header
+from kbnitp_ros.messages.fields import Fields, filled
+
+if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
+    from std_msgs.msg import Header
 
 FRAME = 'map'
 SECOND = 10**9
@@ -23,9 +26,9 @@ LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 SHOWN = 100
 
 
-def to_stamp(nanoseconds: int) -> Time:
+def stamp_fields(nanoseconds: int) -> Fields:
     """
-    Return the message of a time.
+    Return the fields of a builtin_interfaces/Time.
 
     Raises
     ------
@@ -36,7 +39,14 @@ def to_stamp(nanoseconds: int) -> Time:
     seconds, rest = divmod(nanoseconds, SECOND)
     if not -(2**31) <= seconds < 2**31:
         raise ValueError(f'stamp is {nanoseconds} ns: its whole seconds must fit an int32')
-    return Time(sec=seconds, nanosec=rest)
+    return Fields(sec=seconds, nanosec=rest)
+
+
+def to_stamp(nanoseconds: int) -> Time:
+    """Return the message of a time; errors are those of `stamp_fields`."""
+    from builtin_interfaces.msg import Time
+
+    return filled(Time(), stamp_fields(nanoseconds))
 
 
 def from_stamp(stamp: Any) -> int:
@@ -110,9 +120,16 @@ def shown(text: str) -> str:
     return f'{text[:SHOWN]!r}... ({len(text)} characters)'
 
 
+def header_fields(nanoseconds: int) -> Fields:
+    """Return the fields of the header of a message about the grid at this time."""
+    return Fields(stamp=stamp_fields(nanoseconds), frame_id=FRAME)
+
+
 def header(nanoseconds: int) -> Header:
     """Return the header of a message about the grid at this time."""
-    return Header(stamp=to_stamp(nanoseconds), frame_id=FRAME)
+    from std_msgs.msg import Header
+
+    return filled(Header(), header_fields(nanoseconds))
 
 
 def check_frame(name: str, frame_id: str) -> None:

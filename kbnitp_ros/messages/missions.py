@@ -2,13 +2,13 @@
 """
 Which mission a message belongs to: the time at which that began.
 
-An estimator that starts anew names a mission by the time of its prior, in `info.map_load_time` of
-the belief. The planner gives it to all poses of a path as their `header.stamp`, and a report
-belongs to the mission of the path that it names. So messages of an old bag are told from those of
-the mission that they are played into.
+An estimator that starts anew names a mission by the time of its prior, in the field `mission` of
+its beliefs. The planner gives it to all poses of a path as their `header.stamp`, since
+nav_msgs/Path has no other place for it, and a report belongs to the mission of the path that it
+names. So messages of an old bag are told from those of the mission that they are played into.
 
-A path whose poses have no time, or that of the path itself, tells none; so did all messages of
-earlier versions. They belong to the mission `NOT_TOLD`.
+A path whose poses have no time, or that of the path itself, names none: it belongs to the mission
+`NOT_TOLD`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def mission_of_belief(message: Any) -> int:
         If it is no time.
 
     """
-    return read_stamp('info.map_load_time', message.info.map_load_time)
+    return read_stamp('mission', message.mission)
 
 
 def check_mission(told: int, own: int | None) -> None:

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from kbnitp_msgs.msg import ModelBelief
 from kbnitp_ros.core import Ledger
-from kbnitp_ros.messages.headers import check_frame, header
+from kbnitp_ros.messages.fields import Fields, filled
+from kbnitp_ros.messages.headers import check_frame, header_fields
+import numpy as np
+
+if TYPE_CHECKING:
+    from kbnitp_msgs.msg import ModelBelief
 
 # Per cent.
 QUANTILES = (5, 25, 50, 75, 95)
@@ -37,9 +40,9 @@ class Known:
     effective_samples: float
 
 
-def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
+def model_fields(ledger: Ledger, stamp: int) -> Fields:
     """
-    Return the message that goes with a belief.
+    Return the fields of the message that goes with a belief.
 
     Parameters
     ----------
@@ -50,20 +53,25 @@ def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
 
     """
     parameters = ledger.estimator.parameters.values()
-    return ModelBelief(
-        header=header(stamp),
+    return Fields(
+        header=header_fields(stamp),
         deployments=len(ledger.deployments),
         name=list(ledger.estimator.parameters),
-        mean=array('d', [each.mean for each in parameters]),
-        sd=array('d', [each.sd for each in parameters]),
-        effective_sample_size=array('d', [each.effective_samples for each in parameters]),
+        mean=np.array([each.mean for each in parameters]),
+        sd=np.array([each.sd for each in parameters]),
+        effective_sample_size=np.array([each.effective_samples for each in parameters]),
         **{
-            f'quantile_{percent}': array(
-                'd', [each.quantile(percent / 100) for each in parameters]
-            )
+            f'quantile_{percent}': np.array([each.quantile(percent / 100) for each in parameters])
             for percent in QUANTILES
         },
     )
+
+
+def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
+    """Return the message of `model_fields`."""
+    from kbnitp_msgs.msg import ModelBelief
+
+    return filled(ModelBelief(), model_fields(ledger, stamp))
 
 
 def read_model_belief(message: Any) -> dict[str, Known]:

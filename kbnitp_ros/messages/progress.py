@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from math import nan
 
 from kbnitp_msgs.msg import Progress
@@ -17,6 +18,16 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.messages.headers import header
+
+
+class State(IntEnum):
+    """How far a mission is, as far as it is known."""
+
+    UNKNOWN = Progress.UNKNOWN
+    RUNNING = Progress.RUNNING
+    PAUSED = Progress.PAUSED
+    DONE = Progress.DONE
+    ENDED = Progress.ENDED
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +79,8 @@ def progress_message(
         header=header(stamp),
         deployments=len(ledger.deployments),
         lost=ledger.lost,
-        out=ledger.out,
+        ordered=len(ledger.paths),
+        out=ledger.in_flight,
         hazard_entropy=float(binary_entropy(belief.hazard).sum()),
         target_entropy=float(binary_entropy(belief.target).sum()),
         joint_entropy=belief.joint_entropy(),
@@ -78,14 +90,21 @@ def progress_message(
         ),
         hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
         target_log_loss=log_loss(belief.target, world.target) if world else nan,
+        upper_bound=nan,
+        state=state(ledger),
     )
 
 
+def state(ledger: Ledger) -> State:
+    """Return how far a mission is, as paths and reports tell it."""
+    return State.RUNNING if ledger.in_flight else State.UNKNOWN
+
+
 def expected(ledger: Ledger, before: Held | None) -> float:
-    """Return what the report taken in last was expected to bring, in nats; NaN if unknown."""
+    """Return what the report assimilated last was expected to bring, in nats; NaN if unknown."""
     if before is None or ledger.newest is None:
         return nan
     if len(ledger.deployments) != before.deployments + 1:
         return nan
-    model = ledger.kind(ledger.newest).model(before.model)
+    model = ledger.robot_type(ledger.newest).model(before.model)
     return path_information(before.belief, model, ledger.path(ledger.newest))

@@ -7,14 +7,19 @@ from kbnitp_ros.core import LONGEST_WALK
 
 # In bytes: what all but the poses, readings and cells take, names and frames of others included;
 # a pose with the header of its own; a reading; a cell with its joint, its prior, its three views
-# and its number among those that are blocked. A time is 12 bytes with the head of its message.
-# What a hundred agents have of their own, with names of fifty letters, takes 64 KiB.
+# and its number among those that are blocked. A kbnitp_msgs/Recorded is 28 bytes with its head.
+# What a hundred agents have of their own, with names of fifty letters, takes 64 KiB. A deployment
+# that a belief names takes its agent's name, a time and two hashes.
 REST = 4096
 POSE = 256
 READING = 8
 CELL = 96
-TIME = 12
+RECORDED = 28
 OWN = 1 << 16
+EVIDENCE = 96
+
+# The most deployments of a mission.
+MOST_DEPLOYMENTS = 20_000
 
 
 def largest_path(max_steps: int) -> int:
@@ -27,14 +32,14 @@ def largest_report(max_steps: int) -> int:
     return REST + READING * LONGEST_WALK * max_steps
 
 
-def largest_decision(robots: int, max_steps: int) -> int:
+def largest_operator_action(robots: int, max_steps: int) -> int:
     """Return the most bytes of a kbnitp_msgs/OperatorAction on the paths of so many robots."""
     return REST + robots * largest_path(max_steps)
 
 
 def largest_belief(cells: int) -> int:
     """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
-    return REST + OWN + CELL * cells
+    return REST + OWN + EVIDENCE * MOST_DEPLOYMENTS + CELL * cells
 
 
 def largest_model() -> int:

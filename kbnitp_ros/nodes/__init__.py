@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The four nodes of a mission: thin rclpy shells over core and messages."""
+"""The nodes of a mission: what they do over ROS with what core, base and robot compute."""

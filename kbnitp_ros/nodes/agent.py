@@ -6,67 +6,70 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
+from kbnitp_ros.configuration import robot_types_of
 from kbnitp_ros.log.deployments import read_deployments, read_mission
-from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import kinds_of
-from kbnitp_ros.nodes.shell import run
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.simulation import SimulatedAgent, Simulation
 
 
 class AgentNode(FieldNode):
-    """Send a simulated robot along each path of one agent, and report how that ended."""
-
-    node_name = 'agent'
+    """Send a simulated robot along each path of one agent, or of all, and report how it ended."""
 
     def __init__(self) -> None:
-        super().__init__(self.node_name)
+        super().__init__('agent')
         simulation = Simulation(self)
         log = self.values['resume']
-        rules = simulation.grid, self.values['max_steps'], kinds_of(self.values)
+        rules = simulation.grid, self.values['max_steps'], robot_types_of(self.values)
         recorded = read_deployments(log, *rules) if log else {}
         mission = read_mission(log) if log else None
         self._agents = [
-            SimulatedAgent(simulation, name, self.prefix(name), recorded, mission)
-            for name in self.agents_played(simulation.agents)
+            SimulatedAgent(simulation, name, self._prefix(name), recorded, mission)
+            for name in self._agents_played(simulation.agents)
         ]
         self._is_deaf = True
         self.create_poll(self._look)
 
-    def agents_played(self, team: Sequence[str]) -> Sequence[str]:
+    def _agents_played(self, team: Sequence[str]) -> Sequence[str]:
         """
         Return the names of the agents that this node plays.
 
         Raises
         ------
         ValueError
-            If it is none of the team.
+            If the parameter `agent` names none of the team.
 
         """
-        if self.values['agent'] not in team:
+        name = self.values['agent']
+        if name and name not in team:
             raise ValueError(
-                f'parameter agent is {self.values["agent"]}: it must be one of agents, '
-                f'{", ".join(team)}'
+                f'parameter agent is {name}: it must be one of agents, {", ".join(team)}, '
+                'or empty for all of them'
             )
-        return [self.values['agent']]
+        return [name] if name else team
 
-    def prefix(self, name: str) -> str:
+    def _prefix(self, name: str) -> str:
         """Return what the names of an agent's topics begin with."""
-        # In a namespace of its own they are not once more below it.
-        return '' if self.get_namespace().endswith(f'/{name}') else f'{name}/'
+        # In the namespace of its name an agent's topics are not below that name once more.
+        is_in_own = self.values['agent'] and self.get_namespace().endswith(f'/{name}')
+        return '' if is_in_own else f'{name}/'
 
     def _look(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""
         if self._is_deaf:
-            self.diagnostics.state = self.waiting_for([agent.reports for agent in self._agents])
-            if self.diagnostics.state:
+            if missing := self.missing_listeners([agent.reports for agent in self._agents]):
+                self.diagnostics.state = waiting_for(missing)
                 return
             self._is_deaf = False
             for agent in self._agents:
                 agent.listen()
         awaited = [agent.awaited for agent in self._agents if agent.awaited]
         names = ', '.join(agent.name for agent in self._agents)
-        self.diagnostics.waiting = sum(agent.waiting for agent in self._agents)
-        self.diagnostics.state = next(iter(awaited), f'taking paths of {names}')
+        self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
+        self.diagnostics.state = (
+            waiting_for(awaited[0]) if awaited else working(f'taking paths of {names}')
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -125,7 +125,7 @@ class Driver:
         """Return whom it waits for before it can drive; empty when for nobody."""
         if self._client.server_is_ready():
             return ''
-        return f'waiting for the action server {self.name} (parameters driver and nav_namespace)'
+        return f'the action server {self.name} (parameters driver and nav_namespace)'
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
         """

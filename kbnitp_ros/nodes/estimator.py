@@ -5,29 +5,45 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
+from kbnitp_ros.bag import read_log, same_types
+from kbnitp_ros.configuration import (
+    agents_of,
+    estimator_of,
+    MOST_AGENTS,
+    robot_types_of,
+    value_for,
+)
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
-from kbnitp_ros.log.bag import read_log, same_types
-from kbnitp_ros.log.deployments import read_mission
+from kbnitp_ros.log.deployments import is_of_mission, read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
 from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
-from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.models import model_belief
-from kbnitp_ros.messages.sizes import largest_path, largest_report
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import agents_of, estimator_of, kinds_of, value_for
-from kbnitp_ros.nodes.progress import ProgressTeller
-from kbnitp_ros.nodes.shell import run
-from nav_msgs.msg import OccupancyGrid, Path
+from kbnitp_ros.messages.sizes import largest_report
+from kbnitp_ros.nodes.assimilated import NewEvidence
+from kbnitp_ros.nodes.recorded_paths import RecordedPaths
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.runtime.process import run
+from kbnitp_ros.nodes.views import Views
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 
-WAITING_FOR_CLOCK = 'waiting for the clock to start on /clock (parameter use_sim_time)'
+# A deployment, the cells of its path, the hash of its message, and when its mission began.
+SentPath = tuple[DeploymentKey, NDArray[np.intp], int, int]
+
+CLOCK = 'the clock to start on /clock (parameter use_sim_time)'
 
 
 class EstimatorNode(FieldNode):
@@ -36,34 +52,37 @@ class EstimatorNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('estimator')
         estimator = estimator_of(self.values, self.grid)
-        kinds = {agent: kind for agent, kind in kinds_of(self.values).items() if kind.own}
-        self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, kinds)
+        robot_types = {
+            agent: robot_type
+            for agent, robot_type in robot_types_of(self.values).items()
+            if robot_type.own
+        }
+        self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
         self._mission: int | None = None
         if self.values['resume']:
             self._restore(self.values['resume'])
-        # In this order whoever knows of belief knows of the maps as well.
-        self._maps = {
-            name: self.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
-            for name in ('hazard', 'target', 'kappa')
-        }
+        agents = agents_of(self.values, self.grid)
+        # In this order whoever knows of belief knows of its views as well.
+        self._views = Views(self, agents)
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
             if estimator.unknowns.priors
             else None
         )
-        agents = agents_of(self.values, self.grid)
-        self._progress = ProgressTeller(self, agents)
-        self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
+        self._new = NewEvidence()
+        self._belief = self.create_publisher(
+            BeliefMaps,
+            'belief',
+            qos.LATCHED,
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+        )
         for agent in agents:
-            self.hear(
-                Path,
-                f'{agent}/path',
-                partial(self._on_path, agent),
-                qos.EVIDENCE,
-                largest_path(value_for(self.values, 'max_steps', agent)),
+            sent = RecordedPaths(
+                self, agent, f'{agent}/', partial(self._read_path, agent), self._take_path
             )
+            sent.listen()
             self.hear(
                 DeploymentReport,
                 f'{agent}/report',
@@ -72,6 +91,7 @@ class EstimatorNode(FieldNode):
                 largest_report(value_for(self.values, 'max_steps', agent)),
             )
         self._started = 0
+        self._unconverged = ''
         self._awaiting = self.create_poll(self._publish_first)
 
     def _restore(self, log: str) -> None:
@@ -86,15 +106,15 @@ class EstimatorNode(FieldNode):
         with same_types(log):
             evidence = read_log(log, (PATH, REPORT))
             for logged in self.tell_progress(evidence, f'taking in {log}'):
-                if agent_of(logged.topic) in agents:
+                if agent_of(logged.topic) in agents and is_of_mission(logged, self._mission):
                     # What was refused when it came is refused again.
                     with suppress(ValueError):
                         record(self._ledger, logged)
 
     def _publish_first(self) -> None:
-        waiting, now = self.waiting_for([self._belief]), self.now()
-        if waiting or now <= 0:
-            self.diagnostics.state = waiting or WAITING_FOR_CLOCK
+        missing, now = self.missing_listeners([self._belief]), self.now()
+        if missing or now <= 0:
+            self.diagnostics.state = waiting_for(missing or CLOCK)
         else:
             self._started = now
             self._awaiting.cancel()
@@ -104,21 +124,35 @@ class EstimatorNode(FieldNode):
                 self._publish(self._ledger)
             self._say_what_is_held()
 
-    def _on_path(self, agent: str, message: Path) -> None:
+    def _on_matched(self, status: QoSPublisherMatchedInfo) -> None:
+        if status.current_count_change > 0:
+            # It has not heard the beliefs before.
+            self._new.name_all()
+
+    def _read_path(self, agent: str, message: Path) -> SentPath | None:
+        key, cells = read_path(self._ledger.grid, agent, message)
+        self._ledger.grid.check_path(cells, self._ledger.most_steps(key))
+        mission = mission_of_path(message)
+        if mission == self._mission and key in self._ledger.paths:
+            self._accept(key, self._ledger.record_path(key, cells))
+            return None
+        return key, cells, content_hash(message), mission
+
+    def _take_path(self, sent: SentPath) -> None:
+        key, cells, content, mission = sent
+        self._join(mission)
         try:
-            key, cells = read_path(self._ledger.grid, agent, message)
-            self._ledger.grid.check_path(cells, self._ledger.most_steps(key))
-            self._join(mission_of_path(message))
-            changed = self._ledger.record_path(key, cells)
-        except ValueError as error:
-            self._refuse(f'{agent}/path', error)
-        else:
-            self._accept(key, changed)
+            changed = self._ledger.record_path(key, cells, content)
+        finally:
+            # Reports that do not fit the path have been dropped.
+            self._say_what_is_pending()
+        self._accept(key, changed)
 
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, report = read_report(message, agent)
-            changed = self._ledger.record_report(key, report)
+            named = replace(report, content=content_hash(message))
+            changed = self._ledger.record_report(key, named)
         except ValueError as error:
             self._refuse(f'{agent}/report', error)
         else:
@@ -141,25 +175,27 @@ class EstimatorNode(FieldNode):
         is_newer = self._mission is not None and mission > self._mission
         if (is_newer and not self._started) or 0 < mission == self._started != self._mission:
             ledger = self._prior.copy()
-            ledger.await_paths_of(self._ledger)
+            ledger.copy_pending_of(self._ledger)
             self._ledger = ledger
+            self._new.name_all()
         else:
             check_mission(mission, self._mission)
         self._mission = mission
 
     def _refuse(self, topic: str, error: ValueError) -> None:
         # A report that waited in vain for the right path has been dropped.
-        self.diagnostics.waiting = self._ledger.waiting
+        self._say_what_is_pending()
         self.diagnostics.refuse(topic, error)
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
-        self.diagnostics.waiting = self._ledger.waiting
+        self._say_what_is_pending()
         if self._awaiting.is_canceled():
             if changed:
+                self._new.add(key)
                 self._publish(self._ledger)
                 self._tell_ending(key)
             else:
-                self._progress.tell_out(self._ledger.out)
+                self._views.show_in_flight(self._ledger)
             self._say_what_is_held()
         if changed and key in self._ledger.contradicted:
             # The return that was held until now counts no longer.
@@ -173,39 +209,49 @@ class EstimatorNode(FieldNode):
         survived, steps = ledger.ending(key)
         contact = f', heard of last after step {steps}' if steps else ''
         ended = 'came back' if survived else f'was lost{contact}'
-        self.tell_deployment(
+        self.deployment_logger.info(
             f'{key} {ended}: entropy {ledger.belief.entropy():.2f} nats after '
             f'{len(ledger.deployments)} deployments, {ledger.lost} robots lost'
         )
 
     def _publish(self, ledger: Ledger) -> None:
         mission = self._started if self._mission is None else self._mission
-        message = belief_maps(ledger, self._started, mission)
+        message = belief_maps(ledger, self._started, mission, *self._new.take(ledger))
         self._belief.publish(message)
-        grid, belief = ledger.grid, ledger.belief
         stamp = from_stamp(message.header.stamp)
-        for name, publisher in self._maps.items():
-            publisher.publish(occupancy_grid(grid, getattr(belief, name), stamp))
         if self._model is not None:
             self._model.publish(model_belief(ledger, stamp))
-        self._progress.take(ledger, stamp)
+        self._views.show(ledger, stamp)
         self._say_how_sure(ledger.estimator)
 
     def _say_how_sure(self, estimator: Estimator) -> None:
         """Tell how far chance takes the belief, and warn if that is further than aimed at."""
         error = f'{estimator.sampling_error:.2g}'
         self.diagnostics.values['sampling_error'] = error
-        self.diagnostics.warning = (
+        self._unconverged = (
             ''
-            if estimator.is_settled
-            else f'sampling has not settled: the belief is {error} nats off by chance'
+            if estimator.is_converged
+            else f'sampling has not converged: the belief is {error} nats off by chance'
         )
+        self._say_what_is_pending()
+
+    def _say_what_is_pending(self) -> None:
+        """Tell how many reports lack their path, and warn if they are more than robots."""
+        pending = self.diagnostics.waiting = self._ledger.pending
+        unknown = ''
+        if pending > MOST_AGENTS:
+            unknown = f'{pending} reports are of deployments whose paths are not known'
+        self.diagnostics.warning = '; '.join(filter(None, (self._unconverged, unknown)))
 
     def _say_what_is_held(self) -> None:
-        self.diagnostics.state = (
+        self.diagnostics.state = working(
             f'{len(self._ledger.deployments)} deployments in the belief, '
             f'{self._ledger.duplicates} messages said nothing new'
         )
+
+    def finish(self) -> None:
+        """Show the last belief."""
+        self._views.publish()
 
 
 def main(args: Sequence[str] | None = None) -> int:

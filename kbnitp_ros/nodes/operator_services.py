@@ -1,23 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The services by which an operator decides what the planner does, and what they decided."""
+"""What the planner shows its operator, and the services by which the operator decides."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import OperatorAction
+from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
+from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
-from kbnitp_ros.core import Grid, Observation
-from kbnitp_ros.log.decisions import Decisions, Paths
-from kbnitp_ros.messages.decisions import Action, Decision, decision_message
-from kbnitp_ros.messages.headers import next_name, read_name
-from kbnitp_ros.messages.sizes import TIME
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.proposals import Proposals
-from kbnitp_ros.nodes.robots_out import RobotsOut
-from kbnitp_ros.nodes.shell import Shell
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.rounds import describe_plan, Plans
+from kbnitp_ros.core import DeploymentKey, Grid, Observation
+from kbnitp_ros.log.operator_state import OperatorState, Paths
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.headers import header, next_name, shown
+from kbnitp_ros.messages.operator_action import (
+    Action,
+    operator_action_message,
+    OperatorAction,
+)
+from kbnitp_ros.messages.sizes import RECORDED
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import MissionNode, some
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
@@ -25,96 +34,158 @@ from std_srvs.srv import SetBool, Trigger
 Response = Any
 
 
+class Proposals:
+    """
+    The plans of the next round, on AGENT/proposal until they are approved or refused.
+
+    Parameters
+    ----------
+    node : MissionNode
+        The planner.
+    grid : Grid
+        The field.
+    agents : sequence of str
+        Those of the team.
+
+    Attributes
+    ----------
+    plans : dict of DeploymentKey to Plan
+        Empty when nothing is proposed.
+
+    """
+
+    def __init__(self, node: MissionNode, grid: Grid, agents: Sequence[str]) -> None:
+        self.plans: Plans = {}
+        self._node = node
+        self._grid = grid
+        self._made_for: Any = None
+        self._publishers = {
+            agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
+            for agent in agents
+        }
+
+    @property
+    def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
+        """Return the paths that are proposed."""
+        return {key: plan.path for key, plan in self.plans.items()}
+
+    def are_for(self, situation: Any) -> bool:
+        """Return whether there are plans, and they were made for this situation."""
+        return bool(self.plans) and self._made_for == situation
+
+    def show(self, plans: Plans, situation: Any) -> None:
+        """Propose plans that were made for a situation."""
+        self.withdraw()
+        self.plans, self._made_for = plans, situation
+        for key, plan in plans.items():
+            self._publishers[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
+            self._node.get_logger().info(
+                f'proposed for {key.agent}: {describe_plan(self._grid, plan)}'
+            )
+
+    def withdraw(self) -> None:
+        """Propose nothing."""
+        for key in self.plans:
+            self._publishers[key.agent].publish(Path(header=header(key.stamp)))
+        self.plans = {}
+
+
 class Operator:
     """
-    Takes what the operator decides, one decision after another.
+    Takes the actions of the operator, one after another.
 
-    A decision is published on `operator`. With the parameter `recorded` it holds, and its service
+    An action is published on `operator`. With the parameter `recorded` it holds, and its service
     answers, when the recorder has it on disk: what an operator was told is so after any crash.
 
     Parameters
     ----------
-    node : Shell
+    node : MissionNode
         The planner.
     grid : Grid
         The field.
-    out : RobotsOut
+    in_flight : DeploymentsInFlight
         The robots that can be given up.
     proposals : Proposals
         The plans that can be approved or refused.
     act : callable
-        Called with each decision when it holds.
+        Called with each action when it holds.
 
     Attributes
     ----------
-    decisions : Decisions
+    state : OperatorState
         Those that hold.
 
     """
 
     def __init__(
         self,
-        node: Shell,
+        node: MissionNode,
         grid: Grid,
-        out: RobotsOut,
+        in_flight: DeploymentsInFlight,
         proposals: Proposals,
-        act: Callable[[Decision], None],
+        act: Callable[[OperatorAction], None],
     ) -> None:
-        self.decisions = Decisions()
+        self.state = OperatorState()
         self._node = node
         self._grid = grid
-        self._out = out
+        self._in_flight = in_flight
         self._proposals = proposals
         self._act = act
-        self._pending: tuple[Decision, Response, Future] | None = None
-        self._publisher = node.create_publisher(OperatorAction, 'operator', qos.EVIDENCE)
+        # What is not on disk yet, and the hash of its message.
+        self._pending: tuple[OperatorAction, int, Response, Future] | None = None
+        self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
         node.create_service(Trigger, 'end_mission', self._on_end)
         if node.values['recorded']:
-            node.hear(Time, 'operator/recorded', self._on_recorded, qos.EVIDENCE, TIME)
+            node.hear(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE, RECORDED)
 
-    def restore(self, decision: Decision, data: bytes) -> None:
-        """Take a decision on record, and publish it again for those who join late."""
-        if self.decisions.take(decision):
+    def restore(self, action: OperatorAction, data: bytes) -> None:
+        """Take an action on record, and publish it again for those who join late."""
+        if self.state.apply(action):
             self._publisher.publish(data)
 
     @property
     def awaited(self) -> str:
-        """Return what a decision waits for; empty when none does."""
+        """Return what an action waits for; empty when none does."""
         if self._pending is None:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')
         return (
-            f'waiting for the recorder to tell on {topic} that it is on disk that the operator '
+            f'the recorder to tell on {topic} that it is on disk that the operator '
             f'{self._pending[0]} (parameter recorded)'
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
-        if request.data == self.decisions.is_paused:
+        if request.data == self.state.is_paused:
             state = 'is paused' if request.data else 'is not paused'
-            return answered(response, not self.decisions.is_ended, f'the mission {state} already')
+            return answered(response, not self.state.is_ended, f'the mission {state} already')
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
 
     def _on_approve(self, request: SetBool.Request, response: Response) -> Response | Future:
         paths = self._proposals.paths
         if not paths:
             why = '' if self._node.values['approval'] else ': the parameter approval is false'
-            if self.decisions.is_paused:
+            if self.state.is_paused:
                 why = ': the mission is paused'
             return answered(response, False, f'nothing is proposed{why}')
         return self._decide(response, Action.APPROVE if request.data else Action.REFUSE, paths)
 
     def _on_give_up(self, request: GiveUp.Request, response: Response) -> Response | Future:
-        out = {key: robot.path for key, robot in self._out.items() if key.agent == request.agent}
+        out = {
+            key: robot.path for key, robot in self._in_flight.items() if key.agent == request.agent
+        }
         if not out:
-            names = ', '.join(sorted(self._out.agents)) or 'none'
-            told = f'no robot of {request.agent!r} is out: {names} is'
+            names = ', '.join(sorted(self._in_flight.agents)) or 'none'
+            told = f'no robot of {shown(request.agent)} is out: {names} is'
             return answered(response, False, told)
         key = min(out)
-        if self._node.values['recorded'] and not self._out.is_recorded(key):
-            told = f'{key} has not left: its path is not on disk yet'
+        if self._node.values['recorded'] and not self._in_flight[key].is_recorded:
+            told = (
+                f'{key} has not left: the recorder has not confirmed on '
+                f'{request.agent}/recorded that its path is on disk; ask again when it has'
+            )
             return answered(response, False, told)
         try:
             Observation(out[key], False, steps_survived=request.steps_survived)
@@ -126,38 +197,37 @@ class Operator:
         return self._decide(response, Action.END)
 
     def _decide(
-        self, response: Response, action: Action, paths: Paths | None = None, steps: int = 0
+        self, response: Response, what: Action, paths: Paths | None = None, steps: int = 0
     ) -> Response | Future:
-        """Take a decision, unless it cannot be taken now; return the answer, or its future."""
-        if self.decisions.is_ended and action != Action.GIVE_UP:
+        """Take an action, unless it cannot be taken now; return the answer, or its future."""
+        if self.state.is_ended and what != Action.GIVE_UP:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
-            return answered(response, False, f'{self.awaited}: ask again when it is')
-        stamp = next_name(self._node.now(), *self.decisions.taken)
-        decision = Decision(stamp, action, self._out.left, dict(paths or {}), steps)
-        self._publisher.publish(decision_message(self._grid, decision))
+            return answered(response, False, f'waiting for {self.awaited}: ask again when it is')
+        stamp = next_name(self._node.now(), *self.state.actions)
+        action = OperatorAction(stamp, what, self._in_flight.left, dict(paths or {}), steps)
+        message = operator_action_message(self._grid, action)
+        self._publisher.publish(message)
         if not self._node.values['recorded']:
-            return self._take(decision, response)
-        self._pending = decision, response, Future()
-        return self._pending[2]
+            return self._take(action, response)
+        self._pending = action, content_hash(message), response, Future()
+        return self._pending[3]
 
-    def _on_recorded(self, message: Time) -> None:
-        try:
-            stamp = read_name('stamp', message)
-        except ValueError as error:
-            self._node.diagnostics.refuse('operator/recorded', error)
-            return
-        if self._pending and self._pending[0].stamp == stamp:
-            decision, response, future = self._pending
+    def _on_recorded(self, message: Recorded) -> None:
+        if self._pending and self._pending[1] == message.content:
+            action, _, response, future = self._pending
             self._pending = None
-            future.set_result(self._take(decision, response))
+            future.set_result(self._take(action, response))
 
-    def _take(self, decision: Decision, response: Response) -> Response:
-        """Have a decision hold from now on."""
-        self.decisions.take(decision)
-        self._node.get_logger().info(f'the operator {decision}')
-        self._act(decision)
-        return answered(response, True, f'the operator {decision}')
+    def _take(self, action: OperatorAction, response: Response) -> Response:
+        """Have an action hold from now on."""
+        self.state.apply(action)
+        self._node.get_logger().info(f'the operator {action}')
+        self._act(action)
+        pending = ''
+        if action.action == Action.END and self._in_flight:
+            pending = f'; it is over when {some(self._in_flight)} are reported'
+        return answered(response, True, f'the operator {action}{pending}')
 
 
 def answered(response: Response, success: bool, message: str) -> Response:

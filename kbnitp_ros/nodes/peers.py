@@ -3,11 +3,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+import time
 
-from kbnitp_ros.log.evidence import BELIEF, REPORT
+from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.deployments import agent_of
-from kbnitp_ros.nodes.shell import Shell
+from kbnitp_ros.nodes.instances import Instance
+from kbnitp_ros.nodes.parameter_watch import full_name, NAMELESS
+from kbnitp_ros.nodes.recorders import Recorders, records, TOPIC
+from kbnitp_ros.nodes.runtime.node import MissionNode
+
+# Seconds after which DDS has forgotten a node that was killed: what publishes for longer is alive.
+FORGOTTEN = 30.0
+
+# How often the planner looks for the names of other planners before it reports them.
+LOOKS = 20
 
 
 class Peers:
@@ -16,7 +27,7 @@ class Peers:
 
     Parameters
     ----------
-    node : Shell
+    node : MissionNode
         The planner.
     agents : sequence of str
         Those of the team.
@@ -25,15 +36,22 @@ class Peers:
     ----------
     estimators : int
         How many nodes publish beliefs.
+    recorders : list of Instance
+        Those that are alive.
 
     """
 
-    def __init__(self, node: Shell, agents: Sequence[str]) -> None:
+    def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
         self.estimators = 0
+        self.recorders: list[Instance] = []
+        self._recorders = Recorders(node)
+        self._several_since: float | None = None
         self._node = node
         self._agents = agents
         self._answering: dict[str, int] = {}
         self._unknown_agents: set[str] = set()
+        self._planners: dict[str, int] = {}
+        self._looks: Counter[str] = Counter()
 
     def is_present(self, agent: str) -> bool:
         """Return whether somebody answers for an agent."""
@@ -59,6 +77,51 @@ class Peers:
                     f'agent {agent} has left the graph: the others carry on, and so does '
                     f'{agent} when it is back',
                 )
+
+    def look_for_planners(self) -> None:
+        """Notice when others publish paths of an agent, and say which nodes do."""
+        for agent in self._agents:
+            before = self._planners.get(agent, 1)
+            planners = self._node.count_authors(f'{agent}/path', PATH)
+            if planners > max(before, 1):
+                topic = self._node.resolve_topic_name(f'{agent}/path')
+                nodes = sorted(
+                    full_name(each.node_namespace, each.node_name)
+                    for each in self._node.get_publishers_info_by_topic(topic)
+                    if each.topic_type == PATH
+                )
+                self._looks[agent] += 1
+                # DDS tells the name of a node a moment after its publishers, if it has one.
+                if NAMELESS in nodes and self._looks[agent] < LOOKS:
+                    continue
+                self._node.diagnostics.refuse(
+                    f'{agent}/path',
+                    f'{len(nodes)} planners publish it, nodes {", ".join(nodes)}: stop all but '
+                    'one, unless one has just died; of two paths with the same stamp the one '
+                    'recorded first counts',
+                )
+            self._planners[agent] = planners
+
+    def look_for_recorders(self) -> None:
+        """Notice when more than one recorder is alive, and say which."""
+        if self._node.count_publishers(TOPIC) < 2:
+            self.recorders, self._several_since = [], None
+            return
+        before, self.recorders = self.recorders, self._recorders.alive
+        if len(self.recorders) > max(len(before), 1):
+            self._node.diagnostics.refuse(
+                TOPIC,
+                f'more than one recorder is alive: {records(self.recorders)}; no robot leaves '
+                'until all but one have ended',
+            )
+        self._several_since = self._several_since or time.monotonic()
+        if len(self.recorders) < 2 and time.monotonic() > self._several_since + FORGOTTEN:
+            nodes = ', '.join(sorted(self._recorders.publishers.elements()))
+            self._node.refuse_once(
+                TOPIC,
+                f'nodes {nodes} publish it, and no more than one of them is a recorder that is '
+                'heard on diagnostics: find out what the others are',
+            )
 
     def look_for_unknown_agents(self) -> None:
         """Notice who reports for an agent that is none of the team."""

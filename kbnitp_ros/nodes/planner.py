@@ -4,11 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import auto, Enum
 from functools import partial
 import sys
 
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.base.reachability import cut_off_note, reach_note
+from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
+from kbnitp_ros.configuration import (
+    agents_of,
+    check_search,
+    most_steps,
+    parameter_of,
+    robot_types_of,
+    value_for,
+)
 from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
@@ -16,31 +28,29 @@ from kbnitp_ros.core import (
     observation_of,
     ORDINARY,
 )
-from kbnitp_ros.log.decisions import read_decisions
 from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
+from kbnitp_ros.log.evidence import BELIEF
+from kbnitp_ros.log.operator_state import read_operator_actions
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.decisions import Action, Decision
-from kbnitp_ros.messages.deployments import path_message, read_report, report_message
-from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
-from kbnitp_ros.messages.sizes import largest_belief, largest_report, TIME
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.operator_services import Operator
-from kbnitp_ros.nodes.parameters import (
-    agents_of,
-    check_search,
-    kinds_of,
-    most_steps,
-    parameter_of,
-    value_for,
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.deployments import (
+    path_message,
+    read_path,
+    read_report,
+    report_message,
+    Source,
 )
+from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
+from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.operator_action import Action, OperatorAction
+from kbnitp_ros.messages.sizes import largest_belief, largest_path, largest_report, RECORDED
+from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
-from kbnitp_ros.nodes.proposals import Proposals
-from kbnitp_ros.nodes.reach import cut_off_note, reach_note
-from kbnitp_ros.nodes.robots_out import RobotsOut
-from kbnitp_ros.nodes.rounds import in_words, Plans, Rounds
-from kbnitp_ros.nodes.shell import run, some
-from kbnitp_ros.nodes.succession import Succession
+from kbnitp_ros.nodes.recorders import records
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import done, State, waiting_for
+from kbnitp_ros.nodes.runtime.node import FieldNode, some
+from kbnitp_ros.nodes.runtime.process import run
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -49,14 +59,27 @@ from rclpy.subscription import Subscription
 # A field of which paths reach less than this part is worth a warning.
 MOST = 0.5
 
-# How the state begins of a mission that is over.
-DONE = 'done'
-
 # Why an estimator may never hold all deployments.
 NOT_HEARD_AGAIN = (
     f', and only the last {qos.DEPTH} of each agent are heard again: restart the '
     'estimator with the parameter resume, which names the log'
 )
+
+
+class Obstacle(Enum):
+    """What keeps robots from leaving."""
+
+    ACTION_UNRECORDED = auto()
+    NO_BELIEF = auto()
+    UNREPORTED = auto()
+    BELIEF_BEHIND = auto()
+    ALL_DEPLOYED = auto()
+    SEVERAL_RECORDERS = auto()
+    NOT_HEARD = auto()
+    ALL_LEFT = auto()
+    PAUSED = auto()
+    NO_FREE_AGENT = auto()
+    UNAPPROVED = auto()
 
 
 class PlannerNode(FieldNode):
@@ -65,8 +88,8 @@ class PlannerNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('planner')
         self._agents = agents_of(self.values, self.grid)
-        check_search(self.values, self.grid)
-        self._say_what_is_out_of_reach()
+        check_search(self.values, self.grid, {})
+        self._log_reachability()
         self._paths = {
             agent: self.create_publisher(Path, f'{agent}/path', qos.EVIDENCE)
             for agent in self._agents
@@ -75,12 +98,12 @@ class PlannerNode(FieldNode):
             agent: self.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in self._agents
         }
-        self._succession = Succession()
-        self._rounds = Rounds(self.grid, self.values, self.get_logger())
+        self._tracker = MissionTracker()
+        self._rounds = Rounds(self.grid, self.values, self.get_logger().warning)
         self._peers = Peers(self, self._agents)
-        self._out = RobotsOut(self.values)
+        self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
         self._proposals = Proposals(self, self.grid, self._agents)
-        self._operator = Operator(self, self.grid, self._out, self._proposals, self._act)
+        self._operator = Operator(self, self.grid, self._in_flight, self._proposals, self._act)
         # How many robots that have left only the belief knows of.
         self._left_unknown = 0
         # How many deployments the belief heard last holds, and whether it was told that an
@@ -94,6 +117,8 @@ class PlannerNode(FieldNode):
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
         self.add_on_set_parameters_callback(self._check_changes)
+        # Before the beliefs: none holds a path that was not heard.
+        self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         self._beliefs = self._hear_beliefs()
         for agent in self._agents:
             self.hear(
@@ -105,22 +130,22 @@ class PlannerNode(FieldNode):
             )
             if self.values['recorded']:
                 self.hear(
-                    Time,
+                    Recorded,
                     f'{agent}/recorded',
                     partial(self._on_recorded, agent),
                     qos.EVIDENCE,
-                    TIME,
+                    RECORDED,
                 )
         self.create_poll(self._look)
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
         deployments = read_deployments(
-            log, self.grid, self.values['max_steps'], kinds_of(self.values)
+            log, self.grid, self.values['max_steps'], robot_types_of(self.values)
         )
-        for decision, message in read_decisions(log, self.grid):
-            self._operator.restore(decision, message)
-        given_up = self._operator.decisions.given_up
+        for action, message in read_operator_actions(log, self.grid):
+            self._operator.restore(action, message)
+        given_up = self._operator.state.given_up
         for key, recorded in deployments.items():
             if key.agent not in self._paths:
                 raise ValueError(
@@ -128,35 +153,36 @@ class PlannerNode(FieldNode):
                     f'{", ".join(self._agents)}'
                 )
             self._paths[key.agent].publish(recorded.message)
-            self._out.leave(key, recorded.path)
+            self._in_flight.leave(key, recorded.path, recorded.content)
             self._rounds.note_path(recorded.path)
-            self._out.record(key)
+            self._in_flight.record(key, recorded.content)
             if recorded.observation is not None:
-                self._out.end(key)
+                self._in_flight.end(key)
                 is_own = self.values['silent_loss'] or key in given_up
                 if is_own and not recorded.observation.survived:
                     # Said by the planner before this one.
-                    again = report_message(key, recorded.observation, recorded.reported)
+                    source = Source.OPERATOR if key in given_up else Source.SILENCE
+                    again = report_message(key, recorded.observation, recorded.reported, source)
                     self._losses[key.agent].publish(again)
             if key.stamp <= LAST_COUNTED_ON:
                 self._last_stamp = key.stamp
         for key, steps_survived in given_up.items():
-            if key in self._out:
-                self._give_up(key, steps_survived)
-        self._succession.mission = read_mission(log)
+            if key in self._in_flight:
+                self._give_up(key, Source.OPERATOR, steps_survived)
+        self._tracker.mission = read_mission(log)
         # Of one robot, or where each leaves by itself, no part can be missing.
         if len(self._agents) == 1 or self.values['rolling']:
             return
-        if self._operator.decisions.is_paused or self._operator.decisions.is_ended:
+        if self._operator.state.is_paused or self._operator.state.is_ended:
             return
         if newest_round := read_newest_round(log, deployments):
             planned_on, keys = newest_round
             recorded_paths = {key: deployments[key].path for key in keys}
-            refused = self._operator.decisions.refused(planned_on.deployments)
+            refused = self._operator.state.refused(planned_on.deployments)
             missing = self._rounds.missing(planned_on, self._agents, recorded_paths, refused)
             self._send(missing, planned_on.mission)
 
-    def _say_what_is_out_of_reach(self) -> None:
+    def _log_reachability(self) -> None:
         """Say what no path comes to; a warning if that is most of the field."""
         log, max_steps = self.get_logger(), most_steps(self.values)
         if note := reach_note(self.grid, max_steps):
@@ -182,7 +208,8 @@ class PlannerNode(FieldNode):
                 for each in changes
                 if (parameter := known[each.name])
             }
-            check_search(self.values | given, self.grid)
+            newest = self._tracker.newest
+            check_search(self.values | given, self.grid, newest.robot_types if newest else {})
             refusal = self._too_few(given['robots']) if 'robots' in given else ''
         except ValueError as error:
             refusal = str(error)
@@ -192,10 +219,20 @@ class PlannerNode(FieldNode):
         largest = largest_belief(self.grid.cells)
         return self.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
 
+    def _hear_paths(self, agent: str) -> Subscription:
+        """Take the paths of an agent, which another planner may send."""
+        largest = largest_path(value_for(self.values, 'max_steps', agent))
+        return self.hear(
+            Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE, largest
+        )
+
     def _look(self) -> None:
         self._peers.look_for_agents()
+        self._peers.look_for_planners()
         if self._peers.look_for_estimators():
             self._hear_beliefs_anew()
+        if self.values['recorded']:
+            self._peers.look_for_recorders()
         self._peers.look_for_unknown_agents()
         self._give_up_overdue()
         self._deploy()
@@ -204,12 +241,13 @@ class PlannerNode(FieldNode):
         try:
             snapshot = read_belief_maps(message)
             self._check_rules(snapshot)
-            self._succession.check(snapshot, self._peers.estimators, self._left)
+            known = self._known(snapshot.mission)
+            self._tracker.check_belief(snapshot, self.count_authors('belief', BELIEF), known)
         except ValueError as error:
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        unknown = snapshot.deployments - self._out.left
+        unknown = snapshot.deployments - self._in_flight.left
         if unknown > self._left_unknown:
             self.get_logger().warning(
                 f'the belief holds {unknown} deployments more than are '
@@ -218,28 +256,35 @@ class PlannerNode(FieldNode):
             )
             self._left_unknown = unknown
         self._notice_incomplete(snapshot.deployments)
-        if self._succession.take(snapshot):
+        if self._tracker.accept_belief(snapshot, known):
             self._deploy()
+
+    def _known(self, mission: int) -> int:
+        """Return how many deployments of a mission may be in a belief, as far as known here."""
+        # Each agent may have had a robot out when the planner before this one died.
+        out_before = len(self._agents) if self._left_unknown else 0
+        return self._in_flight.known(mission) + out_before
 
     @property
     def _left(self) -> int:
         """How many robots have left, those that only the belief knows of included."""
-        return self._out.left + self._left_unknown
+        return self._in_flight.left + self._left_unknown
 
     def _notice_incomplete(self, held: int) -> None:
         """Say if an estimator was restarted that will never hear of all deployments."""
         self._held = held
         # One that has the log publishes its prior, and then a belief in all that is on record.
-        if 0 < held < self._out.forgotten and not self._is_incomplete_told:
+        if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
             self._is_incomplete_told = True
             self.diagnostics.refuse('belief', f'it holds {held} deployments{NOT_HEARD_AGAIN}')
 
     def _check_rules(self, snapshot: Snapshot) -> None:
         if snapshot.grid != self.grid:
             raise ValueError(f'it is on {snapshot.grid}: the parameters say {self.grid}')
+        check_search(self.values, self.grid, snapshot.robot_types)
         for agent in self._agents:
             own = value_for(self.values, 'max_steps', agent)
-            theirs = snapshot.kinds.get(agent, ORDINARY).max_steps or snapshot.max_steps
+            theirs = snapshot.robot_types.get(agent, ORDINARY).max_steps or snapshot.max_steps
             if theirs < own:
                 raise ValueError(
                     f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
@@ -249,22 +294,44 @@ class PlannerNode(FieldNode):
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, report = read_report(message, agent)
-            if key in self._out:
+            if key in self._in_flight:
                 # The estimator would refuse it too, and the robot is still out.
-                path = self._out[key].path
+                path = self._in_flight[key].path
                 max_steps = value_for(self.values, 'max_steps', agent)
                 observation_of(report, key, path, self.grid, max_steps)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
-        self._out.end(key)
+        self._in_flight.end(key)
         self._deploy()
 
-    def _on_recorded(self, agent: str, message: Time) -> None:
+    def _on_path(self, agent: str, message: Path) -> None:
+        """Take note of a path: the recorder may have that of another planner on disk."""
         try:
-            self._out.record(DeploymentKey(agent, read_name('stamp', message)))
+            key, cells = read_path(self.grid, agent, message)
+            path = self.grid.check_path(cells, value_for(self.values, 'max_steps', agent))
+            mission = mission_of_path(message)
+            is_other = self._in_flight.hear(key, path, content_hash(message), mission)
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/path', error)
+            return
+        if is_other:
+            self.diagnostics.refuse(
+                f'{agent}/path',
+                f'{key} follows the path of another planner, which the recorder wrote first; the '
+                'path that this planner sent is not used',
+            )
+
+    def _on_recorded(self, agent: str, message: Recorded) -> None:
+        try:
+            key = DeploymentKey(agent, read_name('stamp', message.stamp))
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/recorded', error)
+            return
+        if self._in_flight.record(key, message.content):
+            # Whoever sent it keeps it for those who ask later.
+            self.destroy_subscription(self._sent_paths[agent])
+            self._sent_paths[agent] = self._hear_paths(agent)
 
     def _hear_beliefs_anew(self) -> None:
         """
@@ -272,8 +339,7 @@ class PlannerNode(FieldNode):
 
         It may have been refused for that of the other, or held to be older.
         """
-        self._succession.newest = None
-        self._left_unknown = 0
+        self._tracker.newest = None
         self.destroy_subscription(self._beliefs)
         self._beliefs = self._hear_beliefs()
 
@@ -281,39 +347,37 @@ class PlannerNode(FieldNode):
         """Report robots lost that should have been back for long."""
         if not self.values['silent_loss']:
             return
-        for key in self._out.overdue(self.now()):
-            self._give_up(key)
+        for key in self._in_flight.overdue(self.now()):
+            self._give_up(key, Source.SILENCE)
 
-    def _give_up(self, key: DeploymentKey, steps_survived: int = 0) -> None:
+    def _give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
         """Report a robot lost that is out."""
-        lost = Observation(self._out[key].path, False, steps_survived=steps_survived)
-        self._losses[key.agent].publish(report_message(key, lost, self.now()))
-        self._out.end(key)
+        lost = Observation(self._in_flight[key].path, False, steps_survived=steps_survived)
+        self._losses[key.agent].publish(report_message(key, lost, self.now(), source))
+        self._in_flight.end(key)
 
-    def _act(self, decision: Decision) -> None:
-        """Do what the operator has decided."""
-        if decision.action == Action.GIVE_UP:
-            for key in decision.paths:
-                if key in self._out:
-                    self._give_up(key, decision.steps_survived)
+    def _act(self, action: OperatorAction) -> None:
+        """Do what follows from an action of the operator."""
+        if action.action == Action.GIVE_UP:
+            for key in action.paths:
+                if key in self._in_flight:
+                    self._give_up(key, Source.OPERATOR, action.steps_survived)
         self._deploy()
 
     def _deploy(self) -> None:
         """Send the next robots, unless something must come first."""
-        newest = self._succession.newest
-        if decision := self._operator.awaited:
-            self.diagnostics.state = decision
-            return
-        if reason_to_wait := self._reason_to_wait(newest.deployments if newest else None):
-            self.diagnostics.state = reason_to_wait
-            self._proposals.withdraw()
-            if reason_to_wait.startswith(DONE) and not self.values['keep_running']:
+        newest = self._tracker.newest
+        if obstacle := self._obstacle(newest.deployments if newest else None):
+            self.diagnostics.state = self._state_at(obstacle)
+            if obstacle is not Obstacle.ACTION_UNRECORDED:
+                self._proposals.withdraw()
+            if obstacle is Obstacle.ALL_DEPLOYED and not self.values['keep_running']:
                 self.end()
             return
         assert newest is not None
         plans = self._next_plans(newest)
         if self.values['approval'] and not self._are_approved(plans):
-            self.diagnostics.state = self._waiting_for_approval()
+            self.diagnostics.state = self._state_at(Obstacle.UNAPPROVED)
             return
         self._proposals.withdraw()
         self._send(plans, newest.mission)
@@ -321,39 +385,39 @@ class PlannerNode(FieldNode):
     def _next_plans(self, newest: Snapshot) -> Plans:
         """Return the plans of the robots to leave next; those that are proposed if they are it."""
         agents = self._free_agents()[: self._robots - self._left]
-        refused = self._operator.decisions.refused(self._out.left)
+        refused = self._operator.state.refused(self._in_flight.left)
         situation = newest.stamp, newest.deployments, agents, len(refused)
         if self._proposals.are_for(situation):
             return self._proposals.plans
         stamp = self._next_stamp(newest)
-        plans = self._rounds.plan(newest, agents, self._out.paths, stamp, refused)
+        plans = self._rounds.plan(newest, agents, self._in_flight.paths, stamp, refused)
         if self.values['approval'] and not self._are_approved(plans):
             self._proposals.show(plans, situation)
         return plans
 
     def _are_approved(self, plans: Plans) -> bool:
         paths = {key: plan.path for key, plan in plans.items()}
-        return self._operator.decisions.is_approved(self._out.left, paths)
+        return self._operator.state.is_approved(self._in_flight.left, paths)
 
     @property
     def _robots(self) -> int:
         """How many robots are to be deployed."""
-        return self._left if self._operator.decisions.is_ended else self.values['robots']
+        return self._left if self._operator.state.is_ended else self.values['robots']
 
     def _send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
-        mission = self._succession.begin(mission)
+        mission = self._tracker.begin(mission)
         for key, plan in plans.items():
-            self._out.leave(key, plan.path)
-            self._rounds.note_path(plan.path)
             message = path_message(self.grid, plan.path, key.stamp, mission)
+            self._in_flight.leave(key, plan.path, content_hash(message))
+            self._rounds.note_path(plan.path)
             self._paths[key.agent].publish(message)
-            self.tell_deployment(f'{key} leaves {in_words(self.grid, plan)}')
+            self.deployment_logger.info(f'{key} leaves {describe_plan(self.grid, plan)}')
             self._last_stamp = max(self._last_stamp, key.stamp)
 
     def _free_agents(self) -> list[str]:
         """Return the agents that somebody answers for and whose robots are home."""
-        busy = self._out.agents
+        busy = self._in_flight.agents
         return [
             agent for agent in self._agents if self._peers.is_present(agent) and agent not in busy
         ]
@@ -369,9 +433,9 @@ class PlannerNode(FieldNode):
         held = -1 if newest.newest is None else newest.newest.stamp
         return next_name(newest.stamp, newest.mission, held, self._last_stamp)
 
-    def _reason_to_wait(self, held: int | None) -> str:
+    def _obstacle(self, held: int | None) -> Obstacle | None:
         """
-        Return what must come before the next deployment; empty when nothing.
+        Return what keeps the next robots from leaving; None when nothing.
 
         Parameters
         ----------
@@ -379,58 +443,106 @@ class PlannerNode(FieldNode):
             How many deployments the newest belief holds; None if there is none.
 
         """
-        if held is None and (self._left or not self._operator.decisions.is_ended):
-            return self._waiting_for_belief()
+        if self._operator.awaited:
+            return Obstacle.ACTION_UNRECORDED
+        if held is None and (self._left or not self._operator.state.is_ended):
+            return Obstacle.NO_BELIEF
         held = held or 0
-        # An agent that has left the graph does not keep the others from their next round.
-        awaited = [key for key in self._out if self._peers.is_present(key.agent)]
-        if awaited and not self.values['rolling']:
-            return self._waiting_for_report(min(awaited, key=deployment_order))
-        reported = self._left - len(self._out)
-        if held < reported:
-            wait = f'waiting for a belief that holds {reported} deployments'
-            if self._held < reported and self._out.forgotten:
-                return f'{wait}; the last one holds {self._held}{NOT_HEARD_AGAIN}'
-            return f'{wait} on {self._of_whom("belief", self._peers.estimators)}'
+        if self._unreported and not self.values['rolling']:
+            return Obstacle.UNREPORTED
+        if held < self._reported:
+            return Obstacle.BELIEF_BEHIND
         if held >= self._robots:
-            by_operator = ', ended by the operator' * self._operator.decisions.is_ended
-            return f'{DONE}: {held} of {self.values["robots"]} robots deployed{by_operator}'
-        if not self._is_heard and (waiting := self.waiting_for(self._paths.values())):
-            return waiting
+            return Obstacle.ALL_DEPLOYED
+        if len(self._peers.recorders) > 1:
+            return Obstacle.SEVERAL_RECORDERS
+        if not self._is_heard and self._missing_listeners:
+            return Obstacle.NOT_HEARD
         self._is_heard = True
         if self._left >= self._robots:
-            out = some(self._out)
-            return f'waiting for robots that are out: {out}; no more leave (parameter robots)'
-        if self._operator.decisions.is_paused:
-            pause = self.resolve_service_name('pause')
-            return f'waiting for the operator to end the pause by the service {pause}'
-        return '' if self._free_agents() else self._waiting_for_agent()
+            return Obstacle.ALL_LEFT
+        if self._operator.state.is_paused:
+            return Obstacle.PAUSED
+        return None if self._free_agents() else Obstacle.NO_FREE_AGENT
+
+    @property
+    def _unreported(self) -> list[DeploymentKey]:
+        """Return the deployments in flight that the next round waits for."""
+        # An agent that has left the graph does not keep the others from their next round.
+        return [key for key in self._in_flight if self._peers.is_present(key.agent)]
+
+    @property
+    def _reported(self) -> int:
+        """How many deployments were reported, so that a belief must hold them."""
+        return self._left - len(self._in_flight)
+
+    @property
+    def _missing_listeners(self) -> str:
+        return self.missing_listeners(self._paths.values())
+
+    def _state_at(self, obstacle: Obstacle) -> State:
+        """Return what the planner does while an obstacle keeps robots from leaving."""
+        if obstacle is Obstacle.ALL_DEPLOYED:
+            return done(self._how_it_ended())
+        awaited = {
+            Obstacle.ACTION_UNRECORDED: lambda: self._operator.awaited,
+            Obstacle.NO_BELIEF: self._first_belief,
+            Obstacle.UNREPORTED: self._report,
+            Obstacle.BELIEF_BEHIND: self._next_belief,
+            Obstacle.SEVERAL_RECORDERS: lambda: (
+                f'all but one recorder to end: {records(self._peers.recorders)}'
+            ),
+            Obstacle.NOT_HEARD: lambda: self._missing_listeners,
+            Obstacle.ALL_LEFT: lambda: (
+                f'robots that are out: {some(self._in_flight)}; no more leave (parameter robots)'
+            ),
+            Obstacle.PAUSED: lambda: (
+                'the operator to end the pause by the service '
+                f'{self.resolve_service_name("pause")}'
+            ),
+            Obstacle.NO_FREE_AGENT: self._free_agent,
+            Obstacle.UNAPPROVED: self._approval,
+        }
+        return waiting_for(awaited[obstacle]())
+
+    def _how_it_ended(self) -> str:
+        newest = self._tracker.newest
+        held = newest.deployments if newest else 0
+        by_operator = ', ended by the operator' * self._operator.state.is_ended
+        return f'{held} of {self.values["robots"]} robots deployed{by_operator}'
+
+    def _next_belief(self) -> str:
+        wait = f'a belief that holds {self._reported} deployments'
+        if self._held < self._reported and self._in_flight.forgotten:
+            return f'{wait}; the last one holds {self._held}{NOT_HEARD_AGAIN}'
+        return f'{wait} on {self._of_whom("belief", self._peers.estimators)}'
 
     def _of_whom(self, topic: str, publishers: int) -> str:
         """Return the full name of a topic, and whether it is told by anybody."""
         name = self.resolve_topic_name(topic)
         return name if publishers else f'{name}, which nobody publishes'
 
-    def _waiting_for_belief(self) -> str:
-        wait = f'waiting for the belief on {self._of_whom("belief", self._peers.estimators)}'
+    def _first_belief(self) -> str:
+        wait = f'the belief on {self._of_whom("belief", self._peers.estimators)}'
         if not self._peers.estimators:
             return f'{wait}: start an estimator'
         return f'{wait}: its estimator waits for those that its parameter await_nodes names'
 
-    def _waiting_for_approval(self) -> str:
+    def _approval(self) -> str:
         topics = [
             self.resolve_topic_name(f'{key.agent}/proposal') for key in self._proposals.plans
         ]
         return (
-            f'waiting for the operator to approve of {some(topics)} by the service '
+            f'the operator to approve of {some(topics)} by the service '
             f'{self.resolve_service_name("approve")} (parameter approval)'
         )
 
-    def _waiting_for_report(self, key: DeploymentKey) -> str:
-        """Return that a robot which is out is waited for, and what ends that."""
+    def _report(self) -> str:
+        """Return which report is awaited first, and what ends the wait."""
+        key = min(self._unreported, key=deployment_order)
         agent = self.resolve_topic_name(key.agent)
-        wait = f'waiting for {key} to be reported on {agent}/report'
-        if self.values['recorded'] and not self._out.is_recorded(key):
+        wait = f'{key} to be reported on {agent}/report'
+        if self.values['recorded'] and not self._in_flight[key].is_recorded:
             return (
                 f'{wait}: it leaves when the recorder tells on {agent}/recorded that its path is '
                 'on disk (parameter recorded)'
@@ -442,8 +554,8 @@ class PlannerNode(FieldNode):
             )
         return f'{wait}, however long that takes (parameter silent_loss is false)'
 
-    def _waiting_for_agent(self) -> str:
-        """Return that an agent is waited for, and why each of the team is not free."""
+    def _free_agent(self) -> str:
+        """Return that an agent is awaited, and why each of the team is not free."""
         absent = [
             self.resolve_topic_name(f'{agent}/report')
             for agent in self._agents
@@ -451,10 +563,10 @@ class PlannerNode(FieldNode):
         ]
         reasons = [
             f'nobody publishes {some(absent)}' if absent else '',
-            f'{some(self._out)} are out' if self._out else '',
+            f'{some(self._in_flight)} are out' if self._in_flight else '',
         ]
         why = '; '.join(filter(None, reasons))
-        return f'waiting for an agent whose robot is home: {why} (parameter agents)'
+        return f'an agent whose robot is home: {why} (parameter agents)'
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,45 +3,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 import heapq
 from itertools import chain
 import sys
+import time
 from typing import Any
 
-from builtin_interfaces.msg import Time
-from kbnitp_ros.log.bag import check_texts, LogWriter, qos_profiles_yaml
+from kbnitp_msgs.msg import Recorded
+from kbnitp_ros.bag import check_texts, LARGEST_MESSAGE, LogWriter, qos_profiles_yaml
+from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
+from kbnitp_ros.configuration import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
-from kbnitp_ros.log.decisions import OPERATOR
-from kbnitp_ros.log.deployments import read_mission
+from kbnitp_ros.log.deployments import read_mission, read_paths
 from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, REPORT
-from kbnitp_ros.log.naming import new_log
+from kbnitp_ros.log.log_path import new_log
+from kbnitp_ros.log.operator_state import OPERATOR
 from kbnitp_ros.log.replay import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.messages.decisions import read_decision_name
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.missions import check_mission, mission_of_path, NOT_TOLD
+from kbnitp_ros.messages.operator_action import read_action_name
 from kbnitp_ros.messages.sizes import (
     check_size,
     largest_belief,
-    largest_decision,
     largest_model,
+    largest_operator_action,
     largest_path,
     largest_report,
 )
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
-from kbnitp_ros.nodes.parameters import MOST_AGENTS, MOST_CELLS, MOST_STEPS
-from kbnitp_ros.nodes.shell import run, Shell
-from kbnitp_ros.nodes.succession import Succession
-from kbnitp_ros.nodes.topic import message_class, time_received, Topic
+from kbnitp_ros.nodes.recorders import Precedence
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
+from kbnitp_ros.nodes.runtime.node import MissionNode
+from kbnitp_ros.nodes.runtime.process import run
+from kbnitp_ros.nodes.topic import Message, message_class, time_received, Topic
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -73,28 +80,34 @@ AGENT_TYPES = {
     'path': PATH,
     'proposal': PATH,
     'report': REPORT,
-    'recorded': 'builtin_interfaces/msg/Time',
+    'recorded': 'kbnitp_msgs/msg/Recorded',
 }
 
-# The most bytes of a message of what a log is read for.
+# The most bytes of a message of what a log is read for; a log holds none larger of any type.
 LARGEST = {
     PATH: largest_path(MOST_STEPS),
     REPORT: largest_report(MOST_STEPS),
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
     MODEL: largest_model(),
-    OPERATOR: largest_decision(MOST_AGENTS, MOST_STEPS),
+    OPERATOR: largest_operator_action(MOST_AGENTS, MOST_STEPS),
 }
 
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
 
+# How long a belief waits for the paths of its deployments, in seconds, and how many do.
+PATIENCE = 2.0
+MOST_EARLY = 20
 
-class RecorderNode(Shell):
+
+class RecorderNode(MissionNode):
     """Record all topics of this namespace, each as soon as it is published."""
 
     def __init__(self) -> None:
         super().__init__('recorder')
+        self._precedence = Precedence(self)
+        self._precedence.wait()
         resume = self.values['resume']
         path = resume or self.values['file']
         if not path:
@@ -113,17 +126,26 @@ class RecorderNode(Shell):
                 f'finds this one by the names of its files, such as {self._log.path}; a folder '
                 'for each log avoids that'
             )
+        self._precedence.begin(self._log.path)
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True
-        self._succession = Succession()
+        self._tracker = MissionTracker()
+        # Of each path and operator's action on record, by topic, stamp and mission: the hash of
+        # the first, which counts.
+        self._first: dict[tuple[str, int, int], int] = {}
+        self._paths: Counter[int] = Counter()
         if resume:
-            self._succession.mission = read_mission(resume)
+            self._tracker.mission = read_mission(resume)
+            for name, stamp, mission, content in read_paths(resume):
+                self._note(name, stamp, mission, content)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, Topic] = {}
         # Topics whose publishers are all heard, and what cannot be recorded.
         self._settled: set[str] = set()
         self._refused: set[tuple[str, str]] = set()
+        # Beliefs that came before the paths of their deployments, and until when they wait.
+        self._early: list[tuple[Message, float]] = []
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
         )
@@ -136,10 +158,15 @@ class RecorderNode(Shell):
     def finish(self) -> None:
         """Record what has arrived."""
         self._write_arrived()
+        for message, _ in self._early:
+            self._write_checked(message, 0.0)
 
     def _write_arrived(self) -> None:
         """Write what has arrived, in the order it came."""
-        arrived = [topic.arrived() for topic in self._topics.values()]
+        self._write_arrived_on(self._topics.values())
+
+    def _write_arrived_on(self, topics: Iterable[Topic]) -> None:
+        arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
 
@@ -153,6 +180,8 @@ class RecorderNode(Shell):
     def _discover(self) -> None:
         """Subscribe to what is published and not heard yet."""
         self._log.check_in_place()
+        self._precedence.check()
+        self._write_early()
         # The estimator publishes as soon as belief has its readers, so the maps, which it created
         # before, must be known and subscribed to before belief is: two looks that agree show all
         # that was created before anything they show, and belief comes last backwards.
@@ -183,17 +212,24 @@ class RecorderNode(Shell):
             if (name, type_name) in self._refused:
                 continue
             node = full_name(publisher.node_namespace, publisher.node_name)
-            # What is volatile would be lost meanwhile.
-            is_kept = publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            if is_kept and type_name in AFTER_CONFIGURATION and not self._watch.is_over(node):
-                return
+            profile = qos.unread_kept(publisher.qos_profile)
+            if type_name in AFTER_CONFIGURATION:
+                # No node of the mission hears less, and what it does not hear is no evidence.
+                profile = qos.unread_kept(qos.EVIDENCE)
+                if not self._watch.is_over(node):
+                    return
+                if lacking := qos.lacking(publisher.qos_profile):
+                    self.refuse_once(
+                        name,
+                        f'node {node} publishes it {lacking}, so other nodes may miss its '
+                        'messages: its QoS must be reliable and transient local',
+                    )
             try:
                 topic = self._topic(name, type_name, publishers)
             except LookupError as error:
                 self._refused.add((name, type_name))
                 self.diagnostics.refuse(name, error)
                 continue
-            profile = qos.unread_kept(publisher.qos_profile)
             kind = profile.reliability, profile.durability
             if kind not in topic.subscriptions:
                 if topic.subscriptions:
@@ -222,27 +258,27 @@ class RecorderNode(Shell):
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = Topic(name, type_name)
-        if recorded := self._recorded_topic(name, type_name):
-            topic.recorded = self.create_publisher(Time, recorded, qos.EVIDENCE)
+        topic.recorded = self._acknowledging(name, type_name)
         self.diagnostics.state = self._state()
         return topic
 
-    def _recorded_topic(self, name: str, type_name: str) -> str:
-        """Return where is told which messages of a topic are on the disk; empty if nowhere."""
+    def _acknowledging(self, name: str, type_name: str) -> Publisher | None:
+        """Return what tells which messages of a topic are on the disk, if anything does."""
         if type_name == PATH and name.endswith('/path'):
-            return f'{name.removesuffix("path")}recorded'
+            recorded = f'{name.removesuffix("path")}recorded'
+            return self.create_publisher(Recorded, recorded, qos.EVIDENCE)
         is_operator = type_name == OPERATOR and name == self.resolve_topic_name('operator')
-        return f'{name}/recorded' if is_operator else ''
+        return self._precedence.publisher if is_operator else None
 
-    def _state(self) -> str:
+    def _state(self) -> State:
         """Return what is recorded, and whom it waits for."""
         recording = f'recording {len(self._topics)} topics'
         heard = {topic.type_name for topic in self._topics.values()}
         absent = [who for kind, who in AWAITED.items() if kind not in heard]
         if not absent:
-            return recording
-        return (
-            f'waiting for {" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
+            return working(recording)
+        return waiting_for(
+            f'{" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
         )
 
     def _type_of(self, name: str) -> str | None:
@@ -267,8 +303,16 @@ class RecorderNode(Shell):
         )
 
     def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
+        if topic.type_name == BELIEF:
+            # A belief is judged by the paths that are known, and callbacks come in any order.
+            self._write_arrived_on(
+                each for each in self._topics.values() if each.type_name == PATH
+            )
         self._write(topic, data, info)
-        if topic.type_name in EVIDENCE:
+        if topic.type_name == PATH:
+            self._write_early()
+        is_stated = topic.type_name == BELIEF and self._is_any_untold
+        if topic.type_name in EVIDENCE or is_stated:
             # One sync serves all that waits: the paths of a round come together, and so does a
             # whole history. What was published before this is then on the disk before it counts.
             self._write_arrived()
@@ -277,18 +321,34 @@ class RecorderNode(Shell):
 
     def _write(self, topic: Topic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
-        if not topic.is_new(info['source_timestamp'], data):
-            return
+        if topic.is_new(info['source_timestamp'], data):
+            self._write_checked((topic, data, info), time.monotonic() + PATIENCE)
+
+    def _write_checked(self, message: Message, deadline: float) -> None:
+        """Write a message that is sound; keep a belief until a time that is ahead of its paths."""
+        topic, data, info = message
         try:
+            check_size(data, min(LARGEST.get(topic.type_name, LARGEST_MESSAGE), LARGEST_MESSAGE))
             if not self._is_told_by_us(topic, data):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            self.diagnostics.refuse(topic.name, error)
+            # DDS keeps the order of what one node publishes, not of what two do.
+            is_early = isinstance(error, PathsUnknownError) and time.monotonic() < deadline
+            if is_early and len(self._early) < MOST_EARLY:
+                self._early.append((message, deadline))
+            else:
+                self.diagnostics.refuse(topic.name, error)
             return
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()
+
+    def _write_early(self) -> None:
+        """Write the beliefs that were ahead of their paths, or refuse those that waited long."""
+        early, self._early = self._early, []
+        for message, deadline in early:
+            self._write_checked(message, deadline)
 
     def _is_told_by_us(self, topic: Topic, data: bytes) -> bool:
         """Return whether diagnostics, which all missions tell on one topic, are of this one."""
@@ -309,31 +369,83 @@ class RecorderNode(Shell):
         """
         if topic.type_name not in LARGEST:
             return
-        check_size(data, LARGEST[topic.type_name])
         message = deserialize_message(data, message_class(topic.type_name))
         check_texts(topic.type_name, data)
-        if topic.type_name == OPERATOR:
-            stamp = read_decision_name(message)
-            if topic.recorded:
-                topic.untold.append(stamp)
-        elif topic.recorded:
-            stamp = read_path_name(message)
-            self._succession.hear(mission_of_path(message))
-            topic.untold.append(stamp)
+        if topic.recorded:
+            stamp, mission = self._name(topic, message)
+            content = content_hash(message)
+            first = self._note(topic.name, stamp, mission, content)
+            topic.untold.append((stamp, first, mission))
+            if len(topic.untold) > qos.DEPTH:
+                self.diagnostics.refuse(
+                    topic.name,
+                    f'{qos.DEPTH} paths wait for the first belief of their mission: the oldest is '
+                    'not acknowledged any more',
+                )
+                del topic.untold[0]
+            if first != content:
+                raise ValueError(
+                    f'another message with stamp {stamp} was recorded first, and counts (do two '
+                    'nodes publish this topic?)'
+                )
         elif topic.type_name == REPORT:
             read_report(message, agent_of(topic.name))
         elif topic.name == self.resolve_topic_name('belief'):
             snapshot = read_belief_maps(message)
-            self._succession.check(snapshot, self.count_authors(topic.name, BELIEF))
-            self._succession.take(snapshot)
+            known = self._paths[snapshot.mission]
+            self._tracker.check_belief(snapshot, self.count_authors(topic.name, BELIEF), known)
+            self._tracker.accept_belief(snapshot, known)
+
+    def _name(self, topic: Topic, message: Any) -> tuple[int, int]:
+        """
+        Return the stamp of a path or an operator's action, and when its mission began.
+
+        Raises
+        ------
+        ValueError
+            If it is none, or a path of another mission.
+
+        """
+        if topic.type_name == OPERATOR:
+            return read_action_name(message), NOT_TOLD
+        stamp, mission = read_path_name(message), mission_of_path(message)
+        check_mission(mission, self._tracker.mission)
+        return stamp, mission
+
+    def _note(self, name: str, stamp: int, mission: int, content: int) -> int:
+        """Return the hash of the first path or action of this name that is on record."""
+        key = name, stamp, mission
+        if key not in self._first and name.endswith('/path'):
+            self._paths[mission] += 1
+        return self._first.setdefault(key, content)
+
+    @property
+    def _is_any_untold(self) -> bool:
+        return any(topic.untold for topic in self._topics.values())
 
     def _tell_recorded(self) -> None:
         """Tell the agents which of their paths are on the disk."""
         for topic in self._topics.values():
             if topic.recorded is not None:
-                for stamp in topic.untold:
-                    topic.recorded.publish(to_stamp(stamp))
-                topic.untold.clear()
+                topic.untold = [each for each in topic.untold if not self._tell(topic, *each)]
+
+    def _tell(self, topic: Topic, stamp: int, content: int, mission: int) -> bool:
+        """Say that a path or action is on the disk; return False if that must wait."""
+        if topic.type_name == PATH:
+            try:
+                self._tracker.check_path(mission)
+            except ValueError as error:
+                # A path may come before the belief that it was planned on.
+                if self._tracker.mission is None:
+                    return False
+                self.diagnostics.refuse(topic.name, error)
+                return True
+            self._tracker.begin(mission)
+        assert topic.recorded is not None
+        topic.recorded.publish(
+            Recorded(stamp=to_stamp(stamp), content=content, mission=to_stamp(mission))
+        )
+        return True
 
     def _sync(self) -> None:
         if self._unsynced:

@@ -12,29 +12,30 @@ import sys
 import time
 
 from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey, LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
-from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
 from kbnitp_ros.nodes.driver import Driver
-from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.namesakes import Namesakes
-from kbnitp_ros.nodes.orders import Orders
-from kbnitp_ros.nodes.parameters import value_for
-from kbnitp_ros.nodes.shell import run
-from kbnitp_ros.nodes.transforms import Place, Transforms
+from kbnitp_ros.nodes.duplicate_names import DuplicateNames
+from kbnitp_ros.nodes.pending_paths import PendingPaths
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot import (
+    Deployment,
     Itinerary,
     Journal,
     shortest_way,
     Step,
-    Trip,
     Walk,
     Whereabouts,
 )
+from kbnitp_ros.robot.transforms import Place, Transforms
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -60,8 +61,8 @@ class RobotNode(FieldNode):
         self._journal = Journal(values['journal'] or self._usual_journal(), self._agent, self.grid)
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
-        self._orders = Orders(self, self._agent, prefix, self._journal)
-        self._namesakes = Namesakes(self, self._reports.topic_name)
+        self._pending = PendingPaths(self, self._agent, prefix, self._journal)
+        self._duplicates = DuplicateNames(self, self._reports.topic_name)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
@@ -100,10 +101,10 @@ class RobotNode(FieldNode):
         if self._journal.damage:
             self.get_logger().warning(self._journal.damage)
             self.diagnostics.values['journal'] = self._journal.damage
-        for trip in self._journal.trips:
-            if trip.is_home:
-                self._report(trip)
-        self._trip: Trip | None = None
+        for deployment in self._journal.deployments:
+            if deployment.is_home:
+                self._report(deployment)
+        self._deployment: Deployment | None = None
         if under_way := self._journal.under_way:
             self._set_out(under_way, ())
             self.get_logger().warning(
@@ -111,16 +112,16 @@ class RobotNode(FieldNode):
                 f'cell {self._walk.cell}: it goes home'
             )
 
-    def _set_out(self, trip: Trip, orders: Sequence[int]) -> None:
-        self._trip = trip
-        self._walk = Walk(self.grid, trip.cells[-1], self.values['tf_timeout'])
+    def _set_out(self, deployment: Deployment, path: Sequence[int]) -> None:
+        self._deployment = deployment
+        self._walk = Walk(self.grid, deployment.cells[-1], self.values['tf_timeout'])
         self._whereabouts = Whereabouts(round(self.values['tf_timeout'] * SECOND))
-        self._itinerary = Itinerary(self.grid, orders, self.values['attempts'])
+        self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
         self._stays_until, self._try_again_at = None, 0.0
 
-    def _key(self, trip: Trip) -> DeploymentKey:
-        return DeploymentKey(self._agent, trip.stamp)
+    def _key(self, deployment: Deployment) -> DeploymentKey:
+        return DeploymentKey(self._agent, deployment.stamp)
 
     def _on_transforms(self, is_static: bool, message: TFMessage) -> None:
         try:
@@ -137,7 +138,7 @@ class RobotNode(FieldNode):
             self._say('/tf', str(error))
             return
         entered: list[int] = []
-        if self._trip is not None:
+        if self._deployment is not None:
             try:
                 entered = self._walk.follow(self._place.x, self._place.y, self.now() / SECOND)
             except ValueError as error:
@@ -145,9 +146,9 @@ class RobotNode(FieldNode):
                 return
         self._say('/tf', '')
         self._enter(entered)
-        if self._trip is not None:
+        if self._deployment is not None:
             is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
-            step = len(self._trip.steps) if is_well_in else 0
+            step = len(self._deployment.steps) if is_well_in else 0
             self._whereabouts.note(self._place.odometry, step)
 
     def _enter(self, cells: Sequence[int]) -> None:
@@ -157,9 +158,9 @@ class RobotNode(FieldNode):
 
     def _step(self, cell: int) -> None:
         """Make a step of the walk; what is read from now on is read there."""
-        assert self._trip is not None
-        self._trip.steps.append(Step(cell, self.now()))
-        self._keep(partial(self._journal.step, self._trip, len(self._trip.steps)))
+        assert self._deployment is not None
+        self._deployment.steps.append(Step(cell, self.now()))
+        self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
 
     def _keep(self, write: Callable[[], None]) -> bool:
         """Have something on the disk, or say why it is not: it is kept in memory until then."""
@@ -188,13 +189,13 @@ class RobotNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
-        if self._trip is None or number == 0:
+        if self._deployment is None or number == 0:
             return
-        step = self._trip.steps[number - 1]
+        step = self._deployment.steps[number - 1]
         # All that is said in a cell is one reading: whether anything was seen.
         if step.reading < detection.seen:
             step.reading = int(detection.seen)
-            self._keep(partial(self._journal.step, self._trip, number))
+            self._keep(partial(self._journal.step, self._deployment, number))
 
     def _step_at(self, stamp: int | None) -> int:
         """
@@ -212,7 +213,7 @@ class RobotNode(FieldNode):
 
         """
         # Where it is not known, nothing is read: it would count for another cell.
-        if self._trip is None or self._place is None or self._troubles.get('/tf'):
+        if self._deployment is None or self._place is None or self._troubles.get('/tf'):
             return 0
         if stamp is None:
             return self._whereabouts.step_at(self._place.odometry)
@@ -228,20 +229,26 @@ class RobotNode(FieldNode):
         self._locate()
         self._keep(self._journal.write)
         # At home its state says so, and whom it waits for.
-        self._say('name', self._namesakes.heard if self._trip else '')
+        self._say('name', self._duplicates.heard if self._deployment else '')
         self._driver.look()
-        self.diagnostics.waiting = self._orders.waiting
-        self.diagnostics.state = self._wait() if self._trip is None else self._go_on(self._trip)
+        self.diagnostics.waiting = self._pending.pending
+        self.diagnostics.state = (
+            self._wait() if self._deployment is None else self._go_on(self._deployment)
+        )
 
-    def _wait(self) -> str:
-        """Have the robot leave when it can; return what it waits for."""
-        if not self._orders.is_listening:
-            if waiting := self.waiting_for([self._reports]):
-                return waiting
-            self._orders.listen()
-        if awaited := self._orders.awaited or self._namesakes.awaited or self._not_ready():
-            return awaited
-        for superseded in self._orders.superseded():
+    def _wait(self) -> State:
+        """Have the robot leave when it can; return what it does."""
+        if not self._pending.is_listening:
+            if missing := self.missing_listeners([self._reports]):
+                return waiting_for(missing)
+            self._pending.listen()
+        if awaited := self._pending.awaited:
+            return waiting_for(awaited)
+        if (deployment := self._pending.newest) is None:
+            return working(f'taking paths of {self._agent}')
+        if awaited := self._duplicates.awaited or self._not_ready():
+            return waiting_for(awaited)
+        for superseded in self._pending.superseded():
             self.get_logger().warning(
                 f'deployment {self._key(superseded)} came while the robot was out: it does not '
                 'leave'
@@ -249,68 +256,68 @@ class RobotNode(FieldNode):
             if not self._begin(superseded):
                 return self._no_room
             self._arrive(superseded)
-        trip = self._orders.newest
-        assert trip is not None
-        if not self._begin(trip):
+        if not self._begin(deployment):
             return self._no_room
-        self._set_out(trip, trip.orders)
-        self.get_logger().info(f'leaving on {self._key(trip)}: {len(trip.orders) - 1} steps')
-        return self._go_on(trip)
+        self._set_out(deployment, deployment.path)
+        self.get_logger().info(
+            f'leaving on {self._key(deployment)}: {len(deployment.path) - 1} steps'
+        )
+        return self._go_on(deployment)
 
-    def _begin(self, trip: Trip) -> bool:
+    def _begin(self, deployment: Deployment) -> bool:
         """Have a deployment in the journal, and say whether it is."""
-        if not self._keep(partial(self._journal.depart, trip)):
+        if not self._keep(partial(self._journal.depart, deployment)):
             return False
-        self._orders.close(trip)
+        self._pending.close(deployment)
         return True
 
     @property
-    def _no_room(self) -> str:
-        return f'waiting for room on the disk: {self._troubles["journal"]}'
+    def _no_room(self) -> State:
+        return waiting_for(f'room on the disk: {self._troubles["journal"]}')
 
     def _not_ready(self) -> str:
         """Return what keeps the robot from leaving; empty when nothing does."""
         if self.now() <= 0:
-            return 'waiting for the clock to start'
+            return 'the clock to start'
         if self._place is None:
-            return f'waiting for TF: {self._troubles["/tf"]}'
+            return f'TF: {self._troubles["/tf"]}'
         away, tolerance = self._distance(self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
-                f'waiting for the robot to be at its base, cell {self.grid.base}: it is '
+                f'the robot to be at its base, cell {self.grid.base}: it is '
                 f'{away:.1f} m from there, and may be {tolerance} m (parameter arrival_tolerance)'
             )
         return self._driver.awaited
 
-    def _go_on(self, trip: Trip) -> str:
+    def _go_on(self, deployment: Deployment) -> State:
         """Have the robot do what is next; return what it does."""
         itinerary = self._itinerary
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
-            return f'driving {goal}'
+            return working(f'driving {goal}')
         if self._place is None:
-            return f'waiting for TF: {self._troubles["/tf"]}'
+            return waiting_for(f'TF: {self._troubles["/tf"]}')
         if self._is_driving:
             # TF may lag behind what drives the robot.
             self._ended_at = self._ended_at or self.now()
             is_behind = self._place.stamp < self._ended_at
             if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
-                return f'waiting for TF to tell where the robot is after driving {goal}'
+                return waiting_for(f'TF to tell where the robot is after driving {goal}')
             self._is_driving, self._ended_at = False, 0
             self._end_leg(self._place)
         if itinerary.heads_home and self._is_at_base(self._place):
-            self._come_home(trip)
-            return f'home from {self._key(trip)}'
+            self._come_home(deployment)
+            return working(f'home from {self._key(deployment)}')
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
             return self._stay()
         if time.monotonic() < self._try_again_at:
-            return f'waiting to try again {goal} (parameter retry_delay)'
+            return waiting_for(f'the next try {goal} (parameter retry_delay)')
         if awaited := self._driver.awaited:
-            return awaited
+            return waiting_for(awaited)
         start = self._place.x, self._place.y
-        self._driver.drive(start, itinerary.next_leg(trip.cells), self.now())
+        self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
-        return f'driving {goal}'
+        return working(f'driving {goal}')
 
     def _end_leg(self, place: Place) -> None:
         """Judge how a goal ended."""
@@ -349,7 +356,7 @@ class RobotNode(FieldNode):
         tolerance: float = self.values['arrival_tolerance']
         return self._distance(place) <= tolerance
 
-    def _stay(self) -> str:
+    def _stay(self) -> State:
         """Wait where the robot is, and look again."""
         now = self.now()
         if self._stays_until is None:
@@ -358,32 +365,34 @@ class RobotNode(FieldNode):
         elif now >= self._stays_until:
             self._stays_until = None
             self._itinerary.succeed()
-        return f'staying in cell {self._walk.cell}'
+        return working(f'staying in cell {self._walk.cell}')
 
-    def _come_home(self, trip: Trip) -> None:
+    def _come_home(self, deployment: Deployment) -> None:
         """End a walk at the base."""
         for cell in shortest_way(self.grid, self._walk.cell, self.grid.base)[1:]:
             self._step(cell)
-        self._trip = None
-        self._arrive(trip)
+        self._deployment = None
+        self._arrive(deployment)
 
-    def _arrive(self, trip: Trip) -> None:
-        self._keep(partial(self._journal.arrive, trip, self.now()))
-        self._report(trip)
-        self.get_logger().info(f'home from {self._key(trip)} after {len(trip.steps)} steps')
+    def _arrive(self, deployment: Deployment) -> None:
+        self._keep(partial(self._journal.arrive, deployment, self.now()))
+        self._report(deployment)
+        self.get_logger().info(
+            f'home from {self._key(deployment)} after {len(deployment.steps)} steps'
+        )
 
-    def _report(self, trip: Trip) -> None:
+    def _report(self, deployment: Deployment) -> None:
         most = LONGEST_WALK * value_for(self.values, 'max_steps', self._agent)
-        observation, now = trip.observation(most), self.now()
-        if len(trip.steps) > most:
+        observation, now = deployment.observation(most), self.now()
+        if len(deployment.steps) > most:
             told = (
-                f'{self._key(trip)} has {len(trip.steps)} steps, and a report has at most '
-                f'{LONGEST_WALK} * max_steps = {most}: loops are left out, and '
+                f'{self._key(deployment)} has {len(deployment.steps)} steps, and a report has at '
+                f'most {LONGEST_WALK} * max_steps = {most}: loops are left out, and '
                 f'{observation.path.size - 1} steps reported; the journal has all'
             )
             self.get_logger().warning(told)
             self.diagnostics.values['long walk'] = told
-        self._reports.publish(report_message(self._key(trip), observation, now))
+        self._reports.publish(report_message(self._key(deployment), observation, now))
         self._readings.publish(readings_marker(self.grid, observation, now))
 
     def finish(self) -> None:

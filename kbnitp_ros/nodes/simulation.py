@@ -7,6 +7,14 @@ from collections.abc import Callable
 from functools import partial
 
 from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.configuration import (
+    agents_of,
+    execution_of,
+    robot_types_of,
+    sensor_model_of,
+    value_for,
+)
+from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.log.deployments import RecordedDeployment
 from kbnitp_ros.messages.deployments import read_path, report_message
@@ -14,15 +22,14 @@ from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.agent_topics import hear_orders
-from kbnitp_ros.nodes.field import FieldNode
-from kbnitp_ros.nodes.parameters import agents_of, conduct_of, kinds_of, sensor_model_of, value_for
-from kbnitp_ros.nodes.recent import Recent
-from kbnitp_ros.nodes.world_file import read_world
+from kbnitp_ros.nodes.recorded_paths import RecordedPaths
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from tf2_msgs.msg import TFMessage
@@ -44,9 +51,11 @@ class Simulation:
         self.node = node
         self.grid = node.grid
         common = sensor_model_of(node.values)
-        kinds = kinds_of(node.values)
-        self.models = {agent: kind.model(common) for agent, kind in kinds.items()}
-        self.conduct = conduct_of(node.values)
+        robot_types = robot_types_of(node.values)
+        self.models = {
+            agent: robot_type.model(common) for agent, robot_type in robot_types.items()
+        }
+        self.execution = execution_of(node.values)
         self.agents = agents_of(node.values, self.grid)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.world = self._hidden_world()
@@ -118,11 +127,9 @@ class SimulatedAgent:
         self._mission = mission
         self._max_steps = value_for(self._node.values, 'max_steps', name)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-        # Those whose robots have not left yet, and the missions of their paths.
-        self._waiting: dict[DeploymentKey, int] = {}
-        self._recorded = Recent(qos.DEPTH)
         # Which of its robots takes a deployment, counted from 0.
         self._robots: dict[DeploymentKey, int] = {}
+        self._sent = RecordedPaths(self._node, name, prefix, self._read_path, self._take_path)
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
         if self._node.values['publish_pose']:
@@ -131,8 +138,8 @@ class SimulatedAgent:
             if key.agent == name:
                 self._restore(key, deployment)
 
-    def _publisher(self, kind: type, topic: str, profile: QoSProfile) -> Publisher:
-        return self._node.create_publisher(kind, self._prefix + topic, profile)
+    def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
+        return self._node.create_publisher(message_type, self._prefix + topic, profile)
 
     def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
         """Publish a report on record again, and do not make that deployment once more."""
@@ -145,68 +152,45 @@ class SimulatedAgent:
 
     def listen(self) -> None:
         """Take paths from now on."""
-        hear_orders(self._node, self.name, self._prefix, self._on_path, self._on_recorded)
+        self._sent.listen()
 
     @property
-    def waiting(self) -> int:
+    def pending(self) -> int:
         """How many of its robots have not left yet."""
-        return len(self._waiting)
+        return self._sent.pending
 
     @property
     def awaited(self) -> str:
         """Return what its robots wait for; empty when none does."""
-        if not self._waiting:
-            return ''
-        return (
-            f'waiting for the recorder to tell on {self.name}/recorded that the path of '
-            f'{next(iter(self._waiting))} is on disk (parameter recorded)'
-        )
+        return self._sent.awaited
 
-    def _on_path(self, message: Path) -> None:
+    def _read_path(self, message: Path) -> tuple[DeploymentKey, NDArray[np.intp], int] | None:
         grid = self._simulation.grid
-        try:
-            key, cells = read_path(grid, self.name, message)
-            path = grid.check_path(cells, self._max_steps)
-            mission = mission_of_path(message)
-            check_mission(mission, self._mission)
-            if self._is_known(key, path):
-                return
-        except ValueError as error:
-            self._node.diagnostics.refuse(f'{self.name}/path', error)
-            return
-        self._node.diagnostics.accept()
-        self._known[key] = path
-        self._waiting[key] = mission
-        self._send_out()
-
-    def _is_known(self, key: DeploymentKey, path: NDArray[np.intp]) -> bool:
+        key, cells = read_path(grid, self.name, message)
+        path = grid.check_path(cells, self._max_steps)
+        mission = mission_of_path(message)
+        check_mission(mission, self._mission)
         known = self._known.get(key)
         if known is not None and not np.array_equal(known, path):
-            raise ValueError(f'deployment {key} is known along another path: the first holds')
-        return known is not None
+            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+        if known is not None:
+            return None
+        self._node.diagnostics.accept()
+        return key, path, mission
 
-    def _on_recorded(self, stamp: int) -> None:
-        self._recorded.add(stamp)
-        self._send_out()
-
-    def _send_out(self) -> None:
-        """Have the robots leave whose paths no crash can take from the base any more."""
-        for key, mission in list(self._waiting.items()):
-            if not self._node.values['recorded'] or key.stamp in self._recorded:
-                del self._waiting[key]
-                try:
-                    check_mission(mission, self._mission)
-                except ValueError as error:
-                    self._node.diagnostics.refuse(f'{self.name}/path', error)
-                else:
-                    self._mission = mission
-                    self._leave(key)
+    def _take_path(self, sent: tuple[DeploymentKey, NDArray[np.intp], int]) -> None:
+        """Have a robot leave whose path no crash can take from the base any more."""
+        key, path, mission = sent
+        check_mission(mission, self._mission)
+        self._mission = mission
+        self._known[key] = path
+        self._leave(key)
 
     def _leave(self, key: DeploymentKey) -> None:
         simulation, path = self._simulation, self._known[key]
         robot = self._robots.setdefault(key, len(self._robots))
         rng = simulation.generator(self.name, robot)
-        made = simulation.conduct.traverse(
+        made = simulation.execution.traverse(
             simulation.world, simulation.grid, path, simulation.models[self.name], rng
         )
         period = value_for(self._node.values, 'step_period', self.name)
@@ -219,13 +203,16 @@ class SimulatedAgent:
                 self._after(period * step, partial(self._show, cell))
 
     def _after(self, seconds: float, callback: Callable[[], None]) -> None:
-        """Call back once, after a time on the ROS clock."""
+        """Call back once, after a time on the simulated clock, or else on one that nobody sets."""
 
         def once() -> None:
             self._node.destroy_timer(timer)
             callback()
 
-        timer = self._node.create_timer(seconds, once)
+        is_simulated = self._node.get_parameter('use_sim_time').value
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        clock = self._node.get_clock() if is_simulated else steady
+        timer = self._node.create_timer(seconds, once, clock=clock)
 
     def _show(self, cell: int) -> None:
         pose = pose_message(self._simulation.grid, self.name, cell, self._node.now())

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 import time
 from typing import Any
 
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.recent import Recent
+from kbnitp_ros.bag import check_installed
+from kbnitp_ros.nodes.runtime import qos
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -20,6 +20,36 @@ RECENT = 1000
 
 # A topic, the bytes that came on it and what rclpy knows of them.
 Message = tuple['Topic', bytes, dict[str, Any]]
+
+
+class Recent:
+    """
+    A set that forgets what was added first.
+
+    Parameters
+    ----------
+    size : int
+        How many it remembers.
+
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._added: dict[Hashable, None] = {}
+
+    def add(self, each: Hashable) -> None:
+        """Remember something; nothing is remembered twice."""
+        self._added[each] = None
+        while len(self._added) > self.size:
+            del self._added[next(iter(self._added))]
+
+    def discard(self, each: Hashable) -> None:
+        """Forget something, if it is remembered."""
+        self._added.pop(each, None)
+
+    def __contains__(self, each: object) -> bool:
+        """Say whether something is remembered."""
+        return each in self._added
 
 
 @dataclass
@@ -39,8 +69,9 @@ class Topic:
         Which messages came last: time sent and hash of the bytes.
     recorded : Publisher, optional
         For the paths of an agent and what the operator decides: tells which are on the disk.
-    untold : list of int
-        Stamps of those that are written and not told to be on the disk yet, in nanoseconds.
+    untold : list of (int, int, int)
+        Of those that are written and not told to be on the disk yet: stamp in nanoseconds, hash
+        of the content, and when the mission began, in nanoseconds.
 
     """
 
@@ -49,7 +80,7 @@ class Topic:
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     recent: Recent = field(default_factory=lambda: Recent(RECENT))
     recorded: Publisher | None = None
-    untold: list[int] = field(default_factory=list)
+    untold: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
         """Say whether a message has not come by another subscription, and remember it."""
@@ -92,9 +123,10 @@ def message_class(type_name: str) -> type:
         If it is not installed.
 
     """
+    check_installed(type_name)
+    package, kind, name = type_name.split('/')
     try:
-        package, kind, name = type_name.split('/')
         found: type = getattr(import_module(f'{package}.{kind}'), name)
-    except (ValueError, ImportError, AttributeError) as error:
-        raise LookupError(f'type {type_name} is not installed: {error}') from error
+    except (ImportError, AttributeError) as error:
+        raise LookupError(f'type {type_name!r} has no Python class: {error}') from error
     return found

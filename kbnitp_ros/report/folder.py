@@ -112,8 +112,11 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         # Temporary folders are for their owner only.
         new.chmod(0o777 & ~umask())
         new.rename(folder)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(new, ignore_errors=True)
+        # Nobody knows the temporary folder, whose files it may name.
+        if isinstance(error, OSError) and str(error.filename or new).startswith(str(new)):
+            error.filename = str(folder)
         raise
 
 

@@ -9,19 +9,19 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, parts_of, read_metadata
 from kbnitp_ros.core import (
     Belief,
     deployment_order,
     DeploymentKey,
     Grid,
-    Kind,
     Observation,
     observation_of,
     ORDINARY,
+    RobotType,
     SensorModel,
     World,
 )
-from kbnitp_ros.log.bag import is_finished, LogError, LoggedMessage, parts_of, read_metadata
 from kbnitp_ros.log.configuration import read_parameters, RUN
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
@@ -44,7 +44,7 @@ class Moment:
         As it is on record.
     model : SensorModel
         What robots and sensors were believed to be like.
-    kinds : mapping of str to Kind
+    robot_types : mapping of str to RobotType
         What the robots of agents have of their own.
     held : int
         How many deployments the belief holds.
@@ -65,7 +65,7 @@ class Moment:
 
     belief: Belief
     model: SensorModel
-    kinds: Mapping[str, Kind]
+    robot_types: Mapping[str, RobotType]
     held: int
     time: int
     sortie: int | None = None
@@ -76,7 +76,7 @@ class Moment:
 
     def model_of(self, agent: str) -> SensorModel:
         """Return what the robots of an agent were believed to be like."""
-        return self.kinds.get(agent, ORDINARY).model(self.model)
+        return self.robot_types.get(agent, ORDINARY).model(self.model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ def moments_of(
             Moment(
                 said.belief,
                 said.model,
-                said.kinds,
+                said.robot_types,
                 said.deployments,
                 heard.time,
                 place.get(said.newest) if said.newest else None,

@@ -14,7 +14,7 @@ from string import Template
 from typing import Any
 
 from kbnitp_ros.figures import LOST, MAPS, RETURNED
-from kbnitp_ros.log.naming import NAME
+from kbnitp_ros.log.log_path import NAME
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
 from kbnitp_ros.report.mission import Mission

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from math import isnan
 
 from kbnitp_ros.core import Grid
@@ -155,7 +156,8 @@ def curve_plot(mission: Mission, curves: Curves, kept: NDArray[np.intp]) -> str:
         )
         median = {'color': SERIES[0].colour}
         figure.add_scatter(y=middle, line=median, name='median', legend=legend, **known)
-        figure.update_yaxes(title_text=name.replace('_', '<br>'), range=[0, 1], row=row, col=1)
+        title = escape(name).replace('_', '<br>')
+        figure.update_yaxes(title_text=title, range=[0, 1], row=row, col=1)
     places = {
         f'legend{row}' if row > 1 else 'legend': {
             'orientation': 'h',

@@ -157,5 +157,6 @@ def draw_number(
     if truth is not None:
         axes.axhline(truth, color=SERIES[1].colour, linestyle=SERIES[1].dash, label='truth')
     axes.set_ylim(0, 1)
-    axes.set_ylabel(name.replace('_', ' '))
+    # A name out of a log is no formula, whatever stands in it.
+    axes.set_ylabel(name.replace('_', ' '), parse_math=False)
     axes.legend(ncols=2, fontsize='small', framealpha=0.8)

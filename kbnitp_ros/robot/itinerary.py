@@ -22,16 +22,16 @@ class Itinerary:
     ----------
     grid : Grid
         The field.
-    orders : sequence of int
+    path : sequence of int
         The path, the base first and last; empty for a robot that only goes home.
     attempts : int
         How often a leg is tried that makes no progress, at least 1.
 
     """
 
-    def __init__(self, grid: Grid, orders: Sequence[int], attempts: int) -> None:
+    def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
         self._grid = grid
-        self._legs = legs_of(orders) if orders else []
+        self._legs = legs_of(path) if path else []
         self._attempts = attempts
         # How often the leg was tried without progress, and how many of its cells were entered.
         self._tried = 0
@@ -87,7 +87,7 @@ class Itinerary:
             self.go_home()
 
     def go_home(self) -> None:
-        """Leave out what is left of the orders."""
+        """Leave out what is left of the path."""
         self._legs.clear()
         self._begin_leg()
 

@@ -27,7 +27,8 @@ from typing import Any
 import zlib
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot.trip import Step, Trip
+from kbnitp_ros.files import naming
+from kbnitp_ros.robot.deployment import Deployment, Step
 
 VERSION = 1
 
@@ -56,7 +57,7 @@ class Journal:
     ----------
     path : Path
         The file.
-    trips : list of Trip
+    deployments : list of Deployment
         The deployments on record, in order.
     damage : str
         What was cut off when it was opened, and where that is kept; empty when nothing.
@@ -72,7 +73,7 @@ class Journal:
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
-        self.trips: list[Trip] = []
+        self.deployments: list[Deployment] = []
         self.damage = ''
         # What is not on the disk yet, for want of room there.
         self._unwritten: deque[dict[str, Any]] = deque()
@@ -97,7 +98,8 @@ class Journal:
 
     def _read(self, expected: dict[str, Any]) -> None:
         """Take in what is on the disk; what is damaged is cut off, and kept beside."""
-        content = os.pread(self._file, os.fstat(self._file).st_size, 0)
+        with naming(self.path):
+            content = os.pread(self._file, os.fstat(self._file).st_size, 0)
         *lines, rest = content.split(b'\n')
         for number, line in enumerate(lines):
             try:
@@ -149,17 +151,17 @@ class Journal:
     def _take(self, entry: dict[str, Any]) -> None:
         """Take in a line that is as it was written."""
         if 'deployment' in entry:
-            orders = tuple(entry['orders'])
-            self.trips.append(Trip(entry['deployment'], entry['mission'], orders))
+            path = tuple(entry['orders'])
+            self.deployments.append(Deployment(entry['deployment'], entry['mission'], path))
         elif 'step' in entry:
-            steps, number = self.trips[-1].steps, entry['step']
+            steps, number = self.deployments[-1].steps, entry['step']
             if not 1 <= number <= len(steps) + 1:
                 raise ValueError(f'step {number} comes after {len(steps)}')
             step = Step(entry['cell'], entry['time'], entry['reading'])
             before = number - 1
             steps[before:number] = [step]
         else:
-            self.trips[-1].is_home = entry['home'] >= 0
+            self.deployments[-1].is_home = entry['home'] >= 0
 
     def _cut(self, damaged: bytes) -> None:
         """Cut off what no journal has written, but keep it if it is more than a torn line."""
@@ -168,7 +170,7 @@ class Journal:
         self.damage = f'journal {self.path}: its last {len(damaged)} bytes were cut off'
         if b'\n' in damaged:
             kept = self.path.with_name(f'{self.path.name}.damaged-{self._size}')
-            with kept.open('wb') as file:
+            with naming(kept), kept.open('wb') as file:
                 file.write(damaged)
                 file.flush()
                 os.fsync(file.fileno())
@@ -176,20 +178,22 @@ class Journal:
             self.damage += f', since they are damaged, and kept as {kept}'
         else:
             self.damage += ': the power was lost while they were written'
-        os.ftruncate(self._file, self._size)
-        os.fsync(self._file)
+        with naming(self.path):
+            os.ftruncate(self._file, self._size)
+            os.fsync(self._file)
 
     @property
     def mission(self) -> int | None:
         """When the mission of its deployments began, in nanoseconds; None without any."""
-        return self.trips[-1].mission if self.trips else None
+        return self.deployments[-1].mission if self.deployments else None
 
     @property
-    def under_way(self) -> Trip | None:
+    def under_way(self) -> Deployment | None:
         """Return the deployment that the robot is not home from; None if it is."""
-        return self.trips[-1] if self.trips and not self.trips[-1].is_home else None
+        newest = self.deployments[-1] if self.deployments else None
+        return None if newest is None or newest.is_home else newest
 
-    def depart(self, trip: Trip) -> None:
+    def depart(self, deployment: Deployment) -> None:
         """
         Begin a deployment.
 
@@ -201,17 +205,21 @@ class Journal:
         """
         self.write()
         self._append(
-            {'deployment': trip.stamp, 'mission': trip.mission, 'orders': list(trip.orders)}
+            {
+                'deployment': deployment.stamp,
+                'mission': deployment.mission,
+                'orders': list(deployment.path),
+            }
         )
-        self.trips.append(trip)
+        self.deployments.append(deployment)
 
-    def step(self, trip: Trip, number: int) -> None:
+    def step(self, deployment: Deployment, number: int) -> None:
         """
         Keep a step of a deployment, or what was read there since.
 
         Parameters
         ----------
-        trip : Trip
+        deployment : Deployment
             The last that has begun.
         number : int
             Which step, counted from 1.
@@ -222,7 +230,7 @@ class Journal:
             If it is not on the disk; `write` tries again.
 
         """
-        step = trip.steps[number - 1]
+        step = deployment.steps[number - 1]
         self._unwritten.append(
             {
                 'step': number,
@@ -233,9 +241,9 @@ class Journal:
         )
         self.write()
 
-    def arrive(self, trip: Trip, time: int) -> None:
+    def arrive(self, deployment: Deployment, time: int) -> None:
         """Keep that the robot is home; raises OSError as `step` does."""
-        trip.is_home = True
+        deployment.is_home = True
         self._unwritten.append({'home': time})
         self.write()
 
@@ -250,13 +258,14 @@ class Journal:
         line, check = line_of(entry, self._check)
         try:
             written = 0
-            while written < len(line):
-                written += os.pwrite(self._file, line[written:], self._size + written)
-            os.fsync(self._file)
-        except OSError as error:
+            with naming(self.path):
+                while written < len(line):
+                    written += os.pwrite(self._file, line[written:], self._size + written)
+                os.fsync(self._file)
+        except OSError:
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)
-            raise OSError(error.errno, error.strerror, str(self.path)) from error
+            raise
         self._size += len(line)
         self._check = check
 
@@ -284,6 +293,7 @@ def sync_folder(folder: Path) -> None:
     """Have the names of the files in a folder on the disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        os.fsync(descriptor)
+        with naming(folder):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)

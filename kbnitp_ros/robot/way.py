@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways through the grid: orders in legs that can be driven, and ways that nobody ordered."""
+"""Ways through the grid: paths in legs that can be driven, and ways that nobody planned."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kbnitp_ros.core import Grid
 Leg = tuple[int, ...]
 
 
-def legs_of(orders: Sequence[int]) -> list[Leg]:
+def legs_of(path: Sequence[int]) -> list[Leg]:
     """
     Return a path in legs that one goal of Nav2 each can drive.
 
@@ -24,7 +24,7 @@ def legs_of(orders: Sequence[int]) -> list[Leg]:
 
     Parameters
     ----------
-    orders : sequence of int
+    path : sequence of int
         Cells, each a neighbour of the one before, or the same.
 
     Returns
@@ -34,8 +34,8 @@ def legs_of(orders: Sequence[int]) -> list[Leg]:
 
     """
     legs: list[Leg] = []
-    leg = [orders[0]]
-    for before, cell in pairwise(orders):
+    leg = [path[0]]
+    for before, cell in pairwise(path):
         if cell in leg:
             if len(leg) > 1:
                 legs.append(tuple(leg))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from kbnitp_ros.figures import SERIES, Style, WIDTH
 from kbnitp_ros.study.panels import labels_of, legend_above, panels_figure
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Team
+from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Strategy
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ LOG_LOSS_LABEL = 'log loss of hazard and target (nats)'
 def entropy_chart(results: Results) -> Figure:
     """Draw the mean entropy after each deployment, a panel a lethality: the paper's figure."""
 
-    def series(lethality: float | None, method: str, team: Team) -> NDArray[np.float64]:
+    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
         return results.series(lethality, method, 'entropy', team=team)
 
     return means_chart(results.scenario, series, 'deployment', 'entropy H(Z) + H(X) (nats)')
@@ -39,7 +39,7 @@ def entropy_chart(results: Results) -> Figure:
 def log_loss_chart(results: Results) -> Figure:
     """Draw the mean log loss after each deployment against the truth, a panel a lethality."""
 
-    def series(lethality: float | None, method: str, team: Team) -> NDArray[np.float64]:
+    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
         return results.series(lethality, method, *LOG_LOSS, team=team)
 
     return means_chart(results.scenario, series, 'deployment', LOG_LOSS_LABEL, 'log')
@@ -47,7 +47,7 @@ def log_loss_chart(results: Results) -> Figure:
 
 def means_chart(
     scenario: Scenario,
-    series: Callable[[float | None, str, Team], NDArray[np.float64]],
+    series: Callable[[float | None, str, Strategy], NDArray[np.float64]],
     across: str,
     up: str,
     scale: str = 'linear',

@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from kbnitp_ros.files import open_file
+from kbnitp_ros.files import naming, open_file
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
 from kbnitp_ros.study.trial import LEARNT, MEASURES, Outcome, Trial, trials_of
 import numpy as np
@@ -121,7 +121,7 @@ def _check_same(path: Path, kept: dict[str, object], asked: dict[str, object]) -
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
     part = path.with_name(f'{path.name}.part')
-    with part.open('wb') as file:
+    with naming(part), part.open('wb') as file:
         write(file)
         file.flush()
         os.fsync(file.fileno())

@@ -89,7 +89,7 @@ def numbers_markdown(summary: dict[str, Any]) -> str:
     return table(caption, ['lethality', 'number', 'sd before', 'sd', 'error', 'within'], rows)
 
 
-def summarise_worth(results: Results) -> dict[str, Any]:
+def summarise_value(results: Results) -> dict[str, Any]:
     """
     Return what not being told costs after some of the robots, as JSON can hold it.
 
@@ -115,7 +115,7 @@ def summarise_worth(results: Results) -> dict[str, Any]:
     return {'robots': robots, 'rows': rows}
 
 
-def worth_markdown(summary: dict[str, Any]) -> str:
+def value_markdown(summary: dict[str, Any]) -> str:
     """Return a summary of what not being told costs as a table for people."""
     caption = (
         f'The log loss of `{LEARNING}` less that of the methods that are told, trial by trial, '

@@ -10,7 +10,7 @@ from kbnitp_ros.figures import Style
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL
 from kbnitp_ros.study.panels import panels_figure
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Contender, in_short, Team
+from kbnitp_ros.study.scenario import Contender, in_short, Strategy
 from kbnitp_ros.study.summary import (
     as_json,
     interval,
@@ -31,7 +31,7 @@ EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'differen
 
 
 def trade(
-    results: Results, lethality: float | None, method: str, team: Team
+    results: Results, lethality: float | None, method: str, team: Strategy
 ) -> NDArray[np.float64]:
     """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
     lost = results.series(lethality, method, 'robots_lost', team=team)
@@ -88,6 +88,14 @@ def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> Mean:
     ]
     found = at_equal_log_loss(least.mean(axis=0), this.mean(axis=0))
     return interval(found, np.reshape(resampled, (-1, len(EQUAL))))
+
+
+def at_equal_log_loss_more(
+    results: Results, lethality: float | None, method: str, least: Strategy, this: Strategy
+) -> dict[str, float | None]:
+    """Return how many more robots a strategy has lost at equal log loss, as JSON can hold it."""
+    equal = compare(*(trade(results, lethality, method, of) for of in (least, this)))
+    return as_json(Mean(*(values[-1] for values in equal)))
 
 
 def summarise_loss_cost(results: Results) -> dict[str, Any]:

@@ -7,27 +7,21 @@ import json
 from pathlib import Path
 
 from kbnitp_ros.figures import FORMATS, LETTERS, save
+from kbnitp_ros.files import naming
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
-from kbnitp_ros.study.last_contact import contact_markdown, summarise_contact
+from kbnitp_ros.study.comparison import COMPARISONS, differ_in_objective
 from kbnitp_ros.study.learning import (
     numbers_chart,
     numbers_markdown,
     summarise_numbers,
-    summarise_worth,
-    worth_markdown,
+    summarise_value,
+    value_markdown,
 )
 from kbnitp_ros.study.loss_cost import (
     loss_cost_chart,
     loss_cost_markdown,
     summarise_loss_cost,
 )
-from kbnitp_ros.study.objectives import (
-    differ_in_objective,
-    objectives_markdown,
-    summarise_objectives,
-)
-from kbnitp_ros.study.planners import planners_markdown, summarise_planners
-from kbnitp_ros.study.prior_maps import maps_markdown, summarise_maps
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, LEARNING
 from kbnitp_ros.study.summary import markdown, summarise
@@ -63,6 +57,11 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     list of Path
         What was written.
 
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
     """
     summary = summarise(results)
     tables = [markdown(summary)]
@@ -72,29 +71,22 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     if differ_only_in(results.scenario, 'loss_cost'):
         summary['loss_cost'] = summarise_loss_cost(results)
         tables.append(loss_cost_markdown(summary['loss_cost']))
-    if differ_only_in(results.scenario, 'last_contact'):
-        summary['last_contact'] = summarise_contact(results)
-        tables.append(contact_markdown(summary['last_contact']))
-    if differ_only_in(results.scenario, 'planner'):
-        summary['planners'] = summarise_planners(results)
-        tables.append(planners_markdown(summary['planners']))
-    if differ_in_objective(results.scenario):
-        summary['objectives'] = summarise_objectives(results)
-        tables.append(objectives_markdown(summary['objectives']))
-    if differ_only_in(results.scenario, 'survey', 'trusted'):
-        summary['prior_maps'] = summarise_maps(results)
-        tables.append(maps_markdown(summary['prior_maps']))
+    for comparison in COMPARISONS:
+        if comparison.applies(results.scenario):
+            summary[comparison.name] = comparison.summarise(results)
+            tables.append(comparison.markdown(summary[comparison.name]))
     if LEARNING in results.scenario.methods:
         summary['numbers'] = summarise_numbers(results)
-        summary['worth'] = summarise_worth(results)
-        tables += [numbers_markdown(summary['numbers']), worth_markdown(summary['worth'])]
+        summary['value'] = summarise_value(results)
+        tables += [numbers_markdown(summary['numbers']), value_markdown(summary['value'])]
     pictures = []
-    for name, figure in figures_of(results).items():
-        pictures += save(figure, folder / name, *FORMATS)
     table, as_json, as_markdown = (
         folder / name for name in ('table.parquet', 'summary.json', 'summary.md')
     )
-    parquet.write_table(results.table(), table)
-    as_json.write_text(json.dumps(summary, indent=1) + '\n')
-    as_markdown.write_text('\n'.join(tables))
+    with naming(folder):
+        for name, figure in figures_of(results).items():
+            pictures += save(figure, folder / name, *FORMATS)
+        parquet.write_table(results.table(), table)
+        as_json.write_text(json.dumps(summary, indent=1) + '\n')
+        as_markdown.write_text('\n'.join(tables))
     return [table, *pictures, as_json, as_markdown]

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Team
+from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Strategy
 from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +70,8 @@ class Results:
         -------
         pyarrow.Table
             Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
-            ``agents``, ``allocation``, ``loss_cost``, ``last_contact``, ``planner``, ``survey``,
-            ``trusted``, ``objective``, ``alpha`` and `MEASURES`, by lethality, method, team, trial
-            and deployment in the scenario's order.
+            the fields of `Strategy` and `MEASURES`, by lethality, method, strategy, trial and
+            deployment in the scenario's order.
 
         """
         trials = trials_of(self.scenario)
@@ -83,15 +82,10 @@ class Results:
             'method': np.repeat([trial.method for trial in trials], rows),
             'lethality': np.repeat([trial.lethality for trial in trials], rows),
             'deployment': np.tile(np.arange(rows), len(trials)),
-            'agents': np.repeat([trial.team.agents for trial in trials], rows),
-            'allocation': np.repeat([trial.team.allocation for trial in trials], rows),
-            'loss_cost': np.repeat([trial.team.loss_cost for trial in trials], rows),
-            'last_contact': np.repeat([trial.team.last_contact for trial in trials], rows),
-            'planner': np.repeat([trial.team.planner for trial in trials], rows),
-            'survey': np.repeat([trial.team.survey for trial in trials], rows),
-            'trusted': np.repeat([trial.team.trusted for trial in trials], rows),
-            'objective': np.repeat([trial.team.objective for trial in trials], rows),
-            'alpha': np.repeat([trial.team.alpha for trial in trials], rows),
+            **{
+                field.name: np.repeat([getattr(trial.team, field.name) for trial in trials], rows)
+                for field in fields(Strategy)
+            },
             **dict(zip(MEASURES, measures.T)),
         }
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
@@ -99,7 +93,7 @@ class Results:
         return pa.table(columns)
 
     def series(
-        self, lethality: float | None, method: str, *measures: str, team: Team = ALONE
+        self, lethality: float | None, method: str, *measures: str, team: Strategy = ALONE
     ) -> NDArray[np.float64]:
         """Return the sum of some measures, shape (trials, robots + 1)."""
         places = [MEASURES.index(measure) for measure in measures]
@@ -107,7 +101,7 @@ class Results:
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
 
     def final_maps(
-        self, lethality: float | None, method: str, team: Team = ALONE
+        self, lethality: float | None, method: str, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
         outcomes = self._of(lethality, method, team)
@@ -115,7 +109,7 @@ class Results:
         return believed, np.stack([outcome.truth for outcome in outcomes])
 
     def learnt(
-        self, lethality: float | None, team: Team = ALONE
+        self, lethality: float | None, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """
         Return what the method that learns knew of the numbers, and what they are.
@@ -131,6 +125,6 @@ class Results:
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])
 
-    def _of(self, lethality: float | None, method: str, team: Team) -> list[Outcome]:
+    def _of(self, lethality: float | None, method: str, team: Strategy) -> list[Outcome]:
         numbers = range(self.scenario.trials)
         return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]

@@ -14,14 +14,13 @@ from kbnitp_ros.core import (
     ALPHAS,
     Belief,
     Beta,
-    Conduct,
     Grid,
     METHODS,
     OBJECTIVES,
     PathFinder,
     PLANNERS,
+    SearchOptions,
     SensorModel,
-    sought_by,
     team_size,
     Unknowns,
 )
@@ -35,6 +34,9 @@ LEARNING = f'{SAMPLED}_learning'
 
 # The numbers that can be learnt.
 NUMBERS = tuple(field.name for field in fields(Unknowns))
+
+# The options of a search.
+OPTIONS = tuple(field.name for field in fields(SearchOptions))
 
 # Keys of the generators of numbers that are drawn, which no world has.
 DRAWN = 0x4452574E
@@ -71,7 +73,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Planning:
-    """How paths are searched for, as for `kbnitp_ros.core.plan`."""
+    """How paths are searched for, as of `SearchOptions`."""
 
     planner: Annotated[str, PLANNERS]
     max_steps: Count
@@ -80,9 +82,9 @@ class Planning:
 
 
 @dataclass(frozen=True)
-class Team:
+class Strategy:
     """
-    The robots that leave together, as for `run_mission`.
+    How robots are deployed: the team, what its paths are planned for, and what is known before.
 
     Attributes
     ----------
@@ -123,28 +125,16 @@ class Team:
         """Return what it seeks in a word: the alpha tells one behavioral objective from others."""
         return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
 
-    def options(self) -> dict[str, Any]:
-        """Return what `run_mission` is told of it, by name."""
-        return {
-            'agents': self.agents,
-            'allocation': self.allocation,
-            'loss_cost': self.loss_cost,
-            'conduct': Conduct(last_contact=self.last_contact),
-            'objective': self.objective,
-            'alpha': self.alpha,
-            **({'planner': self.planner} if self.planner else {}),
-        }
-
 
 # Robots one by one, whatever they cost.
-ALONE = Team()
+ALONE = Strategy()
 
 
 class Contender(NamedTuple):
     """A way to do a mission: the method of its estimator and the team it sends."""
 
     method: str
-    team: Team
+    team: Strategy
 
 
 @dataclass(frozen=True)
@@ -168,7 +158,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class Learning:
+class NumberPriors:
     """What is not told to the method that learns; without a prior it is told."""
 
     lethality: Distribution | None = None
@@ -188,7 +178,7 @@ class Learning:
         return Unknowns(**{name: prior.beta() for name, prior in self.priors().items()})
 
 
-TELL_ALL = Learning()
+TELL_ALL = NumberPriors()
 
 
 @dataclass(frozen=True)
@@ -231,8 +221,8 @@ class Scenario:
     Attributes
     ----------
     seed : int
-        At least 0. Trial t draws its world and its robots' fates from ``[seed, t]``, whatever the
-        method, the team and the lethality.
+        At least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, whatever
+        the method, the team and the lethality.
     trials : int
         Worlds, at least 1.
     robots : int
@@ -245,9 +235,9 @@ class Scenario:
         Sections of their own. Without a prior it is that of the world's densities.
     believed_lethality : float, optional
         What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
-    teams : tuple of Team
+    teams : tuple of Strategy
         Without them robots go one by one.
-    learn : Learning
+    learn : NumberPriors
         What the method that learns is not told, and what numbers that are None are drawn from.
 
     """
@@ -263,8 +253,8 @@ class Scenario:
     sensor: Sensor
     prior: Prior | None
     believed_lethality: Probability | None = None
-    teams: tuple[Team, ...] = (ALONE,)
-    learn: Learning = TELL_ALL
+    teams: tuple[Strategy, ...] = (ALONE,)
+    learn: NumberPriors = TELL_ALL
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
@@ -278,11 +268,17 @@ class Scenario:
 
     def check_search(self) -> None:
         """Refuse paths that cannot be searched for, or not within the memory allowed."""
-        for team in self.teams:
-            planner = team.planner or self.planning.planner
-            alpha = sought_by(planner, team.objective, team.alpha)
-            limits = vars(self.planning) | {'planner': planner}
-            PathFinder(self.field(), **limits).check_memory(team.agents, alpha=alpha)
+        for strategy in self.teams:
+            PathFinder(self.field(), self.options(strategy)).check_memory(strategy.agents)
+
+    def options(self, strategy: Strategy) -> SearchOptions:
+        """Return the options of a strategy's search: its own, or else those of all."""
+        own = {
+            name: value
+            for name, value in vars(strategy).items()
+            if name in OPTIONS and value != ''
+        }
+        return SearchOptions(**(vars(self.planning) | own))
 
     def field(self) -> Grid:
         """Return the grid, with cells of 1 m."""
@@ -346,17 +342,17 @@ def differ_only_in(scenario: Scenario, *names: str) -> bool:
     return len(scenario.teams) > 1 and len(others) == 1
 
 
-def team_labels(scenario: Scenario) -> dict[Team, str]:
+def team_labels(scenario: Scenario) -> dict[Strategy, str]:
     """Return what tells each team of a scenario from the others; empty if there are no others."""
     differ = {
         field.name
-        for field in fields(Team)
+        for field in fields(Strategy)
         if len({getattr(team, field.name) for team in scenario.teams}) > 1
     }
     return {team: ', '.join(_differing(team, scenario, differ)) for team in scenario.teams}
 
 
-def _differing(team: Team, scenario: Scenario, differ: set[str]) -> Iterator[str]:
+def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator[str]:
     """Yield the words for what teams differ in."""
     if differ & {'agents', 'allocation'}:
         yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_short, Team, team_labels
+from kbnitp_ros.study.scenario import in_short, team_labels
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,45 +72,6 @@ def differences(
 
     """
     return [as_json(mean_of((one - other)[:, after])) for after in robots]
-
-
-def against(
-    results: Results,
-    lethality: float | None,
-    method: str,
-    teams: tuple[Team, Team],
-    robots: Sequence[int],
-) -> dict[str, Any]:
-    """
-    Return how a team compares with another in the same trials, as JSON can hold it.
-
-    Parameters
-    ----------
-    results : Results
-        Of all teams.
-    lethality, method
-        Of the trials.
-    teams : (Team, Team)
-        The one that it is compared with, and the team.
-    robots : sequence of int
-        After how many.
-
-    Returns
-    -------
-    dict
-        ``difference``, the total log loss less that of the other after so many robots; ``lost``,
-        the robots lost at the end, and ``lost_more``, how many more than by the other.
-
-    """
-    other, this = (results.series(lethality, method, *LOG_LOSS, team=team) for team in teams)
-    lost_by_other, lost = (
-        results.series(lethality, method, 'robots_lost', team=team)[:, -1] for team in teams
-    )
-    return {
-        'difference': differences(this, other, robots),
-        'lost': as_json(mean_of(lost)),
-        'lost_more': as_json(mean_of(lost - lost_by_other)),
-    }
 
 
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from kbnitp_ros.core import Belief, World
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 import numpy as np
 
 # Key of the generators of maps, which no world and no robot has.
 MAPPED = 0x4D415053
 
 
-def surveyed(prior: Belief, world: World, team: Team, seed: int, trial: int) -> Belief:
+def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int) -> Belief:
     """
     Return the prior given the map that a team has of a world.
 
@@ -25,7 +25,7 @@ def surveyed(prior: Belief, world: World, team: Team, seed: int, trial: int) -> 
         Without the map.
     world : World
         What it is of.
-    team : Team
+    team : Strategy
         How often it is right, and how often it is trusted to be.
     seed, trial : int
         Of the study, and of the world in it.

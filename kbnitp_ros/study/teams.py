@@ -8,7 +8,7 @@ from typing import Any
 
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL, means_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_short, Scenario, Team, team_labels
+from kbnitp_ros.study.scenario import in_short, Scenario, Strategy, team_labels
 from kbnitp_ros.study.summary import as_json, LOG_LOSS, mean_of, shown, table
 from matplotlib.figure import Figure
 import numpy as np
@@ -23,7 +23,7 @@ def differ_in_size(scenario: Scenario) -> bool:
 
 
 def information_gained(
-    results: Results, lethality: float | None, method: str, team: Team
+    results: Results, lethality: float | None, method: str, team: Strategy
 ) -> NDArray[np.float64]:
     """Return the joint entropy of the prior less that of the belief, (trials, robots + 1)."""
     entropy = results.series(lethality, method, 'joint_entropy', team=team)
@@ -125,7 +125,7 @@ def teams_markdown(summary: dict[str, Any]) -> str:
 def teams_chart(results: Results) -> Figure:
     """Draw the mean log loss after each round, a panel a lethality."""
 
-    def series(lethality: float | None, method: str, team: Team) -> NDArray[np.float64]:
+    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
         log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
         return after_rounds(log_loss, team.agents)
 

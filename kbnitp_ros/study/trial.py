@@ -9,13 +9,17 @@ from kbnitp_ros.core import (
     binary_entropy,
     brier_score,
     Estimator,
+    Execution,
+    Learning,
     Learnt,
     log_loss,
     run_mission,
+    Team,
+    Truth,
     Unknowns,
     World,
 )
-from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenario, Team
+from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenario, Strategy
 from kbnitp_ros.study.survey import surveyed
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +57,7 @@ class Trial(NamedTuple):
         Of the estimator: of `METHODS`, or `LEARNING`.
     number : int
         Of the world, from 0.
-    team : Team
+    team : Strategy
         That leaves together.
 
     """
@@ -61,7 +65,7 @@ class Trial(NamedTuple):
     lethality: float | None
     method: str
     number: int
-    team: Team = ALONE
+    team: Strategy = ALONE
 
 
 class Outcome(NamedTuple):
@@ -136,10 +140,10 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         scenario.robots,
         rng,
         method,
-        **(vars(scenario.planning) | trial.team.options()),
-        world_model=scenario.model(truth),
-        unknowns=unknowns,
-        seed=trial.number,
+        scenario.options(trial.team),
+        team=Team(trial.team.agents, trial.team.allocation),
+        truth=Truth(scenario.model(truth), Execution(last_contact=trial.team.last_contact)),
+        learning=Learning(unknowns, trial.number),
     )
     start = Estimator(prior, model, method, unknowns, trial.number)
     beliefs = [start.belief, *(deployment.belief for deployment in mission)]

@@ -6,52 +6,55 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from kbnitp_ros.core import ALLOCATIONS, Belief, Kind, PathFinder
-from kbnitp_ros.core.planning import Regions, Robot
-from kbnitp_ros.core.planning.allocations import Allocation, as_allocation
-from kbnitp_ros.testing.cases import draw_field, draw_kind, draw_walk, Field, PLANS
+from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
+from kbnitp_ros.core.planning import Regions, TeamMember
+from kbnitp_ros.core.planning.teams.allocations import Allocation, as_allocation
+from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require, require_close
 import numpy as np
 from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
-class Round(Field):
+class RoundCase(Field):
     """
     A field that robots share.
 
     Attributes
     ----------
-    robots : tuple of Robot
-        Two to four, some with limits and numbers of their own; those of one kind are one.
-    after : tuple of Robot
+    robots : tuple of TeamMember
+        Two to four, some with limits and numbers of their own; those of one type are one.
+    after : tuple of TeamMember
         The same when another one has left before.
 
     """
 
-    robots: tuple[Robot, ...]
-    after: tuple[Robot, ...]
+    robots: tuple[TeamMember, ...]
+    after: tuple[TeamMember, ...]
 
 
-def draw_round(seed: int) -> Round:
+def draw_round(seed: int) -> RoundCase:
     """Draw a field and the robots of a round."""
     rng = np.random.default_rng([PLANS, seed])
     field = draw_field(rng)
     planner = str(rng.choice(['relaxed', 'beam']))
-    finder = PathFinder(field.grid, planner, int(rng.integers(2, 9)), 2, int(rng.integers(1, 4)))
-    cost = float(rng.choice([0.0, 0.5]))
-    kinds = [
-        Kind(),
-        replace(draw_kind(rng), max_steps=int(rng.integers(1, 5))),
-        replace(draw_kind(rng), loss_cost=0.3),
+    options = SearchOptions(planner, int(rng.integers(2, 9)), 2, int(rng.integers(1, 4)))
+    options = replace(options, loss_cost=float(rng.choice([0.0, 0.5])))
+    finder = PathFinder(field.grid, options)
+    robot_types = [
+        RobotType(),
+        replace(draw_robot_type(rng), max_steps=int(rng.integers(1, 5))),
+        replace(draw_robot_type(rng), loss_cost=0.3),
     ]
-    each = [Robot.of(kind, finder, field.prior, field.model, cost) for kind in kinds]
+    each = [
+        TeamMember.of(robot_type, finder, field.prior, field.model) for robot_type in robot_types
+    ]
     robots = tuple(each[n] for n in rng.integers(0, 3, int(rng.integers(2, 5))))
     other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
-    fates = robots[0].objective.after(other)
-    later = {robot: robot.given(fates) for robot in robots}
+    outcomes = robots[0].objective.after(other)
+    later = {robot: robot.given(outcomes) for robot in robots}
     after = tuple(later[robot] for robot in robots)
-    return Round(field.grid, field.prior, field.model, robots, after)
+    return RoundCase(field.grid, field.prior, field.model, robots, after)
 
 
 def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0) -> None:
@@ -87,7 +90,7 @@ def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0
     hold(name, subject, LAWS, draw_round, cases, seed)
 
 
-def gives_each_robot_a_path(allocation: Allocation, given: Round) -> None:
+def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
     """See that there is a path for each robot, which that robot can take."""
     for robots in (given.robots, given.after):
         paths, _ = allocation(robots)
@@ -99,18 +102,18 @@ def gives_each_robot_a_path(allocation: Allocation, given: Round) -> None:
                 raise AssertionError(f'Of robot {number}: {error}') from error
 
 
-def plans_one_as_alone(allocation: Allocation, given: Round) -> None:
+def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
     """See that a robot which goes alone takes the path that was found best for it."""
     for robot in given.robots:
         (path, *_), _ = allocation([robot])
-        best = robot.finder.paths(robot.objective)[0].path
+        best = robot.finder.candidates(robot.objective)[0].path
         require(
             np.array_equal(path, best),
             f'It is sent along {np.asarray(path).tolist()}, and {best.tolist()} was found best',
         )
 
 
-def is_reproducible(allocation: Allocation, given: Round) -> None:
+def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
     """See that the same belief gives the same paths, whatever was shared out between."""
     first = paths_of(allocation, given.robots)
     allocation(given.after)
@@ -123,12 +126,12 @@ def is_reproducible(allocation: Allocation, given: Round) -> None:
     require(first == second, f'First it gives {first}, and then {second}')
 
 
-def paths_of(allocation: Allocation, robots: Sequence[Robot]) -> list[list[int]]:
+def paths_of(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:
     """Return the paths that an allocation gives."""
     return [np.asarray(path).tolist() for path in allocation(robots)[0]]
 
 
-def regions_are_a_partition(allocation: Allocation, given: Round) -> None:
+def regions_are_a_partition(allocation: Allocation, given: RoundCase) -> None:
     """See that regions share out the cells in reach, each to a robot that reaches it."""
     _, regions = allocation(given.robots)
     if regions is None:
@@ -136,7 +139,7 @@ def regions_are_a_partition(allocation: Allocation, given: Round) -> None:
     require(isinstance(regions, Regions), f'It returns {regions!r}, which is no Regions')
     owner, cells = regions.owner, given.grid.cells
     require(owner.shape == (cells,), f'They are of {owner.size} cells, and the field has {cells}')
-    reach = np.stack([given.grid.in_reach(each.finder.max_steps) for each in given.robots])
+    reach = np.stack([given.grid.in_reach(each.finder.options.max_steps) for each in given.robots])
     require_owners(owner, reach)
     held = regions.entropy
     require(held.shape == (len(reach),), f'They have the entropies of {held.size} robots')
@@ -160,7 +163,7 @@ def require_owners(owner: NDArray[np.intp], reach: NDArray[np.bool_]) -> None:
             require(reach[of_cell, cell], f'{words}, which cannot reach it')
 
 
-LAWS: dict[str, Callable[[Allocation, Round], None]] = {
+LAWS: dict[str, Callable[[Allocation, RoundCase], None]] = {
     'each robot has one path, within its own limits': gives_each_robot_a_path,
     'a robot alone is planned as ever': plans_one_as_alone,
     'the same belief gives the same paths': is_reproducible,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kbnitp_ros.core import Belief, Grid, Kind, Observation, ORDINARY, SensorModel, World
+from kbnitp_ros.core import Belief, Grid, Observation, ORDINARY, RobotType, SensorModel, World
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +36,7 @@ class Field:
 
 
 @dataclass(frozen=True, eq=False)
-class Mission(Field):
+class MissionCase(Field):
     """
     A field and what robots met in it.
 
@@ -44,17 +44,17 @@ class Mission(Field):
     ----------
     seed : int
         Of what a method draws.
-    deployments : tuple of (Observation, Kind)
+    deployments : tuple of (Observation, RobotType)
         Outcomes in one world that the prior allows for, with and without last contacts and with
         cells where robots did not look.
 
     """
 
     seed: int
-    deployments: tuple[tuple[Observation, Kind], ...]
+    deployments: tuple[tuple[Observation, RobotType], ...]
 
     @property
-    def returns(self) -> tuple[tuple[Observation, Kind], ...]:
+    def returns(self) -> tuple[tuple[Observation, RobotType], ...]:
         """Return the deployments that robots came back from."""
         return tuple(each for each in self.deployments if each[0].survived)
 
@@ -81,10 +81,10 @@ def draw_model(rng: np.random.Generator) -> SensorModel:
     )
 
 
-def draw_kind(rng: np.random.Generator) -> Kind:
-    """Draw a kind that has some numbers of its own, or none."""
+def draw_robot_type(rng: np.random.Generator) -> RobotType:
+    """Draw a robot type that has some numbers of its own, or none."""
     drawn = vars(draw_model(rng))
-    return Kind(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
+    return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
 
 
 def draw_world(rng: np.random.Generator, belief: Belief) -> World:
@@ -114,18 +114,20 @@ def draw_outcome(
     return Observation(path, False, steps_survived=heard)
 
 
-def draw_mission(seed: int, robots: int = 6) -> Mission:
+def draw_mission(seed: int, robots: int = 6) -> MissionCase:
     """Draw a mission; the last robots of it are one that is lost and one that returns."""
     rng = np.random.default_rng([MISSIONS, seed])
     field = draw_field(rng)
     world = draw_world(rng, field.prior)
     deployments = []
     for _ in range(robots):
-        kind = draw_kind(rng) if rng.random() < 0.4 else ORDINARY
+        robot_type = draw_robot_type(rng) if rng.random() < 0.4 else ORDINARY
         path = draw_walk(rng, field.grid, int(rng.integers(1, 9)))
-        deployments.append((draw_outcome(rng, world, path, kind.model(field.model)), kind))
+        deployments.append(
+            (draw_outcome(rng, world, path, robot_type.model(field.model)), robot_type)
+        )
     deployments += [(each, ORDINARY) for each in lost_and_returned(rng, field.grid)]
-    return Mission(field.grid, field.prior, field.model, seed, tuple(deployments))
+    return MissionCase(field.grid, field.prior, field.model, seed, tuple(deployments))
 
 
 def lost_and_returned(rng: np.random.Generator, grid: Grid) -> Sequence[Observation]:

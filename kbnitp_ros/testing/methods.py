@@ -11,18 +11,18 @@ from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
     Estimator,
-    Kind,
     Ledger,
     METHODS,
     Observation,
     ORDINARY,
     Report,
+    RobotType,
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.core.inference import ALL_KNOWN, Inference, Method
-from kbnitp_ros.core.inference.methods import as_versions, CALLED, KNOWN
-from kbnitp_ros.testing.cases import draw_mission, draw_walk, Mission
+from kbnitp_ros.core.inference import Inference, Method
+from kbnitp_ros.core.inference.methods import as_method, CALLED, KNOWN
+from kbnitp_ros.testing.cases import draw_mission, draw_walk, MissionCase
 from kbnitp_ros.testing.laws import (
     hold,
     require,
@@ -32,8 +32,6 @@ from kbnitp_ros.testing.laws import (
     told,
 )
 import numpy as np
-
-Deployments = Iterable[tuple[Observation, Kind]]
 
 # Of a path that is longer than any chance of surviving it can be told from 0.
 LONG = 3000
@@ -50,8 +48,7 @@ def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> Non
     ----------
     method : str or object
         The name of one that is registered, or what an entry point of the group
-        ``kbnitp_ros.methods`` would stand for: a `Method`, or a tuple of its versions, all of
-        which are checked.
+        ``kbnitp_ros.methods`` would stand for: a `Method`.
     cases : int
         How many missions are drawn to try it on, at least 1.
     seed : int
@@ -66,33 +63,33 @@ def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> Non
 
     """
     if isinstance(method, str):
-        name, versions = f'method {method!r}', METHODS.find(method)
+        name, tried = f'method {method!r}', METHODS.find(method)
     else:
         name = f'method {method!r}'
         try:
-            versions = as_versions(method)
+            tried = as_method(method)
         except (TypeError, ValueError) as error:
             raise AssertionError(f'{name} is none: {error}') from error
-    for number, version in enumerate(versions, 1):
-        of_several = f', version {number},' if len(versions) > 1 else ''
-        hold(name + of_several, version, LAWS, draw_mission, cases, seed)
+    hold(name, tried, LAWS, draw_mission, cases, seed)
 
 
-def start(method: Method, mission: Mission, model: SensorModel | None = None) -> Inference:
+def start(method: Method, mission: MissionCase, model: SensorModel | None = None) -> Inference:
     """Return what a method makes of a mission before its first deployment."""
-    return method(mission.prior, model or mission.model, ALL_KNOWN, mission.seed)
+    return method(mission.prior, model or mission.model, Unknowns(), mission.seed)
 
 
-def fold(inference: Inference, deployments: Deployments) -> list[Belief]:
-    """Take in deployments, and return the belief before the first and after each."""
+def fold(
+    inference: Inference, deployments: Iterable[tuple[Observation, RobotType]]
+) -> list[Belief]:
+    """Assimilate deployments, and return the belief before the first and after each."""
     beliefs = [inference.belief]
-    for observation, kind in deployments:
-        inference.assimilate(observation, kind)
+    for observation, robot_type in deployments:
+        inference.assimilate(observation, robot_type)
         beliefs.append(inference.belief)
     return beliefs
 
 
-def can_be_used(method: Method, mission: Mission) -> None:
+def can_be_used(method: Method, mission: MissionCase) -> None:
     """See that an inference has what the estimator asks of it."""
     inference = start(method, mission)
     for name in (*CALLED, *KNOWN):
@@ -101,10 +98,10 @@ def can_be_used(method: Method, mission: Mission) -> None:
     require(isinstance(inference.model, SensorModel), f'model is {inference.model!r}')
     error = inference.sampling_error
     require(0.0 <= error < np.inf, f'sampling_error is {error}')
-    require(inference.is_settled in (True, False), f'is_settled is {inference.is_settled!r}')
+    require(inference.is_converged in (True, False), f'is_converged is {inference.is_converged!r}')
 
 
-def begins_with_the_prior(method: Method, mission: Mission) -> None:
+def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
     """See that before any evidence, hazards and targets are those of the prior."""
     inference = start(method, mission)
     prior = mission.prior
@@ -113,19 +110,19 @@ def begins_with_the_prior(method: Method, mission: Mission) -> None:
     require(not inference.parameters, f'parameters has {list(inference.parameters)}')
 
 
-def is_a_distribution(method: Method, mission: Mission) -> None:
+def is_a_distribution(method: Method, mission: MissionCase) -> None:
     """See that beliefs are distributions, of all cells, and stay what they were."""
     inference = start(method, mission)
     given = [(inference.belief, require_distribution(inference.belief, mission, 0))]
-    for number, (observation, kind) in enumerate(mission.deployments, 1):
-        inference.assimilate(observation, kind)
+    for number, (observation, robot_type) in enumerate(mission.deployments, 1):
+        inference.assimilate(observation, robot_type)
         given.append((inference.belief, require_distribution(inference.belief, mission, number)))
     for number, (belief, bits) in enumerate(given):
         words = f'The belief after {number} deployments was changed later'
         require(belief.joint.tobytes() == bits, words)
 
 
-def require_distribution(belief: Belief, mission: Mission, number: int) -> bytes:
+def require_distribution(belief: Belief, mission: MissionCase, number: int) -> bytes:
     """Return a belief's bits; raise an AssertionError if it is none of the field."""
     after = f'After {number} deployments'
     require(isinstance(belief, Belief), f'{after} the belief is {belief!r}')
@@ -136,7 +133,7 @@ def require_distribution(belief: Belief, mission: Mission, number: int) -> bytes
     return joint.tobytes()
 
 
-def keeps_what_is_certain(method: Method, mission: Mission) -> None:
+def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
     """See that no evidence moves what the prior is certain of."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     safe = before.hazard == 0.0
@@ -146,7 +143,7 @@ def keeps_what_is_certain(method: Method, mission: Mission) -> None:
     require_close(after.joint[blocked], before.joint[blocked], 'Of the blocked cells')
 
 
-def keeps_cells_without_evidence(method: Method, mission: Mission) -> None:
+def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
     """See that a cell in which no robot was stays as it was."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     elsewhere = np.ones(mission.grid.cells, dtype=bool)
@@ -155,14 +152,14 @@ def keeps_cells_without_evidence(method: Method, mission: Mission) -> None:
     require_close(after.joint[elsewhere], before.joint[elsewhere], 'Of the cells never visited')
 
 
-def is_reproducible(method: Method, mission: Mission) -> None:
+def is_reproducible(method: Method, mission: MissionCase) -> None:
     """See that the same evidence and seed give the same bits."""
     one, other = (fold(start(method, mission), mission.deployments) for _ in range(2))
     for number, (first, second) in enumerate(zip(one, other)):
         require_same(second, first, f'The second time, after {number} deployments')
 
 
-def copies_go_on_by_themselves(method: Method, mission: Mission) -> None:
+def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
     """See that neither a copy nor what it was copied from moves the other."""
     half = len(mission.deployments) // 2
     first, second = mission.deployments[:half], mission.deployments[half:]
@@ -184,13 +181,15 @@ def copies_go_on_by_themselves(method: Method, mission: Mission) -> None:
     require_same(fold(kept, second)[-1], expected, 'A copy that goes on')
 
 
-def is_a_fold_of_the_evidence(method: Method, mission: Mission) -> None:
+def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
     """See that reports in any order, doubled and late, come to the evidence in its order."""
     expected = fold(start(method, mission), mission.deployments)[-1]
-    kinds = {f'robot_{n}': kind for n, (_, kind) in enumerate(mission.deployments)}
+    robot_types = {
+        f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
+    }
     longest = max(each.steps for each, _ in mission.deployments)
     # A ledger asks of an estimator what an inference can do.
-    ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), kinds)
+    ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), robot_types)
     rng = np.random.default_rng(mission.seed)
     said: list[tuple[DeploymentKey, object]] = []
     for number, (observation, _) in enumerate(mission.deployments):
@@ -214,7 +213,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: Mission) -> None:
     require_same(ledger.belief, expected, 'Of reports that came in disorder')
 
 
-def forgets_the_order_of_returns(method: Method, mission: Mission) -> None:
+def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
     """See that returns give the same belief in any order."""
     one, other = (
         fold(start(method, mission), returns)[-1]
@@ -223,13 +222,13 @@ def forgets_the_order_of_returns(method: Method, mission: Mission) -> None:
     require_close(other.joint, one.joint, 'In the reverse order')
 
 
-def takes_returns_in_exactly(method: Method, mission: Mission) -> None:
+def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
     """See that a return weighs each state of its cells by its likelihood (eq. 6-8)."""
     inference = start(method, mission)
     joint = inference.belief.joint.copy()
     found = fold(inference, mission.returns)[-1]
-    for observation, kind in mission.returns:
-        model, readings = kind.model(mission.model), observation.readings
+    for observation, robot_type in mission.returns:
+        model, readings = robot_type.model(mission.model), observation.readings
         survival, reading = model.survival(np.arange(2)), model.reading(np.arange(2))
         for cell, read in zip(observation.path[1:], () if readings is None else readings):
             of_target = np.ones(2) if read == -1 else reading if read else 1.0 - reading
@@ -238,15 +237,15 @@ def takes_returns_in_exactly(method: Method, mission: Mission) -> None:
     require_close(found.joint, joint, 'After the returns')
 
 
-def keeps_kappa_in_a_loss(method: Method, mission: Mission) -> None:
+def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
     """See that a loss tells of targets only what it tells of hazards."""
-    lost, kind = next(each for each in reversed(mission.deployments) if not each[0].survived)
-    before, after = fold(start(method, mission), [(Observation(lost.path, False), kind)])
+    lost, robot_type = next(each for each in reversed(mission.deployments) if not each[0].survived)
+    before, after = fold(start(method, mission), [(Observation(lost.path, False), robot_type)])
     told_apart = (before.hazard > 1e-6) & (after.hazard > 1e-6)
     require_close(after.kappa[told_apart], before.kappa[told_apart], 'Of P(X = 1 | Z = 1)', 1e-7)
 
 
-def refuses_the_impossible(method: Method, mission: Mission) -> None:
+def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
     """See that outcomes which cannot be are refused and leave everything as it was."""
     grid = mission.grid
     # A sensor that never errs, and contradicts itself.
@@ -272,17 +271,17 @@ def refuses_the_impossible(method: Method, mission: Mission) -> None:
     require_same(fold(inference, [likely])[-1], expected, 'What follows the impossible')
 
 
-def knows_kinds(method: Method, mission: Mission) -> None:
-    """See that a mission of one kind is that of robots all like it."""
-    kind = Kind(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
+def knows_robot_types(method: Method, mission: MissionCase) -> None:
+    """See that a mission of one type is that of robots all like it."""
+    robot_type = RobotType(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
     observations = [observation for observation, _ in mission.deployments]
-    of_kind = fold(start(method, mission), [(each, kind) for each in observations])[-1]
-    alike = start(method, mission, kind.model(mission.model))
+    of_type = fold(start(method, mission), [(each, robot_type) for each in observations])[-1]
+    alike = start(method, mission, robot_type.model(mission.model))
     expected = fold(alike, [(each, ORDINARY) for each in observations])[-1]
-    require_close(of_kind.joint, expected.joint, 'Of robots of a kind', 1e-12)
+    require_close(of_type.joint, expected.joint, 'Of robots of a type', 1e-12)
 
 
-def stands_long_paths(method: Method, mission: Mission) -> None:
+def stands_long_paths(method: Method, mission: MissionCase) -> None:
     """See that long paths neither overflow nor underflow."""
     rng = np.random.default_rng(mission.seed)
     path = draw_walk(rng, mission.grid, LONG)
@@ -292,7 +291,7 @@ def stands_long_paths(method: Method, mission: Mission) -> None:
         require(bool(np.isfinite(joint).all()), f'After {LONG} steps a value is not finite')
 
 
-def learns_within_the_prior(method: Method, mission: Mission) -> None:
+def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
     """See that what is learnt of a number is in the interval it was believed in."""
     if not method.learns:
         return
@@ -313,7 +312,7 @@ def learns_within_the_prior(method: Method, mission: Mission) -> None:
     require(abs(total - 1.0) <= ROUNDING, f'Its weights sum to {total}')
 
 
-LAWS: dict[str, Callable[[Method, Mission], None]] = {
+LAWS: dict[str, Callable[[Method, MissionCase], None]] = {
     'each belief is a distribution in every cell, and is not changed later': is_a_distribution,
     'it can do and knows what an estimator asks of it': can_be_used,
     'before the first deployment it believes the hazards and targets of the prior': (
@@ -330,7 +329,7 @@ LAWS: dict[str, Callable[[Method, Mission], None]] = {
     'a return is taken in exactly': takes_returns_in_exactly,
     'a loss leaves P(target | hazard) as it was': keeps_kappa_in_a_loss,
     'what is impossible is refused by a ValueError and changes nothing': refuses_the_impossible,
-    'robots of one kind are as robots all like it': knows_kinds,
+    'robots of one type are as robots all like it': knows_robot_types,
     'long paths neither overflow nor underflow': stands_long_paths,
     'what is learnt of a number is in the interval that it was believed in': (
         learns_within_the_prior

@@ -7,19 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from kbnitp_ros.core import Belief, Grid, PathFinder, Plan, PLANNERS
-from kbnitp_ros.core.planning import Found, Objective
-from kbnitp_ros.core.planning.planners import as_planner, Planner
+from kbnitp_ros.core import Belief, Grid, PathFinder, Plan, PLANNERS, SearchOptions
+from kbnitp_ros.core.planning import Candidate, Objective
+from kbnitp_ros.core.planning.search.planners import as_planner, Planner
 from kbnitp_ros.testing.cases import draw_field, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require
 import numpy as np
 
-# What is worth the same to so many nats is a tie: planners round.
-WORTH = 1e-6
+# Values closer than so many nats are ties: planners round.
+VALUE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Search(Field):
+class SearchCase(Field):
     """
     A field in which a path is to be found.
 
@@ -39,23 +39,26 @@ class Search(Field):
     after: Objective
 
 
-def draw_search(seed: int) -> Search:
+def draw_search(seed: int) -> SearchCase:
     """Draw a field and the limits of a path in it."""
     rng = np.random.default_rng([PLANS, seed])
     field = draw_field(rng)
     finder = PathFinder(
         field.grid,
-        'beam',
-        max_steps=int(rng.integers(1, 13)),
-        width=int(rng.integers(1, 9)),
-        max_visits=int(rng.integers(1, 4)),
+        SearchOptions(
+            'beam',
+            max_steps=int(rng.integers(1, 13)),
+            width=int(rng.integers(1, 9)),
+            max_visits=int(rng.integers(1, 4)),
+        ),
         visited=rng.integers(0, 3, field.grid.cells),
     )
-    cost = float(rng.choice([0.0, 0.5]))
-    objective = Objective.alone(field.grid, field.prior, field.model, cost)
+    options = replace(finder.options, loss_cost=float(rng.choice([0.0, 0.5])))
+    finder = replace(finder, options=options)
+    objective = Objective.alone(field.grid, field.prior, field.model, options)
     other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
     after = objective.given(objective.after(other))
-    return Search(field.grid, field.prior, field.model, finder, objective, after)
+    return SearchCase(field.grid, field.prior, field.model, finder, objective, after)
 
 
 def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> None:
@@ -91,59 +94,59 @@ def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> N
     hold(name, subject, LAWS, draw_search, cases, seed)
 
 
-def finds_paths(planner: Planner, search: Search) -> None:
+def finds_paths(planner: Planner, search: SearchCase) -> None:
     """See that what is found can be taken, within all limits."""
     for objective in (search.objective, search.after):
         found = planner(search.finder, objective)
         require(len(found) > 0, 'It finds none')
         for each in found:
-            require(isinstance(each, Found), f'It returns {each!r}, which is no Found')
+            require(isinstance(each, Candidate), f'It returns {each!r}, which is no Candidate')
             try:
                 search.finder.check_path(each.path)
             except ValueError as error:
                 raise AssertionError(f'Of {each.path.tolist()}: {error}') from error
 
 
-def puts_the_best_first(planner: Planner, search: Search) -> None:
-    """See that no path is worth more than one before it."""
+def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
+    """See that no path has a higher value than one before it."""
     for objective in (search.objective, search.after):
-        worth = [each.worth for each in planner(search.finder, objective)]
-        for before, after in pairwise(worth):
-            require(after <= before + WORTH, f'One of {after} nats comes after one of {before}')
+        value = [each.value for each in planner(search.finder, objective)]
+        for before, after in pairwise(value):
+            require(after <= before + VALUE, f'One of {after} nats comes after one of {before}')
 
 
-def tells_the_worth(planner: Planner, search: Search) -> None:
-    """See that each path of a robot that goes alone is worth what it says."""
+def tells_the_value(planner: Planner, search: SearchCase) -> None:
+    """See that each path of a robot that goes alone has the value that it says."""
     # What a path adds to what robots that are out bring is approximated by each in its own way.
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
-        worth = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
-        words = f'{found.path.tolist()} is worth {worth} nats, not {found.worth}'
-        require(abs(found.worth - worth) <= WORTH, words)
+        value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
+        words = f'{found.path.tolist()} has a value of {value} nats, not {found.value}'
+        require(abs(found.value - value) <= VALUE, words)
 
 
-def is_reproducible(planner: Planner, search: Search) -> None:
+def is_reproducible(planner: Planner, search: SearchCase) -> None:
     """See that the same belief gives the same paths, whatever was planned between."""
     first = planner(search.finder, search.objective)
     planner(search.finder, search.after)
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
     second = planner(replace(search.finder), again)
     one, other = (
-        [(each.worth, each.path.tolist()) for each in found] for found in (first, second)
+        [(each.value, each.path.tolist()) for each in found] for found in (first, second)
     )
     require(one == other, f'First it finds {one}, and then {other}')
 
 
-def stays_where_there_is_nowhere_to_go(planner: Planner, search: Search) -> None:
+def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> None:
     """See that a robot on the only free cell stays there."""
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
-    for each in planner(finder, Objective.alone(grid, belief, search.model, 0.0)):
+    for each in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
         require(set(each.path.tolist()) == {1}, f'It goes {each.path.tolist()}')
 
 
-def leaves_what_it_is_given(planner: Planner, search: Search) -> None:
+def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:
     """See that nothing that a planner is given is changed."""
     visited, interest = search.finder.visited.copy(), search.objective.interest.copy()
     planner(search.finder, search.objective)
@@ -151,12 +154,12 @@ def leaves_what_it_is_given(planner: Planner, search: Search) -> None:
     require(np.array_equal(search.objective.interest, interest), 'objective.interest is another')
 
 
-LAWS: dict[str, Callable[[Planner, Search], None]] = {
+LAWS: dict[str, Callable[[Planner, SearchCase], None]] = {
     'each path is closed, on free cells of the grid, and within max_steps and max_visits': (
         finds_paths
     ),
     'the best path comes first': puts_the_best_first,
-    'a path is worth what it says': tells_the_worth,
+    'the value of a path is what it says': tells_the_value,
     'the same belief gives the same paths': is_reproducible,
     'a robot with nowhere to go stays at the base': stays_where_there_is_nowhere_to_go,
     'what it is given stays as it was': leaves_what_it_is_given,

@@ -5,8 +5,10 @@ from itertools import product
 import os
 
 from bounded import megabytes_at_start, run_command
-from extent import some
+from laws import for_each
 import pytest
+
+pytestmark = pytest.mark.processes
 
 LAUGHS = 'a0: &a0 [x, x]\n' + ''.join(
     f'a{n}: &a{n} [{", ".join([f"*a{n - 1}"] * 10)}]\n' for n in range(1, 40)
@@ -18,6 +20,7 @@ CONTENTS = {
     'twice': ('a: 1\nb: 2\na: 3\n', "the key 'a' stands in line 3 and in line 1"),
     'pipe': (None, 'it is a pipe, not a file'),
     'device': (None, 'it is a device, not a file'),
+    'number': ('a: ' + '1' * 5000, 'it is not YAML'),
 }
 
 # Of each command how it is given the file.
@@ -25,13 +28,16 @@ GIVEN = {
     'scenario': ('study', '{}', '--out', 'out'),
     'world': ('agent', '--ros-args', '-p', 'world.file:={}'),
     'parameters': ('planner', '--ros-args', '--params-file', '{}'),
+    'parameters of the demo': ('demo', '--params', '{}'),
+    'map': ('planner', '--ros-args', '-p', 'map:={}'),
+    'prior': ('estimator', '--ros-args', '-p', 'prior.hazard_map:={}'),
 }
 
 
-@pytest.mark.parametrize('given, kind', some(product(GIVEN, CONTENTS), 2))
+@for_each('given, kind', product(GIVEN, CONTENTS), every=2)
 def test_a_hostile_file_is_refused(given, kind, tmp_path):
     text, complaint = CONTENTS[kind]
-    path = tmp_path / 'given.yaml'
+    path = tmp_path / f'{given} {kind}.yaml'
     if kind == 'pipe':
         os.mkfifo(path)
     elif kind == 'device':

@@ -6,9 +6,9 @@ from pathlib import Path
 import subprocess
 import sys
 
-from extent import some
 from kbnitp_ros.cli.output import command
 from kbnitp_ros.starting import EXECUTABLES
+from laws import for_each
 from mission_log import mission, record
 import pytest
 
@@ -31,7 +31,7 @@ def arguments(log, tmp_path):
     }
 
 
-KINDS = some(['help', 'replayed', 'repaired', *EXECUTABLES], 3)
+KINDS = ['help', 'replayed', 'repaired', *EXECUTABLES]
 
 
 # With LANG=C names of files are printed that are no text.
@@ -51,7 +51,8 @@ def run(arguments, **options):
     )
 
 
-@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.processes
+@for_each('kind', KINDS, every=3)
 def test_a_pipe_that_nobody_reads_ends_a_command_in_silence(kind, arguments):
     read, write = os.pipe()
     os.close(read)
@@ -60,7 +61,8 @@ def test_a_pipe_that_nobody_reads_ends_a_command_in_silence(kind, arguments):
     assert (done.returncode, done.stderr) == (141, b'')
 
 
-@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.processes
+@for_each('kind', KINDS, every=3)
 def test_a_full_disk_is_told(kind, arguments):
     with Path('/dev/full').open('wb') as full:
         done = run(arguments[kind], stdout=full)
@@ -69,11 +71,13 @@ def test_a_full_disk_is_told(kind, arguments):
     assert done.returncode == os.EX_IOERR
 
 
+@pytest.mark.processes
 def test_a_closed_output_is_no_error(arguments):
     done = run(arguments['replayed'], preexec_fn=lambda: os.close(1))
     assert (done.returncode, done.stderr) == (0, b'')
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('unbuffered', ['', '1'])
 def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered):
     command = [sys.executable, '-m', 'kbnitp_ros', 'replay', tmp_path / 'nothing.mcap']
@@ -83,6 +87,7 @@ def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered)
     assert done.returncode == 2
 
 
+@pytest.mark.processes
 def test_a_name_that_is_no_text_is_printed(log, tmp_path):
     strange = os.fsencode(tmp_path) + b'/\xff.mcap'
     Path(os.fsdecode(strange)).write_bytes(log.read_bytes())
@@ -92,6 +97,7 @@ def test_a_name_that_is_no_text_is_printed(log, tmp_path):
     assert b'\\udcff.mcap are saved in' in done.stdout
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('name', ['replay', 'demo'])
 def test_no_log_is_made_whose_name_is_no_text(name, log, tmp_path):
     """The metadata.yaml of its folder, and the parameters of a node, are text."""

@@ -119,6 +119,7 @@ def start():
         process.wait()
 
 
+@pytest.mark.slow
 def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
     large = {'grid': {'width': 1000, 'height': 1000, 'base': 0}}
     planning = {'planner': 'beam', 'max_steps': 10**6, 'width': 1, 'max_visits': 10**6}
@@ -136,6 +137,7 @@ def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
         assert not out.exists()
 
 
+@pytest.mark.processes
 def test_a_study_leaves_its_table_figures_and_summary(whole):
     table = parquet.read_table(whole / 'table.parquet')
     assert table.num_rows == TRIALS * 13
@@ -149,6 +151,7 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
     assert '| 0.9 | `kappa_bnitp_published` |' in (whole / 'summary.md').read_text()
 
 
+@pytest.mark.processes
 def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_path):
     """At moments that nobody chose."""
     for _ in range(3 if FULL else 1):
@@ -168,6 +171,7 @@ def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_pa
     assert not list(tmp_path.glob('**/*.part'))
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('number, status', some([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 2))
 def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
     start, scenario, tmp_path, number, status
@@ -182,6 +186,7 @@ def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
 
 
+@pytest.mark.processes
 def test_workers_leave_interrupts_to_the_study(start, scenario, tmp_path):
     process = start(scenario, tmp_path, 1)
     children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
@@ -193,6 +198,7 @@ def test_workers_leave_interrupts_to_the_study(start, scenario, tmp_path):
     assert 'Traceback' not in stderr
 
 
+@pytest.mark.processes
 def test_a_finished_study_runs_nothing_again(scenario, whole):
     written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
     assert len(written) == TRIALS
@@ -200,6 +206,7 @@ def test_a_finished_study_runs_nothing_again(scenario, whole):
     assert {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')} == written
 
 
+@pytest.mark.processes
 def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, tmp_path):
     out = tmp_path / 'out'
     shutil.copytree(whole, out)
@@ -221,6 +228,7 @@ def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, t
     assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
 
 
+@pytest.mark.processes
 def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     process = start('paper', tmp_path / 'out', 1)
     os.killpg(process.pid, signal.SIGINT)
@@ -254,6 +262,7 @@ def test_what_cannot_be_is_one_error_before_any_work(
     assert not list(tmp_path.glob('out/trials/*'))
 
 
+@pytest.mark.processes
 def test_a_scheduler_that_is_none_is_one_error_before_any_work(scenario, tmp_path):
     pytest.importorskip('distributed')
     options = ['--backend', 'dask', '--scheduler', 'magic://here']
@@ -270,6 +279,7 @@ def test_a_missing_section_is_one_error(capsys, tmp_path):
     assert re.fullmatch('study: .*mine.yaml: sensor is missing.*\n', said), said
 
 
+@pytest.mark.processes
 def test_a_folder_with_another_scenarios_results_is_one_error(capsys, tmp_path, whole):
     before = {path: path.stat().st_mtime_ns for path in whole.rglob('*')}
     assert re.fullmatch(
@@ -279,6 +289,7 @@ def test_a_folder_with_another_scenarios_results_is_one_error(capsys, tmp_path, 
     assert {path: path.stat().st_mtime_ns for path in whole.rglob('*')} == before
 
 
+@pytest.mark.processes
 def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2

@@ -7,16 +7,19 @@ from kbnitp_ros.testing import check_allocation, check_method, check_planner
 import pytest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', METHODS)
 def test_methods_keep_their_laws(method):
     check_method(method, cases=40 if FULL else 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('planner', PLANNERS)
 def test_planners_keep_their_laws(planner):
     check_planner(planner, cases=500 if FULL else 40)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('allocation', ALLOCATIONS)
 def test_allocations_keep_their_laws(allocation):
     check_allocation(allocation, cases=250 if FULL else 25)

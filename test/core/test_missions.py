@@ -1,34 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole missions without ROS: plan, deploy, learn, again."""
 
+from itertools import product
+
 from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
     Estimator,
     Grid,
+    Learning,
     METHODS,
     plan,
-    plan_team,
     PLANNERS,
     run_mission,
+    SearchOptions,
     SensorModel,
+    Team,
+    Truth,
     Unknowns,
     update,
     World,
 )
+from laws import for_each
 import numpy as np
 import pytest
+from rounds import plan_round
 
 GRID = Grid(5, 5, base=12, blocked=(3,))
 MODEL = SensorModel(0.5)
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
+OPTIONS = SearchOptions(max_steps=8)
 
 
 def fly(seed, robots=12, **options):
     rng = np.random.default_rng(seed)
     world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
-    options = {'max_steps': 8, **options}
-    return world, run_mission(GRID, PRIOR, MODEL, world, robots, rng, **options)
+    method, truth = options.pop('method', 'kappa_bnitp'), options.pop('truth', None)
+    team = Team(
+        **{name: options.pop(name) for name in ('agents', 'allocation') if name in options}
+    )
+    search = SearchOptions(**{'max_steps': 8, **options})
+    made = run_mission(
+        GRID, PRIOR, MODEL, world, robots, rng, method, search, team=team, truth=truth
+    )
+    return world, made
 
 
 def trace(deployments):
@@ -45,15 +60,15 @@ def trace(deployments):
     ]
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
-@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.slow
+@for_each('planner, method', product(PLANNERS, METHODS))
 def test_the_same_seed_is_the_same_mission(method, planner):
     one, same, other = (trace(fly(s, method=method, planner=planner)[1]) for s in (1, 1, 2))
     assert one == same
     assert one != other
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 def test_beliefs_are_the_fold_of_the_observations(method):
     _, deployments = fly(3, method=method)
     assert {d.observation.survived for d in deployments} == {True, False}
@@ -86,7 +101,7 @@ def test_a_longer_mission_begins_as_the_shorter():
 
 def test_the_world_may_have_other_sensors_than_the_robots_believe():
     deadly = SensorModel(1.0, malfunction=1.0)
-    _, deployments = fly(6, robots=5, world_model=deadly)
+    _, deployments = fly(6, robots=5, truth=Truth(deadly))
     assert not any(d.observation.survived for d in deployments)
     belief = PRIOR
     for d in deployments:
@@ -99,34 +114,41 @@ def test_a_mission_learns():
     rng = np.random.default_rng(7)
     model = SensorModel(0.3)
     world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
-    after = run_mission(GRID, PRIOR, model, world, 60, rng, max_steps=8)[-1].belief
+    after = run_mission(GRID, PRIOR, model, world, 60, rng, options=OPTIONS)[-1].belief
     assert after.entropy() < 0.5 * PRIOR.entropy()
     reachable = np.delete(np.arange(25), 3)
     assert ((after.target > 0.5) == world.target)[reachable].mean() > 0.9
+
+
+def test_the_rng_may_be_a_seed():
+    world = fly(4, robots=0)[0]
+    one, other = (
+        run_mission(GRID, PRIOR, MODEL, world, 2, rng, options=OPTIONS)
+        for rng in (4, np.random.default_rng(4))
+    )
+    assert trace(one) == trace(other)
 
 
 def test_no_robots_no_deployments():
     assert fly(8, robots=0)[1] == []
 
 
-@pytest.mark.parametrize('allocation', ALLOCATIONS)
-@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
+@for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
 def test_teams_of_one_are_robots_one_by_one(method, allocation):
     alone = fly(9, method=method)[1]
     teams = fly(9, method=method, agents=1, allocation=allocation, loss_cost=0.0)[1]
     assert trace(teams) == trace(alone)
 
 
-@pytest.mark.parametrize('allocation', ALLOCATIONS)
-@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
+@for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
 def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
-    options = {'agents': 3, 'allocation': allocation, 'loss_cost': 0.2}
-    world, deployments = fly(10, robots=8, method=method, **options)
+    options = {'allocation': allocation, 'loss_cost': 0.2}
+    world, deployments = fly(10, robots=8, method=method, agents=3, **options)
     rng = np.random.default_rng(10)
     World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
     estimator, held = Estimator(PRIOR, MODEL, method), iter(deployments)
     for agents in (3, 3, 2):
-        team = plan_team(GRID, estimator.belief, MODEL, 8, **{**options, 'agents': agents})
+        team = plan_round(GRID, estimator.belief, MODEL, 8, agents, **options)
         for planned in team.plans:
             deployment = next(held)
             assert deployment.plan.path.tolist() == planned.path.tolist()
@@ -137,7 +159,7 @@ def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
     assert next(held, None) is None
 
 
-@pytest.mark.parametrize(
+@for_each(
     'options, message',
     [
         ({'robots': -1}, 'robots is -1.*at least 0'),
@@ -145,7 +167,7 @@ def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
         ({'method': 'magic'}, 'method.*magic.*kappa_bnitp'),
         ({'planner': 'magic'}, 'planner.*magic.*beam'),
         ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-        ({'agents': 0}, 'agents is 0.*from 1 to 24'),
+        ({'agents': 0}, 'agents is 0.*at least 1'),
         ({'agents': 25, 'robots': 3}, 'agents is 25.*24.*free cell'),
         ({'allocation': 'auction'}, 'allocation.*auction.*voronoi'),
         ({'loss_cost': -2.0}, 'loss_cost is -2.0.*at least 0'),
@@ -159,7 +181,7 @@ def test_bad_missions_are_refused(options, message):
 def test_a_world_of_another_grid_is_refused():
     small = World(np.zeros(4, bool), np.zeros(4, bool))
     with pytest.raises(ValueError, match='world.*4 cells.*5 x 5'):
-        run_mission(GRID, PRIOR, MODEL, small, 3, np.random.default_rng(0), max_steps=8)
+        run_mission(GRID, PRIOR, MODEL, small, 3, 0)
 
 
 def test_robots_are_planned_with_what_is_learnt():
@@ -176,10 +198,9 @@ def test_robots_are_planned_with_what_is_learnt():
         15,
         rng,
         'kappa_bnitp_sampled',
-        max_steps=8,
-        world_model=SensorModel(0.9),
-        unknowns=unknowns,
-        seed=3,
+        OPTIONS,
+        truth=Truth(SensorModel(0.9)),
+        learning=Learning(unknowns, seed=3),
     )
     estimator = Estimator(PRIOR, told, 'kappa_bnitp_sampled', unknowns, seed=3)
     for deployment in mission:

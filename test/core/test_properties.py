@@ -119,6 +119,7 @@ def test_a_loss_never_makes_a_hazard_less_likely(belief, model, observation):
     assert (after.hazard >= belief.hazard - 1e-12).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', METHODS)
 @thorough
 @given(belief=beliefs(), model=models, observation=observations(survived=False))
@@ -152,6 +153,7 @@ def test_a_positive_reading_never_makes_a_target_less_likely_than_a_negative(
     assert positive.target[cell] >= negative.target[cell] - 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', METHODS)
 @thorough
 @given(

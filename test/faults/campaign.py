@@ -3,7 +3,7 @@
 Run missions under random faults and count what was done to them and what they lost.
 
     python3 test/faults/campaign.py --missions 200 --seed 1
-    python3 test/faults/campaign.py --forged --missions 20 --seed 1
+    python3 test/faults/campaign.py --forged --missions 100 --seed 1
 
 With `--forged` nobody is struck; each mission is sent forged messages of every kind instead, and
 floods of them.
@@ -153,12 +153,14 @@ def run_forged_missions(missions: int, seed: int, folder: Path) -> int:
     """Run missions that all forgeries come to, say what became of them; return 1 if any fails."""
     undisturbed = run_forged(folder / 'undisturbed', ())
     outcomes = []
-    for number in tqdm(range(seed, seed + missions), unit='mission', disable=None):
+    failed = []
+    for number in tqdm(range(seed, seed + missions), unit='mission'):
         outcome = run_forged(folder / f'forged-{number}', FORGERIES, seed=number)
         outcome.compare_memory(undisturbed)
         outcomes.append(outcome)
         if outcome.findings:
-            print(f'--forged --missions 1 --seed {number}: {outcome}')
+            failed.append(number)
+            tqdm.write(f'--forged --missions 1 --seed {number}: {outcome}')
     print('| node | refused | at least | most memory | undisturbed |')
     print('|---|---|---|---|---|')
     for node in NODES:
@@ -168,8 +170,9 @@ def run_forged_missions(missions: int, seed: int, folder: Path) -> int:
         memory = max(outcome.memory.get(name, 0.0) for outcome in outcomes)
         before = undisturbed.memory[name]
         print(f'| {node} | {refused} | {required} | {memory:.0f} MB | {before:.0f} MB |')
-    failed = sum(bool(outcome.findings) for outcome in outcomes)
-    print(f'\n{missions} missions, of which {failed} did not end as they must.')
+    print(f'\n{missions} missions, of which {len(failed)} did not end as they must.')
+    if failed:
+        print(f'Seeds of these: {", ".join(map(str, failed))}.')
     return 1 if failed else 0
 
 

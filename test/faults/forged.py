@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import os
 
 from forger import Forger
+from kbnitp_ros.bag import read_log
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.log.bag import read_log
 from kbnitp_ros.log.replay import BELIEF, replay
 from mission import full_name, Mission, NAMESPACE, StuckError
 import numpy as np

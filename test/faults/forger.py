@@ -4,23 +4,30 @@
 from __future__ import annotations
 
 from copy import deepcopy
+import os
 import time
 
+from bare_dds import BareParticipant, HOSTILE
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded, TargetReading
+from kbnitp_msgs.srv import GiveUp
+from kbnitp_ros.configuration import grid_of, parameter_of
 from kbnitp_ros.core import Observation
 from kbnitp_ros.messages.deployments import path_message, report_message
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import grid_of
+from kbnitp_ros.messages.missions import mission_of_belief
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 from onlooker import AGENT
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from schedule import NODES
+from std_srvs.srv import SetBool
 from unbroken import with_defaults
 from visualization_msgs.msg import Marker
 
@@ -31,8 +38,47 @@ END = Time(sec=2**31 - 1, nanosec=999_999_999)
 # How long the missions are flooded with bad paths, in seconds.
 FLOOD = 20.0
 
+# What no subscription of the mission to evidence is compatible with.
+INCOMPATIBLE = (
+    QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE),
+    QoSProfile(
+        depth=10,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    ),
+)
+
+# The topics that bytes are sent on.
+TOPICS = {
+    f'{AGENT}/path': (Path, qos.EVIDENCE),
+    f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
+    f'{AGENT}/recorded': (Recorded, qos.EVIDENCE),
+    f'{AGENT}/readings': (Marker, qos.LATCHED),
+    'belief': (BeliefMaps, qos.LATCHED),
+    'belief/hazard': (OccupancyGrid, qos.LATCHED),
+    'belief/target': (OccupancyGrid, qos.LATCHED),
+    'belief/kappa': (OccupancyGrid, qos.LATCHED),
+    '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
+}
+
 # The methods that are kinds of forgery.
-FORGERIES = ('late', 'unfitting', 'beliefs', 'parameters', 'large', 'flood', 'bag', 'random')
+FORGERIES = (
+    'late',
+    'unfitting',
+    'beliefs',
+    'parameters',
+    'large',
+    'flood',
+    'at_once',
+    'incompatible',
+    'garbage',
+    'bag',
+    'random',
+    'maps_and_clocks',
+    'services',
+    'second_recorder',
+    'topics',
+)
 
 
 class Forger:
@@ -59,9 +105,12 @@ class Forger:
         self._mission = mission
         self._node = mission.node
         self._namespace = namespace
+        self._parameters = parameters
+        self._robots = parameters['robots']
         self._grid = grid_of(with_defaults(parameters))
         self._rng = rng
         self._publishers = {}
+        self._made = []
 
     def _publisher(self, kind, topic, profile=qos.EVIDENCE):
         if topic not in self._publishers:
@@ -70,6 +119,14 @@ class Forger:
             self._publishers[topic] = publisher
             self._mission.wait(1.0)
         return self._publishers[topic]
+
+    def _publish_at_once(self, kind, topic, profile, messages):
+        """Publish as soon as the publisher is made, which stays."""
+        name = topic if topic.startswith('/') else f'{self._namespace}/{topic}'
+        publisher = self._node.create_publisher(kind, name, profile)
+        for message in messages:
+            publisher.publish(message)
+        self._made.append(publisher)
 
     def _evidence(self):
         """Return the publishers of forged paths, reports and beliefs."""
@@ -98,7 +155,7 @@ class Forger:
         named.deployment = END
         reports.publish(told)
         reports.publish(named)
-        return {'team': 1, 'recorder': 1, 'estimator': 3, 'planner': 2}
+        return {'agent': 1, 'recorder': 1, 'estimator': 3, 'planner': 2}
 
     def _lost(self):
         key, cells = self._newest()
@@ -157,7 +214,111 @@ class Forger:
             ahead = number * FLOOD / 12_000 - (time.monotonic() - begun)
             if ahead > 0:
                 self._mission.wait(ahead)
-        return {'team': count, 'estimator': count}
+        return {'agent': count, 'estimator': count}
+
+    def at_once(self, scale):
+        """
+        Send with each publisher as soon as it is made, before anybody counts it.
+
+        A belief in all robots, another path of the newest stamp, and 5,200 acknowledgements.
+        """
+        belief = deepcopy(self._mission.onlooker.belief)
+        mission = mission_of_belief(belief)
+        belief.deployments = self._robots
+        key, _ = self._newest()
+        other = path_message(self._grid, [0, 1, 0], key.stamp, mission)
+        acknowledgements = (Recorded(stamp=to_stamp(n + 1)) for n in range(round(5200 * scale)))
+        made = []
+        for kind, topic, profile, messages in (
+            (BeliefMaps, 'belief', qos.LATCHED, [belief]),
+            (Path, f'{AGENT}/path', qos.EVIDENCE, [other]),
+            (Recorded, f'{AGENT}/recorded', qos.EVIDENCE, acknowledgements),
+        ):
+            made.append(self._node.create_publisher(kind, f'{self._namespace}/{topic}', profile))
+            for message in messages:
+                made[-1].publish(message)
+        self._mission.wait(2.0)
+        for publisher in made:
+            self._node.destroy_publisher(publisher)
+        return {'planner': 1, 'recorder': 2}
+
+    def incompatible(self, scale):
+        """Send with volatile and best-effort publishers what would count if it were heard."""
+        key, _ = self._newest()
+        belief = deepcopy(self._mission.onlooker.belief)
+        path = path_message(self._grid, [0, 1, 0], key.stamp, mission_of_belief(belief))
+        belief.deployments = self._robots
+        report = report_message(*self._lost())
+        for profile in INCOMPATIBLE:
+            self._publish_at_once(Path, f'{AGENT}/path', profile, [path])
+            self._publish_at_once(DeploymentReport, f'{AGENT}/report', profile, [report])
+            self._publish_at_once(BeliefMaps, 'belief', profile, [belief])
+        # Of each topic and each profile.
+        return {'recorder': 6}
+
+    def garbage(self, scale):
+        """Send 100 messages of bytes drawn at random on each topic, at once."""
+        count = round(100 * scale)
+        for topic, (kind, profile) in TOPICS.items():
+            drawn = [self._rng.bytes(self._rng.integers(4, 200)) for _ in range(count)]
+            self._publish_at_once(kind, topic, profile, drawn)
+        return {'agent': count, 'estimator': 2 * count, 'planner': count, 'recorder': 2 * count}
+
+    def maps_and_clocks(self, scale):
+        """Send a map of another size and clocks that have no time of the mission."""
+        field = OccupancyGrid(data=[100] * 10_000)
+        field.info.width = field.info.height = 100
+        field.info.resolution = 1.0
+        for topic in ('/map', 'map'):
+            self._publish_at_once(OccupancyGrid, topic, qos.LATCHED, [field])
+        times = [END, Time(), Time(sec=-(2**31))]
+        clocks = [Clock(clock=each) for each in times * round(100 * scale)]
+        self._publish_at_once(Clock, '/clock', qos.DIAGNOSTICS, clocks)
+        return {}
+
+    def services(self, scale):
+        """Call the services of the operator 300 times with what they must refuse."""
+        absurd = (
+            (GiveUp, 'give_up', {'agent': 'x' * 10**6}),
+            (GiveUp, 'give_up', {'agent': AGENT, 'steps_survived': 2**32 - 1}),
+            (SetBool, 'approve', {'data': True}),
+        )
+        clients = []
+        for kind, name, _ in absurd:
+            clients.append(self._node.create_client(kind, f'{self._namespace}/{name}'))
+            self._mission.until(clients[-1].service_is_ready, name)
+        # No more at a time: a service keeps ten requests that wait to be read.
+        for _ in range(round(20 * scale)):
+            calls = [
+                client.call_async(kind.Request(**request))
+                for client, (kind, _, request) in zip(clients * 5, absurd * 5)
+            ]
+            self._mission.until(lambda calls=calls: all(each.done() for each in calls), 'answers')
+        return {}
+
+    def second_recorder(self, scale):
+        """Start a second recorder, which must end because of the first."""
+        log = self._mission.log.parent / 'second.mcap'
+        process = self._mission.start_stranger('recorder', {'file': str(log)})
+        self._mission.until(lambda: process.poll() == 2, 'refusal of a second recorder')
+        return {}
+
+    def second_planner(self, scale):
+        """Start a second planner, whose paths count where they are on disk first."""
+        parameters = self._parameters | {'planner': 'beam', 'recorded': True}
+        own = {name: parameters[name] for name in parameters if parameter_of('planner', name)}
+        self._mission.start_stranger('planner', own)
+        name = f'{self._namespace}/second_planner'
+        self._mission.until(lambda: name in self._mission.onlooker.states, name)
+        return {'planner': 1}
+
+    def topics(self, scale):
+        """Announce 1,000 topics of a type that is not installed, and some of hostile types."""
+        self._stranger = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+        types = [*HOSTILE, *('strangers::msg::dds_::Unknown_',) * round(1000 * scale)]
+        for number, type_name in enumerate(types):
+            self._stranger.announce(f'rt{self._namespace}/stranger_{number}', type_name)
+        return {'recorder': len(types)}
 
     def parameters(self, scale):
         """Send what no parameter is, and what no node is called."""
@@ -172,7 +333,7 @@ class Forger:
             request.parameters = [Parameter(name='robots', value=ParameterValue(type=77))]
             client.call_async(request)
         self._answer_badly()
-        return {'team': 1, 'recorder': 3, 'estimator': 1, 'planner': 1}
+        return {'agent': 1, 'recorder': 3, 'estimator': 1, 'planner': 1}
 
     def _answer_badly(self):
         """Be a node of the mission that gives its parameters a type of which there is none."""
@@ -211,33 +372,22 @@ class Forger:
             paths.publish(path_message(self._grid, cells, stamp, begun))
             reports.publish(report_message(old, Observation(cells, False), stamp))
             belief = deepcopy(self._mission.onlooker.belief)
-            belief.info.map_load_time = to_stamp(begun)
+            belief.mission = to_stamp(begun)
             belief.deployments, belief.deployment = number, to_stamp(stamp)
             beliefs.publish(belief)
             self._mission.wait(0.02)
         count = len(numbers)
-        return {'team': count, 'estimator': count, 'planner': 1, 'recorder': count + 1}
+        return {'agent': count, 'estimator': count, 'planner': 1, 'recorder': count + 1}
 
     def random(self, scale):
         """Send 1,000 messages on each topic: bytes drawn at random, and true ones changed."""
-        topics = {
-            f'{AGENT}/path': (Path, qos.EVIDENCE),
-            f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
-            f'{AGENT}/recorded': (Time, qos.EVIDENCE),
-            f'{AGENT}/readings': (Marker, qos.LATCHED),
-            'belief': (BeliefMaps, qos.LATCHED),
-            'belief/hazard': (OccupancyGrid, qos.LATCHED),
-            'belief/target': (OccupancyGrid, qos.LATCHED),
-            'belief/kappa': (OccupancyGrid, qos.LATCHED),
-            '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
-        }
-        publishers = [self._publisher(kind, name, how) for name, (kind, how) in topics.items()]
+        publishers = [self._publisher(kind, name, how) for name, (kind, how) in TOPICS.items()]
         count = round(1000 * scale)
         for _ in range(count):
-            for publisher, (kind, _) in zip(publishers, topics.values()):
+            for publisher, (kind, _) in zip(publishers, TOPICS.values()):
                 publisher.publish(self._scrambled(kind))
             self._mission.wait(0.001)
-        return {'team': count, 'estimator': 2 * count, 'planner': count, 'recorder': 2 * count}
+        return {'agent': count, 'estimator': 2 * count, 'planner': count, 'recorder': 2 * count}
 
     def _scrambled(self, kind):
         """Return bytes that are drawn at random, or those of a message with some changed."""

@@ -9,12 +9,12 @@ from pathlib import Path
 import signal
 import time
 
+from kbnitp_ros.bag.reader import LogError, read_log
 from kbnitp_ros.cli.processes import Processes
-from kbnitp_ros.log.bag.reader import LogError, read_log
+from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
 from kbnitp_ros.log.evidence import PATH, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import key_of_path
-from kbnitp_ros.nodes.parameters import parameter_of, ROS_PARAMETERS
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
@@ -32,8 +32,8 @@ NAMESPACE = '/mission'
 AWAITED = {
     'recorder': [],
     'estimator': ['planner', 'recorder'],
-    'team': ['planner', 'estimator', 'recorder'],
-    'planner': ['team', 'estimator', 'recorder'],
+    'agent': ['planner', 'estimator', 'recorder'],
+    'planner': ['agent', 'estimator', 'recorder'],
 }
 
 
@@ -81,6 +81,7 @@ class Mission:
             self._executor = SingleThreadedExecutor(context=context)
             self._executor.add_node(self.node)
             self.processes = stack.enter_context(Processes(domain))
+            self._strangers = stack.enter_context(Processes(domain))
             self._stack = stack.pop_all()
 
     def __enter__(self):
@@ -111,6 +112,17 @@ class Mission:
                     remaps=self._remaps.get(name),
                     output=output,
                 )
+
+    def start_stranger(self, name, parameters):
+        """Start a second node of a kind in the namespace, and return its process."""
+        with (self._folder / f'second_{name}.txt').open('ab') as output:
+            return self._strangers.start(
+                name,
+                parameters,
+                namespace=NAMESPACE,
+                remaps={'__node': f'second_{name}'},
+                output=output,
+            )
 
     def said(self, name):
         """Return what a node wrote to its terminal, in all its lives."""

@@ -7,13 +7,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Report
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 
 # The agent of a mission whose parameters name none.
@@ -74,7 +73,7 @@ class Onlooker:
             for kind, topic, callback in (
                 (Path, 'path', partial(self._on_path, agent)),
                 (DeploymentReport, 'report', self._on_report),
-                (Time, 'recorded', partial(self._on_recorded, agent)),
+                (Recorded, 'recorded', partial(self._on_recorded, agent)),
             ):
                 node.create_subscription(
                     kind, f'{namespace}/{agent}/{topic}', callback, qos.EVIDENCE
@@ -95,7 +94,7 @@ class Onlooker:
             self.evidence.take_report(message)
 
     def _on_recorded(self, agent, message):
-        self.recorded.add(DeploymentKey(agent, from_stamp(message)))
+        self.recorded.add(DeploymentKey(agent, from_stamp(message.stamp)))
 
     def _on_belief(self, message):
         self.belief = message

@@ -20,7 +20,7 @@ import sys
 import time
 
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import numpy as np
 from onlooker import AGENT

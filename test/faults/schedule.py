@@ -8,7 +8,7 @@ from signal import SIGKILL, Signals, SIGSTOP
 
 import numpy as np
 
-NODES = ('recorder', 'estimator', 'team', 'planner')
+NODES = ('recorder', 'estimator', 'agent', 'planner')
 
 # How many nodes each kind of fault strikes.
 STRUCK = {'kill': 1, 'stop': 1, 'two': 2, 'all': len(NODES)}

@@ -7,7 +7,10 @@ from collections import Counter
 
 from campaign import run_missions
 from extent import FULL
+import pytest
 from schedule import NODES, STRUCK
+
+pytestmark = pytest.mark.processes
 
 # Seeds of missions with faults of all kinds, of one agent and of four.
 EVERY_KIND = (9, 22)

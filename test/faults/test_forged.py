@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from campaign import run_forged_missions
 from forged import run_forged
 from forger import FORGERIES
 import pytest
+
+pytestmark = pytest.mark.processes
 
 # Of the messages of the campaign: its flood alone takes 20 s.
 SCALE = 0.1
@@ -18,7 +21,14 @@ def undisturbed(tmp_path_factory):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', FORGERIES)
+@pytest.mark.parametrize(
+    'kind',
+    [
+        # A mission into which an old bag is played alone may wait for minutes.
+        pytest.param(kind, marks=[pytest.mark.campaign] if kind == 'bag' else [])
+        for kind in FORGERIES
+    ],
+)
 def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, kind):
     outcome = run_forged(tmp_path, [kind], SCALE)
     outcome.compare_memory(undisturbed)
@@ -26,6 +36,21 @@ def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, ki
 
 
 def test_a_mission_survives_all_of_it(tmp_path, undisturbed):
-    outcome = run_forged(tmp_path, FORGERIES, SCALE, seed=2)
+    # The discovery of a thousand topics takes the two cores from the mission for minutes.
+    kinds = [kind for kind in FORGERIES if kind != 'topics']
+    outcome = run_forged(tmp_path, kinds, SCALE, seed=2)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
+
+
+@pytest.mark.full
+def test_with_a_second_planner_the_belief_is_that_of_the_log(tmp_path):
+    outcome = run_forged(tmp_path, ['second_planner'])
+    # Not that of core, which has one planner.
+    assert {kind for kind, _ in outcome.findings} <= {'belief'}, outcome
+
+
+@pytest.mark.full
+@pytest.mark.campaign
+def test_a_hundred_missions_survive_all_of_it(tmp_path):
+    assert run_forged_missions(100, 1, tmp_path) == 0

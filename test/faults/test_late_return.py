@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from extent import some
 from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import report_message
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import grid_of
+from kbnitp_ros.nodes.runtime import qos
 from mission import NAMESPACE
 import numpy as np
 from onlooker import AGENT

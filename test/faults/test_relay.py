@@ -56,8 +56,8 @@ def test_an_estimator_behind_a_relay(set_out, method, learn):
     mission = set_out(
         parameters,
         awaited={
-            'planner': ['team', 'recorder', 'relay'],
-            'team': ['planner', 'recorder', 'relay'],
+            'planner': ['agent', 'recorder', 'relay'],
+            'agent': ['planner', 'recorder', 'relay'],
         },
         remaps={'estimator': renamed(TOPICS, '/late')},
     )
@@ -85,10 +85,10 @@ def test_an_estimator_behind_a_relay(set_out, method, learn):
 def test_everybody_behind_a_relay(set_out):
     mission = set_out(
         PARAMETERS,
-        awaited={'planner': ['relay'], 'team': ['relay']},
+        awaited={'planner': ['relay'], 'agent': ['relay']},
         remaps={
             'planner': renamed(['path'], '/early'),
-            'team': renamed(['report'], '/early'),
+            'agent': renamed(['report'], '/early'),
         },
     )
     reports = mission.onlooker.evidence.reports

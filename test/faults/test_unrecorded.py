@@ -27,7 +27,7 @@ def test_a_path_that_only_the_agent_remembers_is_not_taken(set_out):
         return {each.node_name for each in mission.node.get_subscriptions_info_by_topic(topic)}
 
     mission.until(
-        lambda: mission.onlooker.held == 0 and readers() >= {'team', 'recorder'}, 'prior'
+        lambda: mission.onlooker.held == 0 and readers() >= {'agent', 'recorder'}, 'prior'
     )
     mission.halt('recorder')
     mission.until(lambda: mission.onlooker.evidence.paths, 'path')

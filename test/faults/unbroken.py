@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core import METHODS, Observation, run_mission, World
-from kbnitp_ros.nodes.parameters import (
-    conduct_of,
+from kbnitp_ros.configuration import (
     estimator_of,
+    execution_of,
     grid_of,
-    kinds_of,
+    robot_types_of,
+    search_options,
     sensor_model_of,
     TABLE,
     unknowns_of,
 )
+from kbnitp_ros.core import Learning, METHODS, Observation, run_mission, Team, Truth, World
 import numpy as np
 
 
@@ -76,19 +77,12 @@ def core_mission(parameters):
         values['robots'],
         rng,
         values['method'],
-        max_steps=values['max_steps'],
-        planner=values['planner'],
-        width=values['beam_width'],
-        max_visits=values['max_visits'],
-        agents=len(values['agents']),
-        allocation=values['allocation'],
-        loss_cost=values['loss_cost'],
-        unknowns=unknowns_of(values),
-        seed=values['seed'],
-        conduct=conduct_of(values),
-        kinds=list(kinds_of(values).values()),
-        objective=values['objective'],
-        alpha=values['alpha'],
+        search_options(values),
+        team=Team(
+            len(values['agents']), values['allocation'], tuple(robot_types_of(values).values())
+        ),
+        truth=Truth(execution=execution_of(values)),
+        learning=Learning(unknowns_of(values), values['seed']),
     )
 
 
@@ -106,5 +100,5 @@ def folded(parameters, evidence):
             walk = [grid.base, *steps]
         known = report.steps_survived
         observation = Observation(walk, report.survived, readings, known)
-        estimator.assimilate(observation, kinds_of(values)[key.agent])
+        estimator.assimilate(observation, robot_types_of(values)[key.agent])
     return estimator.belief

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.files import NotYamlError, parse_yaml, read_yaml
 from kbnitp_ros.files.yaml_text import DEEPEST, LONGEST, MOST_BYTES, MOST_VALUES
+from laws import for_each
 import pytest
 import yaml
 
@@ -39,12 +40,13 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @given(contents)
 def test_what_pyyaml_writes_is_read_back(content):
     assert parse_yaml(yaml.safe_dump(content)) == content
 
 
-@pytest.mark.parametrize('path', sorted(ROOT.glob('*/*.yaml')), ids=lambda path: path.name)
+@for_each('path', sorted(ROOT.glob('*/*.yaml')))
 def test_every_file_of_the_project_is_read_as_by_pyyaml(path):
     assert read_yaml(path) == yaml.safe_load(path.read_text())
 
@@ -54,7 +56,7 @@ def test_aliases_and_merges_mean_what_they_mean():
     assert parse_yaml(text) == {'base': {'a': 1, 'b': [2]}, 'mine': {'a': 2, 'b': [2]}}
 
 
-@pytest.mark.parametrize(
+@for_each(
     'text, complaint',
     [
         ('a: 1\nb: 2\na: 3\n', "the key 'a' stands in line 3 and in line 1"),
@@ -74,7 +76,7 @@ def test_a_key_may_stand_in_several_mappings():
     assert parse_yaml('[{a: {a: 1}, b: 1}, {a: a}]') == [{'a': {'a': 1}, 'b': 1}, {'a': 'a'}]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'text',
     [
         'a: [1, 2',
@@ -100,6 +102,7 @@ def test_what_is_not_yaml_is_refused_in_one_sentence(text):
     assert '\n' not in str(refusal.value)
 
 
+@pytest.mark.slow
 def test_what_is_just_within_bounds_is_read():
     assert len(parse_yaml('- 1\n' * (MOST_VALUES - 1))) == MOST_VALUES - 1
     assert parse_yaml('[' * (DEEPEST - 1) + ']' * (DEEPEST - 1)) is not None
@@ -107,6 +110,7 @@ def test_what_is_just_within_bounds_is_read():
     assert parse_yaml(f'"{"1" * 20 * LONGEST}"') == '1' * 20 * LONGEST
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('kind', HOSTILE)
 def test_a_hostile_file_is_refused_in_little_time_and_memory(kind, tmp_path):
     text, complaint = HOSTILE[kind]
@@ -115,6 +119,7 @@ def test_a_hostile_file_is_refused_in_little_time_and_memory(kind, tmp_path):
     check_refused(path, complaint)
 
 
+@pytest.mark.processes
 def test_a_file_without_an_end_is_refused(tmp_path):
     path = tmp_path / 'large.yaml'
     with path.open('wb') as file:

@@ -13,7 +13,7 @@ import sys
 import time
 
 from fleet import FIELD, GRID, SIMULATOR, TARGETS
-from kbnitp_ros.log.bag.reader import LogError, read_log
+from kbnitp_ros.bag.reader import LogError, read_log
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.messages.headers import from_stamp
 import pytest

@@ -14,12 +14,12 @@ import sys
 import time
 
 from action_msgs.srv import CancelGoal
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report
-from kbnitp_ros.messages.headers import from_stamp, to_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import String
 
@@ -186,10 +186,10 @@ class Fleet:
     def send(self, number, cells, name='scout_1'):
         """Send a robot along a path that is on disk."""
         key = self.key(number, name)
-        self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(
-            path_message(GRID, cells, key.stamp, 5)
-        )
-        self._talker(Time, f'/{name}/recorded', qos.EVIDENCE).publish(to_stamp(key.stamp))
+        path = path_message(GRID, cells, key.stamp, 5)
+        self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(path)
+        recorded = Recorded(stamp=path.header.stamp, content=content_hash(path))
+        self._talker(Recorded, f'/{name}/recorded', qos.EVIDENCE).publish(recorded)
         return key
 
     def _talker(self, kind, topic, profile):

@@ -7,25 +7,31 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from kbnitp_ros.bag.schema import qos_profiles_yaml
+from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
+    AS_ORDERED,
     Belief,
     DeploymentKey,
     Estimator,
     Grid,
+    Learning,
     Ledger,
-    OBEDIENT,
     run_mission,
+    SearchOptions,
     SensorModel,
+    Truth,
     Unknowns,
     World,
 )
-from kbnitp_ros.log.bag.schema import qos_profiles_yaml
-from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.missions import NOT_TOLD
 from kbnitp_ros.messages.models import model_belief
+from kbnitp_ros.nodes.assimilated import NewEvidence
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -73,7 +79,6 @@ class Mission:
         method='kappa_bnitp',
         namespace='',
         grid=GRID,
-        version=None,
         unknowns=KNOWN,
         method_seed=0,
     ):
@@ -81,7 +86,6 @@ class Mission:
         self.grid = grid
         self.namespace = namespace
         self.method = method
-        self.version = version
         self.unknowns = unknowns
         self.method_seed = method_seed
         self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
@@ -90,14 +94,8 @@ class Mission:
 
     def start_estimator(self):
         """Publish the prior, as an estimator does when it is started."""
-        estimator = Estimator(
-            self.prior,
-            MODEL,
-            self.method,
-            self.unknowns,
-            self.method_seed,
-            version=self.version,
-        )
+        self.new = NewEvidence()
+        estimator = Estimator(self.prior, MODEL, self.method, self.unknowns, self.method_seed)
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
         self.started = self.now
         self.publish_belief()
@@ -109,7 +107,7 @@ class Mission:
 
     def publish_belief(self):
         """Send the belief and its views."""
-        belief = belief_maps(self.ledger, self.started)
+        belief = belief_maps(self.ledger, self.started, NOT_TOLD, *self.new.take(self.ledger))
         self.publish('belief', belief)
         stamp = from_stamp(belief.header.stamp)
         for name in ('hazard', 'target', 'kappa'):
@@ -127,13 +125,25 @@ class Mission:
     def come_back(self, key, observation):
         """Report how a deployment ended."""
         self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
-        return read_report(self.sent[-1].message)
+        key, report = read_report(self.sent[-1].message)
+        return key, replace(report, content=content_hash(self.sent[-1].message))
 
     def assimilate(self, path, key, report):
-        """Let the estimator take in a deployment."""
-        self.ledger.record_path(key, path)
-        assert self.ledger.record_report(key, report)
-        self.publish_belief()
+        """Let the estimator assimilate a deployment."""
+        self.hear_path(key, path)
+        assert self.hear_report(key, report)
+
+    def hear_path(self, key, path):
+        """Let the estimator hear a path."""
+        content = content_hash(path_message(self.grid, path, key.stamp))
+        self.ledger.record_path(key, path, content)
+
+    def hear_report(self, key, report):
+        """Let the estimator hear a report; return whether it says something new."""
+        if changed := self.ledger.record_report(key, report):
+            self.new.add(key)
+            self.publish_belief()
+        return changed
 
     def deploy(self, observation, agent='scout_1', orders=None):
         """Do all of it; a robot without orders of its own is sent the way that it goes."""
@@ -150,7 +160,7 @@ def observations(
     grid=GRID,
     unknowns=KNOWN,
     method_seed=0,
-    conduct=OBEDIENT,
+    conduct=AS_ORDERED,
 ):
     """Return the deployments of a mission in the core."""
     rng = np.random.default_rng(seed)
@@ -163,14 +173,13 @@ def observations(
         robots,
         rng,
         method,
-        max_steps=MAX_STEPS,
-        unknowns=unknowns,
-        seed=method_seed,
-        conduct=conduct,
+        SearchOptions(max_steps=MAX_STEPS),
+        truth=Truth(execution=conduct),
+        learning=Learning(unknowns, method_seed),
     )
 
 
-def mission(robots=8, conduct=OBEDIENT, **options):
+def mission(robots=8, conduct=AS_ORDERED, **options):
     """Return a whole mission, one robot after another."""
     whole = Mission(**options)
     known = ('method', 'grid', 'unknowns', 'method_seed')

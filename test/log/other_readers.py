@@ -9,11 +9,11 @@ import subprocess
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from kbnitp_ros.log.bag.mcap_file import read_mcap
-from kbnitp_ros.log.bag.parts import parts_of
-from kbnitp_ros.log.bag.reader import read_recorded
-from kbnitp_ros.log.bag.recorded import RecordedMessage
-from kbnitp_ros.log.bag.schema import describe
+from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.mcap_file import read_mcap
+from kbnitp_ros.bag.reader import read_recorded
+from kbnitp_ros.bag.records import RecordedMessage
+from kbnitp_ros.bag.schema import describe
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mission_log import same

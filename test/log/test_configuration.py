@@ -10,9 +10,9 @@ import re
 import subprocess
 import sys
 
-from kbnitp_ros.log.bag.errors import LogError
-from kbnitp_ros.log.bag.reader import read_metadata
-from kbnitp_ros.log.bag.writer import LogWriter
+from kbnitp_ros.bag.errors import LogError
+from kbnitp_ros.bag.reader import read_metadata
+from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.log.configuration import (
     PARAMETERS,
     parameters_record,
@@ -20,6 +20,7 @@ from kbnitp_ros.log.configuration import (
     RUN,
     run_record,
 )
+from kbnitp_ros.log.environment import numerical_environment
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -27,10 +28,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.processes
 def test_the_run_names_its_versions():
     record = run_record('rmw_fastrtps_cpp')
     assert record['python'] == '.'.join(map(str, sys.version_info[:3]))
     assert record['numpy'] == np.__version__
+    assert set(numerical_environment()) < record.keys()
     assert record['rmw_implementation'] == 'rmw_fastrtps_cpp'
     for package in ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', 'rmw_fastrtps_cpp'):
         assert re.fullmatch(r'\d+\.\d+\.\d+', record[package]), package
@@ -38,10 +41,12 @@ def test_the_run_names_its_versions():
     assert 0 <= since.total_seconds() < 60
 
 
+@pytest.mark.processes
 def test_what_is_not_installed_has_no_version():
     assert run_record('rmw_of_nobody')['rmw_of_nobody'] == 'unknown'
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the source is no checkout')
 def test_the_run_names_the_revision_of_a_checkout():
     command = ['git', 'rev-parse', 'HEAD']
@@ -98,9 +103,9 @@ def test_parameters_are_read_from_an_unfinished_log(tmp_path):
     assert RUN not in read_metadata(log.path)
 
 
-def test_a_damaged_record_is_told(tmp_path):
+def test_a_corrupt_record_is_told(tmp_path):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:
         log.add_metadata(f'{PARAMETERS}/agent', {'seed': 'one'})
-    with pytest.raises(LogError, match="record 'parameters/agent' is damaged"):
+    with pytest.raises(LogError, match="record 'parameters/agent' is corrupt"):
         read_parameters(path)

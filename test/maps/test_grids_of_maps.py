@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The grid of a map keeps robots away from what is occupied."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
-from kbnitp_ros.core import Belief, Conduct, plan, run_mission, SensorModel, World
+from kbnitp_ros.core import (
+    Belief,
+    Execution,
+    plan,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Team,
+    Truth,
+    World,
+)
 from kbnitp_ros.maps import Map, MapError
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -42,8 +53,8 @@ def random_grid(rng, connectivity, unknown_blocks):
             continue
 
 
-@pytest.mark.parametrize('seed', range(200))
-@pytest.mark.parametrize('connectivity', [4, 8])
+@pytest.mark.slow
+@for_each('seed, connectivity', product(range(200), [4, 8]))
 def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     rng = np.random.default_rng(seed)
     unknown_blocks = bool(rng.integers(2))
@@ -57,7 +68,8 @@ def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     assert not (unknown_blocks and (touched == -1).any())
 
 
-@pytest.mark.parametrize('seed', range(200))
+@pytest.mark.slow
+@for_each('seed', range(200))
 def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
     """Neither by its orders nor by the detours that it makes."""
     rng = np.random.default_rng(seed)
@@ -70,10 +82,9 @@ def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
         world,
         4,
         rng,
-        max_steps=14,
-        planner='relaxed',
-        agents=min(2, int(grid.free.sum())),
-        conduct=Conduct(detour=0.3, early_return=0.05),
+        options=SearchOptions('relaxed', max_steps=14),
+        team=Team(min(2, int(grid.free.sum()))),
+        truth=Truth(execution=Execution(detour=0.3, early_return=0.05)),
     )
     for deployment in made:
         for path in (deployment.plan.path, deployment.observation.path):
@@ -102,7 +113,7 @@ def test_a_cell_is_blocked_by_any_of_its_pixels():
     assert field.grid(base_position=(1.1, 2.1)).blocked == {7, 12}
 
 
-@pytest.mark.parametrize('value', [-1, 0, 50, 99, 100])
+@for_each('value', [-1, 0, 50, 99, 100])
 def test_what_is_neither_occupied_nor_unknown_is_free(value):
     data = np.array([[0, value]], dtype=np.int8)
     assert bool(Map(data, 1.0, (0.0, 0.0)).grid().blocked) == (value in (-1, 100))
@@ -132,7 +143,7 @@ def test_a_cell_that_shares_part_of_an_occupied_pixel_is_blocked():
     assert Map(data, 1.0, (0.0, 0.0)).grid(1.5, unknown_blocks=False, base=3).blocked == {0, 1}
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, message',
     [
         ({'resolution': 0.4}, 'grid resolution is 0.4.*0.5'),

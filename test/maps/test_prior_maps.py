@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prior probabilities are the means of what lies under each cell."""
 
+import struct
+
+from bounded import run_code
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import MapError, read_probabilities
+from laws import for_each
 import numpy as np
 from PIL import Image
 import pytest
+
+IMPORT = """
+import pathlib, sys
+from kbnitp_ros.maps.prior import read_array
+"""
+READ = IMPORT + 'read_array(pathlib.Path(sys.argv[1]))'
 
 YAML = """
 image: map.png
@@ -53,7 +63,7 @@ def test_cells_beyond_the_map_or_transparent_keep_the_number(tmp_path):
     assert found.reshape(2, 4).tolist() == [[0.3, 1.0, 1.0, 0.3], [0.3, 1.0, 0.3, 0.3]]
 
 
-@pytest.mark.parametrize('seed', range(30))
+@for_each('seed', range(30))
 def test_means_are_weighted_by_area(tmp_path, seed):
     rng = np.random.default_rng(seed)
     pixels = rng.integers(0, 256, rng.integers(1, 12, 2))
@@ -85,7 +95,7 @@ def test_an_array_lies_over_the_whole_grid(tmp_path):
     assert read_probabilities(path, Grid(4, 1), 0.9) == pytest.approx([0.2, 0.2, 0.35, 0.35])
 
 
-@pytest.mark.parametrize(
+@for_each(
     'array, message',
     [
         ([[0.1, 1.5]], '1.5 in row 0, column 1.*0 to 1'),
@@ -93,7 +103,7 @@ def test_an_array_lies_over_the_whole_grid(tmp_path):
         ([[float('nan')]], 'nan in row 0'),
         ([0.1, 0.2], 'rows and columns'),
         (np.zeros((0, 3)), 'rows and columns'),
-        ([['a']], 'numbers'),
+        ([['a']], 'no array of numbers'),
         ([[None]], 'no array of numbers'),
     ],
 )
@@ -104,12 +114,46 @@ def test_bad_arrays_are_refused(tmp_path, array, message):
         read_probabilities(path, Grid(2, 2), 0.5)
 
 
-@pytest.mark.parametrize('data', [b'', b'\x93NUMPY\x01', b'no array'])
+@for_each('data', [b'', b'\x93NUMPY\x01', b'no array'])
 def test_damaged_arrays_are_refused(tmp_path, data):
     path = tmp_path / 'prior.npy'
     path.write_bytes(data)
     with pytest.raises(MapError, match='prior.npy'):
         read_probabilities(path, Grid(2, 2), 0.5)
+
+
+def npy_header(version, shape, length=118):
+    """Return the beginning of a .npy file that says that so many float64 follow."""
+    said = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
+    head = said.ljust(min(length, 118) - 1).encode() + b'\n'
+    return (
+        b'\x93NUMPY'
+        + bytes(version)
+        + struct.pack('<H' if version[0] == 1 else '<I', length)
+        + head
+    )
+
+
+# What a .npy file begins with that says more than memory holds, and why it is refused.
+HOSTILE = {
+    'rows and columns': (npy_header((1, 0), (2**20, 2**20)), 'at most 50000000 can be read'),
+    'rows': (npy_header((1, 0), (-1, 1)), 'it must have rows and columns'),
+    'header': (npy_header((2, 0), (1, 1), 2**32 - 1), r'version (2, 0): it must be (1, 0)'),
+}
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('kind', HOSTILE)
+def test_an_array_beyond_all_memory_is_refused_before_it_is_read(tmp_path, kind):
+    head, complaint = HOSTILE[kind]
+    path = tmp_path / 'prior.npy'
+    with path.open('wb') as file:
+        file.write(head)
+        file.truncate(2**40)
+    ended = run_code(READ, path)
+    assert ended.code == 1
+    assert complaint in ended.said.splitlines()[-1]
+    assert ended.megabytes < run_code(IMPORT).megabytes + 100
 
 
 def test_other_files_are_refused(tmp_path):

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Map files give the grid that map_server publishes."""
 
+from itertools import product
+
 from kbnitp_ros.maps import MapError, read_map
+from laws import for_each
 import numpy as np
 from PIL import Image
 import pytest
@@ -55,10 +58,15 @@ def published(pixel, mode, negate, occupied, free):
     return int(np.floor(part + np.float32(0.5)))
 
 
-@pytest.mark.parametrize('mode', ['trinary', 'scale', 'raw', None])
-@pytest.mark.parametrize('negate', [0, 1])
-@pytest.mark.parametrize('name', ['map.pgm', 'ascii.pgm', 'map.png'])
-@pytest.mark.parametrize('thresholds', [(0.65, 0.196), (0.65, 0.25), (1.0, 0.0), (0.5, 0.499)])
+@for_each(
+    'mode, negate, name, thresholds',
+    product(
+        ['trinary', 'scale', 'raw', None],
+        [0, 1],
+        ['map.pgm', 'ascii.pgm', 'map.png'],
+        [(0.65, 0.196), (0.65, 0.25), (1.0, 0.0), (0.5, 0.499)],
+    ),
+)
 def test_every_grey_value_is_what_map_server_publishes(tmp_path, mode, negate, name, thresholds):
     pixels = np.arange(256).reshape(8, 32)
     occupied, free = thresholds
@@ -95,6 +103,51 @@ def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
     assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[100, expected]]
 
 
+@pytest.mark.parametrize('name', ['map.bmp', 'map.png', 'map.pgm'])
+def test_a_format_is_known_by_its_content(tmp_path, name):
+    Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / name)
+    (tmp_path / name).rename(tmp_path / 'map')
+    assert read_map(write_yaml(tmp_path, image='map')).data.tolist() == [[100, 0]]
+
+
+@pytest.mark.parametrize(
+    'form', ['EPS', 'GIF', 'ICNS', 'ICO', 'PDF', 'SPIDER', 'TGA', 'TIFF', 'WEBP']
+)
+def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, monkeypatch):
+    started = tmp_path / 'started'
+    ghostscript = tmp_path / 'gs'
+    ghostscript.write_text(f'#!/bin/sh\ntouch {started}\n')
+    ghostscript.chmod(0o755)
+    monkeypatch.setenv('PATH', str(tmp_path), prepend=':')
+    mode = 'F' if form == 'SPIDER' else 'RGB'
+    other = tmp_path / 'map.other'
+    # Pillow writes every later file of the suffix that SPIDER was written under as SPIDER.
+    Image.new(mode, (32, 32)).save(other, format=form)
+    other.rename(tmp_path / 'map.png')
+    with pytest.raises(MapError, match='map.png is no image in PGM, PNG or BMP'):
+        read_map(write_yaml(tmp_path, image='map.png'))
+    assert not started.exists()
+
+
+@pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
+@pytest.mark.parametrize('name', ['map.bmp', 'map.png', 'map.pgm', 'ascii.pgm'])
+def test_a_corrupt_image_is_refused_or_read(tmp_path, name):
+    rng = np.random.default_rng(4)
+    path = write(tmp_path, rng.integers(256, size=(9, 11)), name)
+    whole = (tmp_path / name).read_bytes()
+    refused = 0
+    for _ in range(400):
+        corrupt = bytearray(whole)
+        for place in rng.integers(min(len(whole), 80), size=rng.integers(1, 6)):
+            corrupt[place] = rng.integers(256)
+        (tmp_path / name).write_bytes(corrupt[: rng.integers(len(whole) // 2, len(whole) + 1)])
+        try:
+            read_map(path)
+        except MapError:
+            refused += 1
+    assert refused > 100
+
+
 @pytest.mark.parametrize('name, values', [('deep.png', np.uint16), ('flat.png', bool)])
 def test_images_of_other_depths(tmp_path, name, values):
     light = np.array([[0, 65535]], dtype=np.uint16).astype(values)
@@ -108,11 +161,11 @@ def test_a_coloured_image_counts_by_its_brightness(tmp_path):
     assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[0, 0, 100]]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'changes, message',
     [
         ({'image': 'nothere.pgm'}, 'nothere.pgm cannot be read: No such file'),
-        ({'image': 'map.yaml'}, 'map.yaml is no image.*PGM or PNG'),
+        ({'image': 'map.yaml'}, 'map.yaml is no image in PGM, PNG or BMP'),
         ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
         ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
         ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
@@ -132,7 +185,7 @@ def test_bad_files_are_refused(tmp_path, changes, message):
         read_map(write_yaml(tmp_path, **changes))
 
 
-@pytest.mark.parametrize('text', ['', '- 1', 'image: [', 'no colon'])
+@for_each('text', ['', '- 1', 'image: [', 'no colon'])
 def test_a_file_that_describes_no_map_is_refused(tmp_path, text):
     path = tmp_path / 'map.yaml'
     path.write_text(text)

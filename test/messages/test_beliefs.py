@@ -2,6 +2,7 @@
 """What the belief message means."""
 
 from array import array
+from itertools import product
 from math import nan
 
 from hypothesis import given
@@ -13,14 +14,15 @@ from kbnitp_ros.core import (
     DeploymentKey,
     Estimator,
     Grid,
-    Kind,
     Ledger,
     METHODS,
     Report,
+    RobotType,
     SensorModel,
     Unknowns,
 )
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
+from laws import for_each
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -92,7 +94,7 @@ def test_the_same_evidence_gives_the_same_message():
     message, other = (belief_maps(ledger, started) for started, ledger in enumerate(ledgers))
     assert (message.agent, other.agent) == ('scout_2', 'scout_1')
     other.agent = message.agent
-    assert serialize_message(message) == serialize_message(other)
+    assert message == other
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -113,8 +115,7 @@ def test_a_sensor_model_comes_back_bit_for_bit(probabilities):
     assert snapshot.model == SensorModel(*probabilities)
 
 
-@pytest.mark.parametrize('connectivity', [4, 8])
-@pytest.mark.parametrize('through_corners', [False, True])
+@for_each('connectivity, through_corners', product([4, 8], [False, True]))
 def test_the_steps_that_robots_can_take_come_back(connectivity, through_corners):
     grid = Grid(4, 3, blocked=(5,), connectivity=connectivity, through_corners=through_corners)
     message = over_the_wire(belief_maps(ledger_of(grid=grid), started=0))
@@ -173,7 +174,7 @@ def unknown(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0):
     return UnknownNumber(name=name, a=a, b=b, low=low, high=high)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'unknowns, error',
     [
         ([unknown('kapa')], "unknowns has 'kapa': it must name each once, of lethality, malf"),
@@ -193,9 +194,12 @@ def test_bad_unknowns_are_refused(unknowns, error):
 
 
 def test_what_agents_have_of_their_own_is_told():
-    kinds = {'b': Kind(lethality=0.1, max_steps=4), 'a': Kind(true_positive=0.75, loss_cost=2.0)}
+    robot_types = {
+        'b': RobotType(lethality=0.1, max_steps=4),
+        'a': RobotType(true_positive=0.75, loss_cost=2.0),
+    }
     plain = ledger_of()
-    ledger = Ledger(plain.grid, plain.max_steps, plain.estimator, kinds)
+    ledger = Ledger(plain.grid, plain.max_steps, plain.estimator, robot_types)
     message = over_the_wire(belief_maps(ledger, started=0))
     assert [(own.agent, own.name) for own in message.own] == [
         ('a', 'true_positive'),
@@ -203,11 +207,11 @@ def test_what_agents_have_of_their_own_is_told():
         ('b', 'lethality'),
         ('b', 'max_steps'),
     ]
-    assert read_belief_maps(message).kinds == kinds
+    assert read_belief_maps(message).robot_types == robot_types
     assert read_belief_maps(message).rules() != read_belief_maps(belief_maps(plain, 0)).rules()
 
 
-@pytest.mark.parametrize(
+@for_each(
     'own, error',
     [
         ([('', 'lethality', 0.5)], "own has 'lethality' of agent ''"),
@@ -250,7 +254,7 @@ def test_only_the_joint_counts():
     assert (read_belief_maps(message).belief.joint == joint).all()
 
 
-@pytest.mark.parametrize(
+@for_each(
     'field, value, error',
     [
         ('joint', array('d', [0.25] * 44), r'joint has 44 values: .* 4 \* width \* height = 48'),

@@ -2,7 +2,6 @@
 """What the messages of a deployment mean."""
 
 from math import inf, nan
-from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +15,7 @@ from kbnitp_ros.messages.deployments import (
     report_message,
 )
 from kbnitp_ros.messages.headers import LAST_NAME
+from laws import for_each
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
@@ -175,18 +175,6 @@ def test_a_detection_without_a_look_is_refused():
         read_report(message)
 
 
-def test_what_reports_on_record_lack_has_its_old_meaning():
-    """As those of logs that were recorded before there were last contacts and failed cameras."""
-    message = report_message(KEY, Observation(PATH, True, [True] * 5), STAMP)
-    lacking = SimpleNamespace(
-        **{name: getattr(message, name) for name in ('header', 'agent', 'deployment', 'survived')},
-        readings=[
-            SimpleNamespace(cell=each.cell, detected=each.detected) for each in message.readings
-        ],
-    )
-    assert read_report(lacking) == read_report(message)
-
-
 def test_a_report_tells_when_the_base_learnt_it():
     message = report_message(KEY, Observation(PATH, False), STAMP)
     assert read_report(message)[1].stamp == STAMP
@@ -228,7 +216,7 @@ def test_a_report_on_the_topic_of_another_agent_is_refused():
         read_report(message, 'scout_1')
 
 
-@pytest.mark.parametrize(
+@for_each(
     'topic, agent',
     [
         ('/scout_1/report', 'scout_1'),

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.grids import (
-    map_metadata,
     occupancy_grid,
     read_map_metadata,
     read_occupancy_grid,
 )
+from laws import for_each
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 import numpy as np
 import pytest
@@ -54,6 +54,11 @@ def test_rows_go_up_from_the_origin():
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (5, 6)
 
 
+def map_metadata(grid):
+    """Return the geometry in the message of a map."""
+    return occupancy_grid(grid, np.zeros(grid.cells), 0).info
+
+
 @given(grids())
 def test_a_value_is_shown_where_its_cell_lies(grid):
     """A viewer draws value i of the data at the origin plus (column, row) times the resolution."""
@@ -64,7 +69,7 @@ def test_a_value_is_shown_where_its_cell_lies(grid):
     assert grid.cells_at(np.stack([x, y], axis=1)).tolist() == list(range(grid.cells))
 
 
-@pytest.mark.parametrize(
+@for_each(
     'probability, percent',
     [
         (0.0, 0),
@@ -114,7 +119,7 @@ def test_a_grid_comes_back(grid):
     assert same.resolution == pytest.approx(grid.resolution, rel=1e-7)
 
 
-@pytest.mark.parametrize('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
+@for_each('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
 def test_a_resolution_as_people_write_it_comes_back_exactly(resolution):
     info = over_the_wire(map_metadata(Grid(2, 2, resolution=resolution)))
     assert info.resolution != resolution or resolution in (1.0, 2.5)
@@ -143,7 +148,7 @@ def test_the_map_to_be_spoiled_can_be_read():
     assert read_occupancy_grid(readable()).tolist() == [0.0, 0.2, 0.4, 0.6]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'field, value, error',
     [
         ('header.frame_id', '', "header.frame_id is '': it must name the frame"),

@@ -15,6 +15,7 @@ from kbnitp_ros.messages.headers import (
     shown,
     to_stamp,
 )
+from laws import for_each
 import pytest
 
 LAST = 2**31 * 10**9 - 1
@@ -30,7 +31,7 @@ def test_every_nanosecond_comes_back(nanoseconds):
     assert from_stamp(to_stamp(nanoseconds)) == nanoseconds
 
 
-@pytest.mark.parametrize('nanoseconds', [LAST + 1, -(2**31) * 10**9 - 1])
+@for_each('nanoseconds', [LAST + 1, -(2**31) * 10**9 - 1])
 def test_a_time_beyond_int32_seconds_is_refused(nanoseconds):
     with pytest.raises(ValueError, match=rf'stamp is {nanoseconds} ns.*int32'):
         to_stamp(nanoseconds)
@@ -42,13 +43,13 @@ def test_a_header_names_the_map_without_a_slash():
     check_frame('header.frame_id', header(7).frame_id)
 
 
-@pytest.mark.parametrize('frame_id', ['', '/map', 'odom', 'Map'])
+@for_each('frame_id', ['', '/map', 'odom', 'Map'])
 def test_another_frame_is_refused(frame_id):
     with pytest.raises(ValueError, match=f"poses.* is '{frame_id}': it must be 'map'"):
         check_frame('poses[2].header.frame_id', frame_id)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'stamp, told',
     [
         (Time(sec=2**31 - 1, nanosec=999_999_999), '2147483647.999999999 s: it must be from 0'),

@@ -16,6 +16,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.messages.models import model_belief, QUANTILES, read_model_belief
 from kbnitp_ros.messages.sizes import largest_model
+from laws import for_each
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -66,7 +67,7 @@ def test_the_largest_is_read():
     assert len(serialize_message(message)) < largest_model()
 
 
-@pytest.mark.parametrize(
+@for_each(
     'field, value, error',
     [
         ('mean', array('d', [0.5]), 'mean has 1 values: it must have one for each of the 2 names'),

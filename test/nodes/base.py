@@ -6,12 +6,12 @@ from __future__ import annotations
 from math import inf
 import time
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction, Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import read_path, report_message
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 from std_srvs.srv import SetBool, Trigger
 
@@ -27,7 +27,7 @@ PARAMETERS = {
 NODES = ('recorder', 'estimator', 'planner')
 AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
 
-# A call that has no answer after so many seconds, and led to no decision, was heard by nobody: DDS
+# A call that has no answer after so many seconds, and led to no action, was heard by nobody: DDS
 # may take a planner that was killed for alive for another 20.
 HEARD = 15.0
 
@@ -44,6 +44,7 @@ class Base:
         self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
         self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}
         self.heard = {each: field.listen(DeploymentReport, f'/{each}/report') for each in agents}
+        self.acknowledged = {each: field.listen(Recorded, f'/{each}/recorded') for each in agents}
         self.actions = field.listen(OperatorAction, '/operator')
         self.beliefs = field.listen(BeliefMaps, '/belief')
         self.reports = {
@@ -93,7 +94,7 @@ class Base:
         return next(call.result() for call in calls if call.done())
 
     def decided(self):
-        """Return the times of all decisions that were heard of."""
+        """Return the times of all actions that were heard of."""
         return {(each.header.stamp.sec, each.header.stamp.nanosec) for each in self.actions}
 
     def do(self, service, **request):
@@ -118,6 +119,10 @@ class Base:
         """Return the ways of the robots of an agent that have left."""
         ways = dict(read_path(GRID, agent, path) for path in self.paths[agent])
         return [ways[key].tolist() for key in sorted(ways)]
+
+    def recorded(self, number, agent='scout_1'):
+        """Say whether so many paths of an agent are on disk, as far as that was told."""
+        return len({each.content for each in self.acknowledged[agent]}) >= number
 
     def until_sent(self, number, agent='scout_1'):
         self.field.until(lambda: len(self.sent(agent)) == number, f'path {number}')

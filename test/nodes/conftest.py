@@ -4,18 +4,24 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from multiprocessing import forkserver
+import os
+import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from forked import ForkedProcesses
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import parameter_of, ROS_PARAMETERS
+from kbnitp_ros.nodes.runtime import qos
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+
+COVERED = 'COVERAGE_PROCESS_CONFIG' in os.environ
 
 PATIENCE = 60.0  # seconds; on a quiet machine nothing takes a tenth of it unless it is broken
 
@@ -70,6 +76,13 @@ class Field:
         process.wait()
         self._diagnosed.pop(full_name, None)
 
+    def set_aside(self, full_name):
+        """Let go on a node of the name of which another is to be started."""
+        number = sum(name.startswith(f'{full_name} ') for name in self._outputs) + 1
+        aside = f'{full_name} {number}'
+        self.processes.started[aside] = self.processes.started.pop(full_name)
+        self._outputs[aside] = self._outputs[full_name]
+
     def said(self, full_name):
         """Return what a node wrote to its terminal."""
         return self._outputs[full_name].read_text()
@@ -89,13 +102,16 @@ class Field:
 
     def state(self, full_name):
         """Return what a node says it does; an empty text before the first diagnostics."""
+        return self.told(full_name, 'state')
+
+    def told(self, full_name, key):
+        """Return a value from the newest diagnostics of a node; an empty text if there is none."""
         values = {value.key: value.value for value in self.diagnosed(full_name).values}
-        return values.get('state', '')
+        return values.get(key, '')
 
     def count(self, full_name, key):
         """Return a number from the newest diagnostics of a node; -1 before the first."""
-        values = {value.key: value.value for value in self.diagnosed(full_name).values}
-        return int(values.get(key, -1))
+        return int(self.told(full_name, key) or -1)
 
     def listen(self, kind, topic, *, volatile=False):
         """Subscribe, and return the list that the messages go to."""
@@ -143,9 +159,24 @@ class Field:
         return status.message
 
 
+@pytest.fixture(scope='session')
+def server():
+    """Start the process that nodes are forked from: it has no threads and no ROS context."""
+    with pytest.MonkeyPatch.context() as patch:
+        # It passes over modules that it does not find, and is not given the paths of the tests.
+        patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
+        forkserver.ensure_running()
+
+
 @pytest.fixture
-def field(tmp_path, monkeypatch):
-    """Provide a domain that nobody else uses; all that was started on it must end well."""
+def field(request, server, tmp_path, monkeypatch):
+    """
+    Provide a domain that nobody else uses; all that was started on it must end well.
+
+    Nodes are forked from a process that has imported them, but in tests marked `interpreter`.
+    """
+    # Coverage is measured from the start of an interpreter.
+    anew = request.node.get_closest_marker('interpreter') or COVERED
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())
         for name, value in environment(domain).items():
@@ -154,9 +185,10 @@ def field(tmp_path, monkeypatch):
         context = rclpy.Context()
         rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(context.try_shutdown)
+        processes = Processes(domain) if anew else ForkedProcesses(domain)
         node = rclpy.create_node('test', context=context, namespace='/test')
         stack.callback(node.destroy_node)
-        field = Field(stack.enter_context(Processes(domain)), node, tmp_path)
+        field = Field(stack.enter_context(processes), node, tmp_path)
         yield field
         ended_before = field.processes.ended()
         for name, code in field.processes.stop(PATIENCE).items():

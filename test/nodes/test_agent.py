@@ -4,18 +4,19 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path as FilePath
+import subprocess
 
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.core import Conduct, Grid, Observation, Report, SensorModel, World
-from kbnitp_ros.log.bag.writer import LogWriter
+from kbnitp_msgs.msg import DeploymentReport, Recorded
+from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.core import Execution, Grid, Observation, Report, SensorModel, World
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
-from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
+import pytest
 from rclpy.serialization import serialize_message
-from samples import BAD_PATHS, changed, FIELD, GRID, HOME, key, path
+from samples import BAD_PATHS, changed, FIELD, GRID, HOME, key, on_disk, path
 from visualization_msgs.msg import Marker
 
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
@@ -46,7 +47,7 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
         paths.publish(path(number, cells))
         paths.publish(path(number, cells))
     paths.publish(path(0, [0, 0]))
-    assert 'along another path: the first holds' in field.until_refused('/agent', refused + 1)
+    assert 'with another path: the first path counts' in field.until_refused('/agent', refused + 1)
     field.until(lambda: len(reports) == len(tours), 'last report')
     assert field.count('/agent', 'accepted') == len(tours)
     expected = expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours)
@@ -54,9 +55,32 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
         assert read_report(report) == (key(number), outcome)
 
 
+@pytest.fixture
+def system_clock(tmp_path, monkeypatch):
+    """Return a file: once it is there, the system's clock is years back for nodes started now."""
+    library, file = tmp_path / 'set_back.so', tmp_path / 'set_back'
+    source = FilePath(__file__).with_name('set_back.c')
+    subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
+    monkeypatch.setenv('LD_PRELOAD', str(library))
+    monkeypatch.setenv('SET_BACK', str(file))
+    return file
+
+
+@pytest.mark.interpreter
+def test_a_robot_on_its_way_returns_though_the_system_s_clock_is_set_back(system_clock, field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    field.start('agent', {**PARAMETERS, 'step_period': 1.0})
+    paths = field.talk(Path, '/scout_1/path')
+    paths.publish(path(0, HOME))
+    field.until(lambda: field.count('/agent', 'accepted') == 1, 'departure')
+    assert not reports
+    system_clock.touch()
+    field.until(lambda: reports, 'report')
+
+
 def test_robots_make_of_their_orders_what_they_do_in_the_core(field):
     """Detours, early returns, last contacts and failed cameras, some of each."""
-    conduct = Conduct(detour=0.3, early_return=0.15, last_contact=0.5, camera_failure=0.2)
+    conduct = Execution(detour=0.3, early_return=0.15, last_contact=0.5, camera_failure=0.2)
     reports = field.listen(DeploymentReport, '/scout_1/report')
     probabilities = {f'{name}_probability': value for name, value in asdict(conduct).items()}
     field.start('agent', {**PARAMETERS, **probabilities})
@@ -138,7 +162,7 @@ def test_the_grid_may_lie_anywhere(field):
 
 def test_a_robot_leaves_when_its_path_is_on_disk(field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
-    recorded = field.node.create_publisher(Time, '/scout_1/recorded', qos.EVIDENCE)
+    recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
     field.start('agent', {**PARAMETERS, 'recorded': True})
     paths = field.talk(Path, '/scout_1/path')
     for number in (1, 2, 3):
@@ -146,11 +170,11 @@ def test_a_robot_leaves_when_its_path_is_on_disk(field):
     field.until(lambda: field.count('/agent', 'waiting') == 3, 'three paths')
     assert not reports
     # A later path on disk says nothing of the one before.
-    recorded.publish(to_stamp(key(2).stamp))
+    recorded.publish(on_disk(path(2)))
     field.until(lambda: field.count('/agent', 'waiting') == 2, 'a robot to leave')
     field.until(lambda: len(reports) == 1, 'report')
     for number in (3, 1):
-        recorded.publish(to_stamp(key(number).stamp))
+        recorded.publish(on_disk(path(number)))
     field.until(lambda: len(reports) == 3, 'last report')
     assert [read_report(report)[0] for report in reports] == [key(2), key(3), key(1)]
 

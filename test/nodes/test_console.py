@@ -9,8 +9,8 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, plan, SensorModel
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.shell import DEPLOYMENTS, some
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS, some
 from nav_msgs.msg import Path
 import pytest
 

@@ -11,6 +11,7 @@ import sys
 
 from ament_index_python.packages import get_package_share_directory
 from kbnitp_ros.nodes.detections import detection_class, read_detection
+from laws import for_each
 import pytest
 from vision_msgs.msg import (
     Detection2D,
@@ -45,7 +46,7 @@ def array(*objects, sec=0):
     return message
 
 
-@pytest.mark.parametrize(
+@for_each(
     'wanted, objects, seen',
     [
         ('target', [], False),
@@ -76,6 +77,7 @@ def test_arrays_are_those_of_vision_msgs():
     assert own == f'RIHS01_{HASH}'
 
 
+@pytest.mark.processes
 def test_a_robot_without_vision_msgs_says_what_to_install(tmp_path):
     folders = os.environ['PYTHONPATH'].split(os.pathsep)
     others = [each for each in folders if not Path(each, 'vision_msgs').exists()]
@@ -98,7 +100,7 @@ def test_a_robot_without_vision_msgs_says_what_to_install(tmp_path):
     assert ended.returncode == 2
     assert (
         "robot: parameter detection_type is 'detection2d_array': type "
-        "vision_msgs/msg/Detection2DArray is not installed: No module named 'vision_msgs'; "
+        "'vision_msgs/msg/Detection2DArray' has no Python class: No module named 'vision_msgs'; "
         'install vision_msgs, such as by rosdep or as ros-jazzy-vision-msgs, or have the detector '
         'say std_msgs/Bool'
     ) in ended.stderr

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, TargetReading
+from kbnitp_ros.configuration import LEARN
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import from_stamp, header
-from kbnitp_ros.nodes.parameters import LEARN
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
@@ -247,7 +247,7 @@ def test_sampling_that_does_not_settle_is_told(field):
         paths.publish(path(number))
         reports.publish(returned(number) if number % 3 else lost(number))
     field.until(lambda: beliefs and beliefs[-1].deployments == 8, 'belief in all')
-    told = 'sampling has not settled: '
+    told = 'sampling has not converged: '
     field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
     status = field.diagnosed('/estimator')
     assert status.level == DiagnosticStatus.WARN

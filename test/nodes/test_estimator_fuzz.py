@@ -21,8 +21,8 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Observation, SensorModel
 from kbnitp_ros.messages.deployments import path_message, report_message
-from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.estimator import EstimatorNode
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest
 import rclpy
@@ -36,6 +36,7 @@ SECOND = 10**9
 GRID = Grid(4, 3, blocked=[5], resolution=0.5)
 AGENTS = ('scout_1', 'scout_2')
 MAX_STEPS = 6
+SOURCES = range(3)
 PATHS = ([0, 1, 2, 1, 0], [0, 4, 8, 4, 0], [0, 0], [0, 5, 0], [0, 2, 0], [0, 1, 2, 3, 2, 1, 1, 0])
 
 EDGES = {
@@ -47,6 +48,8 @@ EDGES = {
     'uint32': st.one_of(
         st.integers(0, 2**32 - 1), st.integers(0, 13), st.integers(10**9 - 1, 10**9 + 1)
     ),
+    'uint8': st.one_of(st.integers(0, 255), st.integers(0, 3)),
+    'sequence<double>': st.lists(st.floats(), max_size=4),
     'string': st.one_of(st.sampled_from(['', 'map', '/map', *AGENTS]), st.text(max_size=8)),
 }
 
@@ -131,10 +134,16 @@ class Sender:
         self.node = EstimatorNode()
         self.callbacks = {each.topic_name: each.callback for each in self.node.subscriptions}
         self.beliefs = []
-        self.node.create_subscription(BeliefMaps, 'belief', self.beliefs.append, qos.LATCHED)
+        self.listener = rclpy.create_node('listener')
+        self.listen()
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
+        self.executor.add_node(self.listener)
         self.until(lambda: self.beliefs)
+
+    def listen(self):
+        """Subscribe to the beliefs, of which the last comes again."""
+        self.listener.create_subscription(BeliefMaps, 'belief', self.beliefs.append, qos.LATCHED)
 
     def until(self, condition):
         """Let the node do its own things until something holds."""
@@ -154,13 +163,14 @@ class Sender:
     def belief(self, deployments):
         """Return the bits of the newest belief, which holds so many deployments."""
         self.beliefs.clear()
-        self.node.create_subscription(BeliefMaps, 'belief', self.beliefs.append, qos.LATCHED)
+        self.listen()
         self.until(lambda: self.beliefs and self.beliefs[-1].deployments == deployments)
         return self.beliefs[-1].joint.tobytes()
 
     def close(self):
         """Take the node down."""
         self.executor.shutdown()
+        self.listener.destroy_node()
         self.node.destroy_node()
 
 
@@ -186,6 +196,8 @@ class Evidence:
             and message.agent == agent
             and is_time(stamps[0], hours=3)
             and is_time(stamps[1], hours=1)
+            and message.source in SOURCES
+            and not message.lost_at
         ):
             self.reports[seconds(stamps[1]), agent].append(deepcopy(message))
 
@@ -273,7 +285,7 @@ def context(tmp_path_factory):
         'grid.resolution': 0.5,
         'max_steps': MAX_STEPS,
         'agents': list(AGENTS),
-        'await_nodes': ['estimator'],
+        'await_nodes': ['listener'],
     }
     args = ['--ros-args', '--log-level', 'fatal']
     for name, value in parameters.items():
@@ -287,6 +299,7 @@ def context(tmp_path_factory):
         rclpy.try_shutdown()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('error::RuntimeWarning')
 @given(st.lists(st.one_of(sound(), spoiled(), scrambled()), min_size=MESSAGES, max_size=MESSAGES))
 @settings(

@@ -3,7 +3,7 @@
 
 import time
 
-from kbnitp_ros.nodes.executor import frames_of_callback, OneByOne
+from kbnitp_ros.nodes.runtime.executor import frames_of_callback, OneByOne
 import pytest
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks

@@ -7,17 +7,19 @@ import sys
 from kbnitp_ros.cli.processes import environment, free_domain
 import pytest
 
+pytestmark = pytest.mark.processes
+
 # Waits for good, and lets no other Python run meanwhile.
 STUCK = """
 import ctypes
-from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
+from kbnitp_ros.nodes.runtime.exit_timer import exit_at_the_latest
 with exit_at_the_latest(0.1, {code}):
     ctypes.PyDLL(None).pause()
 """
 
 IN_TIME = """
 import time
-from kbnitp_ros.nodes.exit_timer import exit_at_the_latest
+from kbnitp_ros.nodes.runtime.exit_timer import exit_at_the_latest
 with exit_at_the_latest(0.1, 3):
     pass
 time.sleep(0.3)
@@ -37,8 +39,9 @@ def test_a_process_that_is_in_time_goes_on():
 def test_a_node_that_cannot_leave_the_graph_ends_as_it_would_have():
     program = """
 import ctypes, os, signal
-from kbnitp_ros.nodes import estimator, shell
-shell.TEARDOWN = 0.2
+from kbnitp_ros.nodes import estimator
+from kbnitp_ros.nodes.runtime import process
+process.TEARDOWN = 0.2
 estimator.EstimatorNode.destroy_node = lambda self: ctypes.PyDLL(None).pause()
 estimator.EstimatorNode.create_poll = lambda self, look: os.kill(os.getpid(), signal.SIGTERM)
 estimator.main()

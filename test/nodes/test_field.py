@@ -15,7 +15,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.maps import read_map
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import pytest
 from unbroken import core_mission
@@ -219,7 +219,7 @@ def test_steps_past_corners_are_a_choice(field, file, connectivity, corners):
 
 def test_no_node_starts_on_a_map_that_is_none(field, file):
     (file.parent / 'map.pgm').unlink()
-    for name in ('planner', 'agent', 'team', 'estimator'):
+    for name in ('planner', 'agent', 'estimator'):
         process = field.start(name, {**PARAMETERS, 'map': str(file)})
         assert process.wait(60) == 2
         (said,) = field.said(f'/{name}').splitlines()

@@ -10,6 +10,8 @@ import sys
 from kbnitp_ros.nodes.topic import message_class
 import pytest
 
+pytestmark = pytest.mark.processes
+
 ROOT = Path(__file__).parents[2]
 LAYOUTS = {1: 'kbnitp.json', 8: 'kbnitp_team.json'}
 PLACE = {'grid.width': 4, 'grid.height': 4, 'max_steps': 4, 'planner': 'relaxed', 'robots': 8}
@@ -68,8 +70,8 @@ def test_a_layout_names_only_what_a_running_mission_has(field, agents, name):
     parameters = {**PLACE, 'agents': team}
     for node, awaited in (
         ('estimator', ['planner']),
-        ('team', ['planner', 'estimator']),
-        ('planner', ['team', 'estimator']),
+        ('agent', ['planner', 'estimator']),
+        ('planner', ['agent', 'estimator']),
     ):
         field.start(node, {**parameters, 'await_nodes': awaited})
 

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
-from kbnitp_ros.nodes.given import check_given, read_sections, sections_of, values_for
-from kbnitp_ros.nodes.parameters import NODES, parameters_of
+from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
+from laws import for_each
 import pytest
 import rclpy
 from rclpy.node import Node
@@ -28,7 +30,7 @@ def written(folder, content):
     return str(path)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'config, told',
     [
         (
@@ -43,11 +45,11 @@ def written(folder, content):
         (None, 'it holds None: it must hold sections'),
         (
             section('planner', seed=3),
-            'seed is unknown to the planner: it is one of agent, team',
+            'seed is unknown to the planner: it is one of agent, estimator',
         ),
         (
             section('recorder', step_period=1.0),
-            'step_period is unknown to the recorder: it is one of planner, agent, team',
+            'step_period is unknown to the recorder: it is one of planner, agent',
         ),
         (
             section('/**', sensor={'lethal': 1.0}),
@@ -57,7 +59,6 @@ def written(folder, content):
         (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
         ({'a': section('agent', seed=-1)}, "'a/agent': parameter seed is -1"),
     ],
-    ids=lambda case: str(case)[:60],
 )
 def test_a_bad_file_is_refused(tmp_path, config, told):
     path = written(tmp_path, config)
@@ -68,7 +69,7 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
     assert len(str(refusal.value)) < len(path) + 200
 
 
-@pytest.mark.parametrize(
+@for_each(
     'text, told',
     [
         ('/**: {', 'it is not YAML'),
@@ -158,8 +159,7 @@ ORDERS = [
 ]
 
 
-@pytest.mark.parametrize('config', ORDERS, ids=str)
-@pytest.mark.parametrize('namespace', ['/', '/north'])
+@for_each('config, namespace', product(ORDERS, ['/', '/north']))
 def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
     path = written(tmp_path, config)
     context = rclpy.Context()
@@ -172,7 +172,7 @@ def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
     assert values_for(read_sections(path), full_name) == given
 
 
-@pytest.mark.parametrize(
+@for_each(
     'name, rule, told',
     [
         ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
@@ -194,7 +194,7 @@ def test_a_bad_rule_is_refused(name, rule, told):
         assert len(str(refusal.value)) < 150
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments',
     [
         ['-p', 'flie:=a.mcap'],
@@ -204,7 +204,6 @@ def test_a_bad_rule_is_refused(name, rule, told):
         ['--ros-args', '-p', 'planner:robots:=3'],
         ['--ros-args', '-r', '__node:=scribe', '-p', 'scribe:file:=a.mcap'],
     ],
-    ids=' '.join,
 )
 def test_what_is_right_or_not_for_ros_passes(arguments):
     check_given('recorder', arguments)
@@ -221,8 +220,7 @@ def test_a_renamed_node_has_a_section_of_its_own(tmp_path):
         check_given('recorder', [*given, '--remap', '__node:=scribe'])
 
 
-@pytest.mark.parametrize('config', ORDERS, ids=str)
-@pytest.mark.parametrize('namespace', ['/', '/north'])
+@for_each('config, namespace', product(ORDERS, ['/', '/north']))
 def test_a_rule_that_ros_would_overrule_is_refused(tmp_path, config, namespace):
     given = ['--ros-args', '-r', f'__ns:={namespace}', '--params-file', written(tmp_path, config)]
     given += ['-p', 'max_steps:=5']

@@ -6,17 +6,17 @@ from __future__ import annotations
 from itertools import pairwise
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.configuration import robot_types_of
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.maps import read_map
 from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.nodes.parameters import kinds_of
 import numpy as np
 from PIL import Image
 import pytest
 from unbroken import core_mission, with_defaults
 
-NODES = ('recorder', 'estimator', 'team', 'planner')
+NODES = ('recorder', 'estimator', 'agent', 'planner')
 AGENTS = ('scout_1', 'scout_2')
 ROBOTS = 8
 YAML = """
@@ -89,8 +89,8 @@ def start(field, parameters):
     awaited = {
         'recorder': [],
         'estimator': ['planner', 'recorder'],
-        'team': ['planner', 'estimator', 'recorder'],
-        'planner': ['team', 'estimator', 'recorder'],
+        'agent': ['planner', 'estimator', 'recorder'],
+        'planner': ['agent', 'estimator', 'recorder'],
     }
     for name in NODES:
         field.start(name, {**parameters, 'await_nodes': awaited[name]}, '/m')
@@ -116,8 +116,8 @@ def test_a_mission_on_a_map_goes_on_after_all_its_nodes_were_killed(field, param
     last = read_belief_maps(beliefs[-1])
     assert (last.grid.width, last.grid.height) == (60, 40)
     assert last.belief.joint.tobytes() == expected[-1].belief.joint.tobytes()
-    for agent, kind in kinds_of(with_defaults(parameters)).items():
-        assert last.kinds[agent].sensors == kind.sensors
+    for agent, kind in robot_types_of(with_defaults(parameters)).items():
+        assert last.robot_types[agent].sensors == kind.sensors
     report = replay(log)
     assert report.reproduced
     assert report.evidence.refused == []

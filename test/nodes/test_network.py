@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.bag import read_log
 from kbnitp_ros.core import Observation
-from kbnitp_ros.log.bag import read_log
 from kbnitp_ros.messages.deployments import path_message, read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import pytest
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from samples import FIELD, GRID, HOME, key, lost, path
+from samples import FIELD, GRID, HOME, key, lost, on_disk, path
 from std_msgs.msg import String
 
 NODES = ('recorder', 'estimator', 'agent', 'planner')
@@ -86,7 +85,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
             ('lethality', 0.25, 'model is '),
             ('seed', 9, "seed is '9': it was '0' before"),
             ('method', 'relaxed_itp', "method is 'relaxed_itp': it was 'kappa_bnitp' before"),
-            ('deployments', 5, 'deployments is 5: only 0 are known'),
+            ('deployments', 5, 'deployments is 5: the paths of only 0 are known'),
             ('deployments', 4_000_000_000, 'deployments is 4000000000: a mission has at most'),
         )
     ):
@@ -154,7 +153,7 @@ def test_a_path_tells_when_the_mission_of_its_belief_began(field):
     start_all(field, {'robots': 2})
     field.until(lambda: field.state('/planner').startswith('done'), 'end')
     (begun,) = {from_stamp(pose.header.stamp) for each in paths for pose in each.poses}
-    assert {from_stamp(each.info.map_load_time) for each in beliefs} == {begun}
+    assert {from_stamp(each.mission) for each in beliefs} == {begun}
     assert begun == from_stamp(beliefs[0].header.stamp)
     assert all(from_stamp(each.header.stamp) > begun for each in paths)
 
@@ -196,7 +195,7 @@ def test_whoever_is_on_the_network_can_send_a_robot_out(field):
     paths.publish(forged)
     field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
     # The robot waits for the recorder, which anybody can pass for.
-    field.talk(Time, '/scout_1/recorded').publish(forged.header.stamp)
+    field.talk(Recorded, '/scout_1/recorded').publish(on_disk(forged))
     field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
     field.until(lambda: reports, 'report')
     assert len(reports) == 1
@@ -219,4 +218,5 @@ def test_whoever_is_on_the_network_can_report_for_a_robot_that_is_out(field):
     reports.publish(report_message(sent, Observation(cells, True, nothing), 2))
     field.until(lambda: beliefs[-1].hazard[cells[1]] < beliefs[0].hazard[cells[1]], 'return')
     assert all(beliefs[-1].target[cell] < beliefs[0].target[cell] for cell in cells if cell)
+    field.until(lambda: field.count('/estimator', 'refused') >= 0, 'diagnostics')
     assert field.count('/estimator', 'refused') == 0

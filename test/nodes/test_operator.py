@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 import re
 import shlex
 from shutil import which
@@ -10,9 +11,9 @@ import subprocess
 
 from base import Base, GRID, PARAMETERS, SERVICES
 from documented import ROOT
+from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.log.bag.reader import read_log
-from kbnitp_ros.messages.decisions import Action, read_decision
+from kbnitp_ros.messages.operator_action import Action, read_operator_action
 import pytest
 from samples import changed
 from std_srvs.srv import SetBool, Trigger
@@ -32,12 +33,12 @@ def test_a_paused_mission_sends_nobody(field):
     assert base.do('pause', data=False) == 'the mission is not paused already'
     base.until_sent(2)
     report = base.replayed()
-    assert [each.action for each in report.decisions] == [Action.PAUSE, Action.RESUME]
-    assert [each.robots_left for each in report.decisions] == [1, 1]
+    assert [each.action for each in report.actions] == [Action.PAUSE, Action.RESUME]
+    assert [each.robots_left for each in report.actions] == [1, 1]
     told = [line for line in lines(report) if line.startswith('the operator')]
     assert told == [
         f'the operator {what}, at {each.when}'
-        for what, each in zip(('paused the mission', 'ended the pause'), report.decisions)
+        for what, each in zip(('paused the mission', 'ended the pause'), report.actions)
     ]
 
 
@@ -68,10 +69,10 @@ def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field
     base.until_held(2)
     base.proposed()
     report = base.replayed()
-    assert [each.action.name for each in report.decisions] == ['REFUSE', 'REFUSE', 'APPROVE']
-    for decision, way in zip(report.decisions, ways):
-        assert [path.tolist() for path in decision.paths.values()] == way
-        assert [key.agent for key in decision.paths] == ['scout_1', 'scout_2']
+    assert [each.action.name for each in report.actions] == ['REFUSE', 'REFUSE', 'APPROVE']
+    for action, way in zip(report.actions, ways):
+        assert [path.tolist() for path in action.paths.values()] == way
+        assert [key.agent for key in action.paths] == ['scout_1', 'scout_2']
 
 
 def test_a_robot_that_is_known_lost_is_given_up(field):
@@ -93,21 +94,22 @@ def test_a_robot_that_is_known_lost_is_given_up(field):
     (loss,) = base.heard['scout_1']
     assert (loss.survived, loss.steps_survived) == (False, 1)
     report = base.replayed()
-    assert [each.action for each in report.decisions] == [Action.GIVE_UP]
+    assert [each.action for each in report.actions] == [Action.GIVE_UP]
     assert report.evidence.survived == 0
 
 
 def test_an_ended_mission_is_over_when_its_robots_are_home(field):
     base = Base(field)
     base.until_sent(1)
-    assert base.do('end_mission') == 'the operator ended the mission'
+    told = base.do('end_mission')
+    assert told.startswith('the operator ended the mission; it is over when scout_1 at ')
     for service, request in (('end_mission', {}), ('pause', {'data': True})):
         assert base.refused(service, **request) == 'the mission has been ended already'
     assert 'waiting for' in field.state('/planner')
     base.come_back()
     base.until_state('done: 1 of 4 robots deployed, ended by the operator')
     assert len(base.sent()) == 1
-    assert [each.action for each in base.replayed().decisions] == [Action.END]
+    assert [each.action for each in base.replayed().actions] == [Action.END]
 
 
 def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
@@ -120,6 +122,39 @@ def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
     assert planner.returncode == 0
     field.until(answer.done, 'answer', may_end=True)
     assert answer.result().success
+
+
+def megabytes(process):
+    """Return what a process has in memory."""
+    status = Path(f'/proc/{process.pid}/status').read_text()
+    return int(re.search(r'VmRSS:\s*(\d+) kB', status)[1]) / 1024
+
+
+def test_a_flood_of_calls_is_answered_and_changes_nothing(field):
+    base = Base(field)
+    base.until_sent(1)
+    base.until_state('however long that takes')
+    base.refused('approve', data=True)
+    planner = field.processes.started['/planner']
+    before = megabytes(planner)
+    absurd = [
+        ('give_up', {'agent': 'x' * 10**6}),
+        ('give_up', {'agent': 'scout_1', 'steps_survived': 2**32 - 1}),
+        ('approve', {'data': True}),
+    ]
+    for _ in range(20):
+        calls = [
+            base.clients[name].call_async(SERVICES[name].Request(**request))
+            for name, request in absurd * 5
+        ]
+        field.until(lambda calls=calls: all(call.done() for call in calls), 'answers')
+        assert not any(call.result().success for call in calls)
+        assert all(len(call.result().message) < 1000 for call in calls)
+    assert megabytes(planner) < before + 50
+    base.come_back()
+    base.until_held(1)
+    base.until_sent(2)
+    assert base.replayed().actions == []
 
 
 def test_nothing_is_decided_before_it_is_on_disk(field):
@@ -138,7 +173,7 @@ def test_nothing_is_decided_before_it_is_on_disk(field):
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     assert answer.result().success
-    assert [each.action for each in base.replayed().decisions] == [Action.PAUSE]
+    assert [each.action for each in base.replayed().actions] == [Action.PAUSE]
 
 
 def typed(page):
@@ -169,7 +204,7 @@ def test_the_services_are_called_as_the_page_says(field):
         told = base.do(name[1:], **yaml.safe_load(request))
         assert told.startswith('the operator')
     base.until_state('ended by the operator')
-    assert len(base.replayed().decisions) == 6
+    assert len(base.replayed().actions) == 6
 
 
 def pause(base):
@@ -262,7 +297,7 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
             base.crash()
             holds(base)
     report = base.replayed()
-    assert [each.action.name for each in report.decisions] == (
+    assert [each.action.name for each in report.actions] == (
         ['PAUSE', 'RESUME', 'REFUSE', 'APPROVE', 'GIVE_UP', 'END']
     )
     assert len(report.evidence.reports) == 1
@@ -270,19 +305,20 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
     assert not any(call.done() for call in base.lost_calls)
 
 
-def test_decisions_that_are_none_are_not_read(field):
+def test_actions_that_are_none_are_not_read(field):
     base = Base(field)
     base.until_sent(1)
     base.do('pause', data=True)
-    field.until(lambda: base.actions, 'decision')
+    field.until(lambda: base.actions, 'action')
     base.replayed()
     (logged,) = read_log(base.log, ['kbnitp_msgs/msg/OperatorAction'])
     message = base.actions[0]
-    assert read_decision(GRID, logged.message).stamp == read_decision(GRID, message).stamp
+    on_record, heard = (read_operator_action(GRID, each) for each in (logged.message, message))
+    assert on_record.stamp == heard.stamp
     for fields, told in (
         ({'action': 0}, 'action is 0: it must be from 1 to 6'),
         ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
         ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
     ):
         with pytest.raises(ValueError, match=told):
-            read_decision(GRID, changed(message, **fields))
+            read_operator_action(GRID, changed(message, **fields))

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.log.bag.reader import read_metadata
+from kbnitp_ros.bag.reader import read_metadata
+from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.log.configuration import read_parameters, RUN
-from kbnitp_ros.nodes.parameters import parameters_of
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
@@ -18,7 +18,7 @@ def log(field):
     """Start a recorder, and return the file it writes."""
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
-    field.until(lambda: field.diagnosed('/m/recorder').values, 'diagnostics')
+    field.until(lambda: field.told('/m/recorder', 'log'), 'log')
     return log
 
 

@@ -6,23 +6,24 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 
-from kbnitp_ros.core import Beta, Grid, Kind, METHODS, PLANNERS, Unknowns
-from kbnitp_ros.nodes.parameters import (
+from kbnitp_ros.configuration import (
     agents_of,
-    declare,
     estimator_of,
     grid_of,
-    kinds_of,
     LEARN,
     most_steps,
     NODES,
     parameters_of,
     reference_page,
+    robot_types_of,
     sensor_model_of,
     TABLE,
     unknowns_of,
     value_for,
 )
+from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, RobotType, Unknowns
+from kbnitp_ros.nodes.runtime.declared import declare
+from laws import for_each
 import pytest
 import rclpy
 from rclpy.node import Node
@@ -59,7 +60,7 @@ def test_every_row_is_complete_and_its_default_is_allowed():
         assert len(rows) == len(parameters_of(name))
 
 
-@pytest.mark.parametrize('name', NODES)
+@for_each('name', NODES)
 def test_nodes_declare_the_table(make_node, name):
     node = make_node()
     values = declare(node, name)
@@ -70,10 +71,12 @@ def test_nodes_declare_the_table(make_node, name):
         assert descriptor.read_only == parameter.read_only
         ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
         limits = [(each.from_value, each.to_value) for each in ranges]
-        assert limits == ([parameter.limits] if parameter.limits else [])
+        low, high = parameter.limits or (None, None)
+        low = low if parameter.off is None else parameter.off
+        assert limits == ([(low, high)] if parameter.limits else [])
 
 
-@pytest.mark.parametrize(
+@for_each(
     'overrides, told',
     [
         ({'sensor.lethality': 1.5}, 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
@@ -107,7 +110,6 @@ def test_nodes_declare_the_table(make_node, name):
         ({'robots.scout_1.max_steps': 0}, 'robots.scout_1.max_steps is 0: it must be from 1'),
         ({'robots.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
     ],
-    ids=lambda case: str(case)[:40],
 )
 def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
     with pytest.raises(ValueError) as refusal:
@@ -126,7 +128,7 @@ def test_numbers_to_learn_have_intervals_or_distributions():
     assert list(LEARN) == [field.name for field in fields(Unknowns)]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'learn, given, told',
     [
         (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
@@ -145,7 +147,7 @@ def test_what_is_no_distribution_is_refused(learn, given, told):
         unknowns_of(DEFAULTS | {'learn': learn, 'learn.lethality': given})
 
 
-@pytest.mark.parametrize('agents', [(), ('a', 'b', 'a')])
+@for_each('agents', [(), ('a', 'b', 'a')])
 def test_agents_have_names_of_their_own(agents):
     with pytest.raises(ValueError, match='no two alike'):
         agents_of(DEFAULTS | {'agents': agents}, Grid(9, 9))
@@ -160,7 +162,7 @@ def test_a_team_has_a_free_cell_for_each():
 
 
 def test_whole_numbers_are_numbers(make_node):
-    values = declare(make_node(**{'sensor.lethality': 1, 'grid.origin': [1, -2]}), 'planner')
+    values = declare(make_node(**{'sensor.lethality': 1, 'grid.origin': [1, -2]}), 'estimator')
     assert values['sensor.lethality'] == 1.0
     assert grid_of(values).origin == (1.0, -2.0)
     assert sensor_model_of(values).lethality == 1.0
@@ -184,7 +186,6 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
         'max_steps': 12,
         'robots': 20,
         'robots.scout_2.max_steps': 7,
-        'robots.scout_2.sensor.lethality': 1,
         'robots.scout_2.loss_cost': 2.0,
         'robots.scout_2.step_period': 3.0,
     }
@@ -194,8 +195,8 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert [value_for(values, 'max_steps', agent) for agent in values['agents']] == [12, 7]
     assert value_for(values, 'step_period', 'scout_2') == 3.0
     assert most_steps(values) == 12
-    own = Kind(lethality=1.0, max_steps=7, loss_cost=2.0)
-    assert kinds_of(values) == {'scout_1': Kind(), 'scout_2': own}
+    own = RobotType(max_steps=7, loss_cost=2.0)
+    assert robot_types_of(values) == {'scout_1': RobotType(), 'scout_2': own}
     (fixed, free) = node.set_parameters(
         [
             Parameter('robots.scout_2.max_steps', value=9),
@@ -204,12 +205,14 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     )
     assert not fixed.successful
     assert free.successful
-    assert kinds_of(values)['scout_2'].loss_cost == 0.5
+    assert robot_types_of(values)['scout_2'].loss_cost == 0.5
 
 
 def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
     values = declare(make_node(**{'robots.scout_1.loss_cost': 2.0}), 'estimator')
-    assert kinds_of(values) == {'scout_1': Kind()}
+    assert robot_types_of(values) == {'scout_1': RobotType()}
+    sensors = make_node(**{'sensor.lethality': 1, 'robots.scout_1.sensor.lethality': 0.5})
+    assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
 
 def test_what_no_robot_shares_cannot_be_learnt():
@@ -229,7 +232,7 @@ def test_values_follow_changes(make_node):
     assert values['robots'] == 7
 
 
-@pytest.mark.parametrize(
+@for_each(
     'name, value, told',
     [
         ('grid.width', 5, 'read-only'),
@@ -250,10 +253,10 @@ def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, to
 
 def test_the_reference_page_is_up_to_date():
     page = ROOT.joinpath('docs/parameters.md').read_text()
-    assert page == reference_page(), 'python3 -m kbnitp_ros.nodes.parameters > docs/parameters.md'
+    assert page == reference_page(), 'python3 -m kbnitp_ros.configuration > docs/parameters.md'
 
 
-@pytest.mark.parametrize(
+@for_each(
     'name, text, value',
     [
         ('sensor.lethality', '0.3', 0.3),
@@ -275,7 +278,7 @@ def test_values_are_read_as_they_are_typed(name, text, value):
     assert type(row.read(text)) is type(value)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'name, text',
     [('robots', '7.5'), ('robots', '['), ('sensor.lethality', 'high'), ('robots', '')],
 )
@@ -322,7 +325,7 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
     assert grid_of(DEFAULTS | {'grid.corners': 'avoid'}) == Grid(9, 9, through_corners=False)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'given, told',
     [
         ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
@@ -339,7 +342,6 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
         ({'map_topic': '/map'}, 'map and map_topic are both given'),
         ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
     ],
-    ids=str,
 )
 def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):

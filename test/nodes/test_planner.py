@@ -6,9 +6,9 @@ from __future__ import annotations
 import json
 import time
 
-from builtin_interfaces.msg import Time
 from extent import some
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -18,20 +18,23 @@ from kbnitp_ros.core import (
     Observation,
     plan,
     plan_team,
+    RobotType,
+    SearchOptions,
     SensorModel,
+    Team,
 )
-from kbnitp_ros.log.bag.writer import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import (
     path_message,
     read_path,
     read_report,
     report_message,
+    Source,
 )
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
 from kbnitp_ros.nodes.planner import PlannerNode
-from kbnitp_ros.nodes.shell import POLL
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import POLL
 from nav_msgs.msg import Path
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -42,7 +45,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from samples import changed, in_frame
+from samples import changed, in_frame, on_disk
 
 GRID = Grid(3, 3)
 MODEL = SensorModel(0.5)
@@ -114,6 +117,28 @@ def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
     mission.show_belief()
     mission.until_state('done: 3 of 3 robots deployed')
     assert len(mission.paths) == 3
+
+
+def test_paths_are_planned_with_the_robots_that_the_belief_tells_of(field):
+    """Its model and its robot types, which differ from the defaults of the parameters."""
+    prior, model = Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.9, malfunction=0.2)
+    frail = RobotType(malfunction=0.4)
+    mission = Mission(field, {'robots': 1})
+    mission.ledger = Ledger(GRID, 4, Estimator(prior, model), {'scout_1': frail})
+    mission.show_belief()
+    path = mission.until_sent(0)
+    assert path == plan(GRID, prior, frail.model(model), 4).path.tolist()
+    assert path != plan(GRID, prior, MODEL, 4).path.tolist()
+
+
+def test_a_belief_of_too_many_cameras_is_refused(field):
+    agents = [f'scout_{number}' for number in range(1, 8)]
+    cameras = {agent: RobotType(true_positive=0.8 + n / 100) for n, agent in enumerate(agents)}
+    mission = Mission(field, {'robots': 7, 'agents': agents})
+    estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL)
+    mission.ledger = Ledger(GRID, 4, estimator, cameras)
+    mission.show_belief()
+    assert '7 different cameras' in field.until_refused('/planner', 1)
 
 
 def test_an_estimator_that_starts_over_is_waited_for(field):
@@ -231,7 +256,9 @@ def paths_of_a_torn_round(field, log, fates, robots):
     On record is the prior, and for each robot in `fates` its path and, if it is True, a loss.
     """
     ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
-    planned = plan_team(GRID, ledger.belief, MODEL, 4, len(TEAM)).plans
+    planned = plan_team(
+        GRID, ledger.belief, MODEL, Team(len(TEAM)), SearchOptions(max_steps=4)
+    ).plans
     with LogWriter(log) as writer:
         writer.add_topic('/belief', 'kbnitp_msgs/msg/BeliefMaps', '[]')
         writer.write('/belief', serialize_message(belief_maps(ledger, 7)), 1, 1)
@@ -280,8 +307,11 @@ def test_a_resumed_planner_says_again_which_robots_it_gave_up(field):
     log = field.folder / 'mission.mcap'
     tour = [0, 1, 0]
     lost, back = (
-        report_message(DeploymentKey('scout_1', stamp), Observation(tour, *ended), 9)
-        for stamp, *ended in ((1, False), (2, True, [True, False]))
+        report_message(DeploymentKey('scout_1', stamp), Observation(tour, *ended), 9, source)
+        for stamp, source, *ended in (
+            (1, Source.SILENCE, False),
+            (2, Source.AGENT, True, [True, False]),
+        )
     )
     with LogWriter(log) as writer:
         for topic, kind, messages in (
@@ -305,7 +335,7 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
     paths = {agent: field.listen(Path, f'/{agent}/path') for agent in agents}
     reports = {agent: field.listen(DeploymentReport, f'/{agent}/report') for agent in agents}
     recorded = {
-        agent: field.node.create_publisher(Time, f'/{agent}/recorded', qos.EVIDENCE)
+        agent: field.node.create_publisher(Recorded, f'/{agent}/recorded', qos.EVIDENCE)
         for agent in agents
     }
     field.node.create_publisher(DeploymentReport, '/scout_2/report', qos.EVIDENCE)
@@ -314,13 +344,13 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
     field.until(lambda: all(paths.values()), 'paths')
     mission.until_state('waiting for scout_1')
     # The other one's robot left later than this one would have, so it is given up no sooner.
-    recorded['scout_2'].publish(paths['scout_2'][0].header.stamp)
+    recorded['scout_2'].publish(on_disk(paths['scout_2'][0]))
     field.until(lambda: reports['scout_2'], 'loss of the robot that left')
     told = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > told, 'newer diagnostics')
     assert 'waiting for scout_1' in field.state('/planner')
     assert not reports['scout_1']
-    recorded['scout_1'].publish(paths['scout_1'][0].header.stamp)
+    recorded['scout_1'].publish(on_disk(paths['scout_1'][0]))
     field.until(lambda: reports['scout_1'], 'loss of the other one')
 
 

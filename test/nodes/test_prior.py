@@ -6,9 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_ros.configuration import prior_of, TABLE
 from kbnitp_ros.core import Belief
 from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.nodes.parameters import prior_of, TABLE
+from laws import for_each
 from mission_log import GRID, Mission, mission, record
 import numpy as np
 from PIL import Image
@@ -69,7 +70,7 @@ def test_maps_say_it_cell_by_cell_and_numbers_elsewhere(tmp_path):
     assert prior.joint[8].tolist() == [[1.0, 0.0], [0.0, 0.0]]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'name, values, told',
     [
         ('hazard', [[0.5, 1.5]], '1.5 in row 0, column 1: a probability must be from 0 to 1'),

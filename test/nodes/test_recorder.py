@@ -10,32 +10,36 @@ import pathlib
 import resource
 import shutil
 import signal
-import subprocess
 
 from ament_index_python.packages import get_package_share_directory
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.log.bag.reader import is_finished, read_log
-from kbnitp_ros.log.bag.schema import qos_profiles_yaml
-from kbnitp_ros.log.bag.writer import LogWriter
+from disk import mounted
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.bag.reader import is_finished, read_log
+from kbnitp_ros.bag.schema import qos_profiles_yaml
+from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.topic import message_class
 from mcap.reader import make_reader
 from nav_msgs.msg import Path
+import numpy as np
 import pytest
-import rclpy
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from samples import key, lost, path
+from samples import after_loss, key, lost, path, prior
 from std_msgs.msg import Int32, String, UInt8MultiArray
 import yaml
 
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=100)
+KEPT_BEST_EFFORT = QoSProfile(
+    depth=100,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 LAST_OF_FIVE = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -45,8 +49,13 @@ def record(field, namespace='/m', **parameters):
     log.parent.mkdir(exist_ok=True)
     field.start('recorder', {'file': str(log), **parameters}, namespace)
     name = f'{namespace.rstrip("/")}/recorder'
-    field.until(lambda: field.diagnosed(name).values, f'diagnostics of {name}')
+    field.until(lambda: field.told(name, 'log'), f'log of {name}')
     return log
+
+
+def state_mission(field):
+    """Publish the prior of the mission that has no time, which the paths here are of."""
+    field.node.create_publisher(BeliefMaps, '/m/belief', qos.LATCHED).publish(prior())
 
 
 def recorded(log):
@@ -160,33 +169,35 @@ def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
 
 def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
     log = record(field)
-    told = {agent: field.listen(Time, f'/m/{agent}/recorded') for agent in ('one', 'two')}
+    state_mission(field)
+    told = {agent: field.listen(Recorded, f'/m/{agent}/recorded') for agent in ('one', 'two')}
     paths = {agent: field.talk(Path, f'/m/{agent}/path') for agent in told}
     for agent, numbers in (('one', (3, 1, 4)), ('two', (2,))):
         for number in numbers:
             paths[agent].publish(path(number))
             stamp = to_stamp(key(number).stamp)
-            field.until(lambda a=agent, s=stamp: s in told[a], f'word of path {number}')
+            field.until(
+                lambda a=agent, s=stamp: s in [each.stamp for each in told[a]],
+                f'word of path {number}',
+            )
             assert key(number).stamp in stamps_of(recorded(log)[f'/m/{agent}/path'])
-    assert [from_stamp(stamp) for stamp in told['one']] == [key(n).stamp for n in (3, 1, 4)]
-    assert [from_stamp(stamp) for stamp in told['two']] == [key(2).stamp]
+    assert [from_stamp(each.stamp) for each in told['one']] == [key(n).stamp for n in (3, 1, 4)]
+    assert [from_stamp(each.stamp) for each in told['two']] == [key(2).stamp]
 
 
-def test_a_volatile_path_is_heard_before_its_node_has_told_its_parameters(field):
+@pytest.mark.parametrize('profile', [RELIABLE, KEPT_BEST_EFFORT], ids=['volatile', 'best effort'])
+def test_evidence_that_no_other_node_hears_is_refused_and_its_node_named(field, profile):
     log = record(field)
-    silent = rclpy.create_node('silent', context=field.node.context, namespace='/m')
-    paths = silent.create_publisher(Path, '/m/scout_1/path', RELIABLE)
-
-    def asked():
-        services = field.node.get_client_names_and_types_by_node('recorder', '/m')
-        return '/m/silent/get_parameters' in dict(services)
-
-    field.until(asked, 'question to the silent node')
-    field.until(lambda: paths.get_subscription_count() > 0, 'reader')
-    assert asked()
-    paths.publish(path(1))
-    field.until(lambda: len(recorded(log)['/m/scout_1/path']) == 1, 'path')
-    silent.destroy_node()
+    reports = field.node.create_publisher(DeploymentReport, '/m/scout_1/report', profile)
+    told = field.until_refused('/m/recorder', 1)
+    lacking = 'volatile' if profile is RELIABLE else 'with best effort'
+    assert told.startswith(f'/m/scout_1/report refused: node /test/test publishes it {lacking}')
+    assert 'its QoS must be reliable and transient local' in told
+    reports.publish(lost(1))
+    field.talk(DeploymentReport, '/m/scout_1/report').publish(lost(2))
+    field.until(lambda: recorded(log)['/m/scout_1/report'], 'report')
+    assert stamps_of(recorded(log)['/m/scout_1/report']) == [key(2).stamp]
+    assert reports.get_subscription_count() == 0
 
 
 def test_a_path_that_is_none_is_refused_and_the_rest_goes_on(field):
@@ -207,7 +218,8 @@ def test_what_is_no_evidence_is_on_the_disk_while_it_is_recorded(field):
 
 def test_a_resumed_log_holds_everything(field):
     log = record(field)
-    told = field.listen(Time, '/m/scout_1/recorded')
+    state_mission(field)
+    told = field.listen(Recorded, '/m/scout_1/recorded')
     paths = field.talk(Path, '/m/scout_1/path')
     paths.publish(path(1))
     field.until(lambda: told, 'word of path 1')
@@ -217,7 +229,7 @@ def test_a_resumed_log_holds_everything(field):
     paths.publish(path(2))
     assert not is_finished(log)
     record(field, resume=str(log.parent))
-    field.until(lambda: from_stamp(told[-1]) == key(2).stamp, 'word of path 2')
+    field.until(lambda: from_stamp(told[-1].stamp) == key(2).stamp, 'word of path 2')
     field.processes.stop()
     assert is_finished(log)
     part = log.with_name('mission_1.mcap')
@@ -228,7 +240,8 @@ def test_a_resumed_log_holds_everything(field):
 
 def test_a_log_has_one_recorder_at_a_time(field):
     log = record(field)
-    told = field.listen(Time, '/m/scout_1/recorded')
+    state_mission(field)
+    told = field.listen(Recorded, '/m/scout_1/recorded')
     paths = field.talk(Path, '/m/scout_1/path')
     paths.publish(path(1))
     field.until(lambda: told, 'word of path 1')
@@ -240,7 +253,7 @@ def test_a_log_has_one_recorder_at_a_time(field):
     said = field.said('/other/recorder')
     assert f'{log} is being written by another recorder' in said
     paths.publish(path(2))
-    field.until(lambda: from_stamp(told[-1]) == key(2).stamp, 'word of path 2')
+    field.until(lambda: from_stamp(told[-1].stamp) == key(2).stamp, 'word of path 2')
     field.processes.stop()
     assert is_finished(log)
     assert stamps_of(recorded(log)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
@@ -248,16 +261,38 @@ def test_a_log_has_one_recorder_at_a_time(field):
 
 
 def test_a_log_is_split_and_compressed(field):
-    log = record(field, max_file_size=20_000, compression='zstd')
+    log = record(field, max_file_size=2**20, compression='zstd')
     talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
+    noise = np.random.default_rng(1)
     for number in range(50):
-        talker.publish(UInt8MultiArray(data=array('B', bytes([number]) * 2000)))
+        data = bytes([number]) + noise.bytes(100_000)
+        talker.publish(UInt8MultiArray(data=array('B', data)))
     field.until(lambda: len(values(log, '/m/bytes')) == 50, 'last message')
     field.processes.stop()
     parts = sorted(log.parent.glob('*.mcap'))
     assert 4 < len(parts) < 8
-    assert all(is_finished(part) and part.stat().st_size < 20_000 for part in parts)
+    assert all(is_finished(part) and part.stat().st_size < 2**21 for part in parts)
     assert [message.data[0] for message in recorded(log)['/m/bytes']] == list(range(50))
+
+
+@pytest.mark.parametrize('size', [1, 90_000, 2**20 - 1])
+def test_files_smaller_than_what_they_begin_with_are_refused(field, size):
+    told = refusal(field, {'file': str(field.folder / 'mission.mcap'), 'max_file_size': size})
+    assert f'max_file_size is {size}: it must be 0 or from 1048576 to' in told
+    assert not list(field.folder.glob('*.mcap'))
+
+
+def test_a_message_too_large_to_be_read_again_is_refused_and_the_rest_goes_on(field):
+    log = record(field)
+    points = field.talk(UInt8MultiArray, '/m/points', RELIABLE)
+    points.publish(UInt8MultiArray(data=array('B', bytes(70_000_000))))
+    told = field.until_refused('/m/recorder', 1)
+    assert told.startswith('/m/points refused: it has 700000')
+    assert 'at most 66060288 can be' in told
+    points.publish(UInt8MultiArray(data=array('B', bytes(1000))))
+    field.until(lambda: '/m/points' in recorded(log), 'points')
+    field.processes.stop()
+    assert [len(each.data) for each in recorded(log)['/m/points']] == [1000]
 
 
 def test_a_publisher_may_come_back_with_other_quality_of_service(field):
@@ -355,7 +390,7 @@ def test_a_type_that_is_defined_in_idl_alone_is_refused_and_the_rest_goes_on(
 ):
     log = record(field)
     field.node.create_publisher(Clock, '/m/time', qos.LATCHED).publish(Clock())
-    assert 'type rosgraph_msgs/msg/Clock is not inst' in field.until_refused('/m/recorder', 1)
+    assert 'rosgraph_msgs/msg/Clock is not inst' in field.until_refused('/m/recorder', 1)
     field.node.create_publisher(String, '/m/latched', qos.LATCHED).publish(String())
     field.until(lambda: '/m/latched' in recorded(log), 'message')
 
@@ -393,11 +428,16 @@ def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
     assert stamps_of(messages['/m/scout_1/report']) == [key(n).stamp for n in range(2000)]
 
 
+def complaints(field, name):
+    """Return the lines of a node on its terminal, but what rcl says of the environment."""
+    return [line for line in field.said(name).splitlines() if '[rcl]' not in line]
+
+
 def until_failed(field, name, exit_code):
     """Wait until a node has given up, and return what it said: on diagnostics, and on stderr."""
     code, told = field.until_failed(name)
     assert code == exit_code
-    (complaint,) = field.said(name).splitlines()
+    (complaint,) = complaints(field, name)
     assert complaint == f'recorder: {told}'
     return complaint
 
@@ -405,7 +445,7 @@ def until_failed(field, name, exit_code):
 def refusal(field, parameters):
     """Return what a recorder that cannot start says on its terminal."""
     assert field.start('recorder', parameters).wait(60) == 2
-    (complaint,) = field.said('/recorder').splitlines()
+    (complaint,) = complaints(field, '/recorder')
     assert complaint.startswith('recorder: ')
     return complaint
 
@@ -418,11 +458,11 @@ def test_a_file_that_is_there_is_left_alone(field):
 
 
 @pytest.mark.parametrize(
-    'content, told', [(None, 'No such file'), (b'no log', 'no MCAP file'), ('damaged', 'damaged')]
+    'content, told', [(None, 'No such file'), (b'no log', 'no MCAP file'), ('corrupt', 'corrupt')]
 )
 def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
     log = field.folder / 'mission.mcap'
-    if content == 'damaged':
+    if content == 'corrupt':
         with LogWriter(log) as writer:
             writer.add_topic('/topic', 'std_msgs/msg/String', qos_profiles_yaml([RELIABLE]))
             writer.write('/topic', serialize_message(String(data='x' * 100)), 1, 1)
@@ -432,18 +472,6 @@ def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
     assert told in refusal(field, {'resume': str(log)})
     assert [file.name for file in field.folder.glob('*.mcap')] == [log.name][: content is not None]
     assert not content or log.read_bytes() == content
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """Provide a folder on a disk of 1 MB."""
-    folder = tmp_path / 'disk'
-    folder.mkdir()
-    mount = ['mount', '-t', 'tmpfs', '-o', 'size=1m', 'tmpfs', str(folder)]
-    if subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip('mounting a disk is not allowed here')
-    yield folder
-    subprocess.run(['umount', str(folder)], check=True)
 
 
 def report_until_it_fails(field, log):
@@ -469,23 +497,26 @@ def report_until_it_fails(field, log):
     return told
 
 
-def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, small_disk):
-    log = small_disk / 'mission.mcap'
-    field.start('recorder', {'file': str(log)}, '/m')
-    assert 'No space left on device' in report_until_it_fails(field, log)
+def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, tmp_path):
+    with mounted(tmp_path / 'disk', 'size=1m') as disk:
+        log = disk / 'mission.mcap'
+        field.start('recorder', {'file': str(log)}, '/m')
+        told = report_until_it_fails(field, log)
+    assert told == f'recorder: {log}: No space left on device (free some space on that disk)'
 
 
 def test_a_file_that_may_not_grow_ends_the_recorder_and_what_was_written_stays(field):
     log = record(field)
     recorder = field.processes.started['/m/recorder']
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
-    assert 'File too large' in report_until_it_fails(field, log)
+    assert f'{log}: File too large (raise' in report_until_it_fails(field, log)
 
 
 @pytest.mark.parametrize('what', ['folder', 'file', 'replaced'])
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     log = record(field)
-    told = field.listen(Time, '/m/scout_1/recorded')
+    state_mission(field)
+    told = field.listen(Recorded, '/m/scout_1/recorded')
     paths = field.talk(Path, '/m/scout_1/path')
     paths.publish(path(1))
     field.until(lambda: told, 'word of path 1')
@@ -503,7 +534,7 @@ def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     recorder.send_signal(signal.SIGCONT)
     assert f'{log} is gone' in until_failed(field, '/m/recorder', 1)
     assert log.exists() == (what == 'replaced')
-    assert [from_stamp(each) for each in told] == [key(1).stamp]
+    assert [from_stamp(each.stamp) for each in told] == [key(1).stamp]
 
 
 def test_message_types_are_found_by_name():
@@ -511,3 +542,24 @@ def test_message_types_are_found_by_name():
     for unknown in ('nav_msgs/msg/Nothing', 'nothing_msgs/msg/Path', 'Path'):
         with pytest.raises(LookupError, match=unknown):
             message_class(unknown)
+
+
+def test_a_belief_that_comes_before_its_path_is_recorded_after_it(field):
+    """DDS keeps the order of what one node publishes, not of what two do."""
+    log = record(field)
+    beliefs = field.talk(BeliefMaps, '/m/belief', qos.LATCHED)
+    paths = field.talk(Path, '/m/scout_1/path')
+    beliefs.publish(prior())
+    field.until(lambda: field.count('/m/recorder', 'accepted') > 0, 'prior')
+    beliefs.publish(after_loss())
+    told = field.diagnosed_at('/m/recorder')
+    field.until(lambda: field.diagnosed_at('/m/recorder') > told, 'newer diagnostics')
+    paths.publish(path(1))
+    field.until(lambda: len(held_by(log)) == 2, 'belief on record')
+    assert held_by(log) == [0, 1]
+    assert field.count('/m/recorder', 'refused') == 0
+
+
+def held_by(log):
+    """Return how many deployments the beliefs on record hold."""
+    return [logged.message.deployments for logged in read_log(log, ['kbnitp_msgs/msg/BeliefMaps'])]

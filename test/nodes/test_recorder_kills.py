@@ -11,19 +11,18 @@ from __future__ import annotations
 from array import array
 import time
 
-from builtin_interfaces.msg import Time
 from extent import FULL
-from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.log.bag.parts import parts_of
-from kbnitp_ros.log.bag.reader import is_finished, read_log
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.reader import is_finished, read_log
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import numpy as np
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from samples import key, lost, path
+from samples import key, lost, path, prior
 from std_msgs.msg import UInt8MultiArray
 
 KILLS = 50 if FULL else 3
@@ -71,7 +70,8 @@ def stamps(log, kind):
 def test_a_recorder_killed_under_load_loses_no_deployment(field):
     rng = np.random.default_rng(50)
     log = field.folder / 'mission.mcap'
-    told = field.listen(Time, '/m/scout_1/recorded', volatile=True)
+    field.node.create_publisher(BeliefMaps, '/m/belief', qos.LATCHED).publish(prior())
+    told = field.listen(Recorded, '/m/scout_1/recorded', volatile=True)
     load = Load(field)
     recorder = field.start('recorder', {'file': str(log), 'max_file_size': 0}, '/m')
     load.send(100, 0.1)
@@ -84,7 +84,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
         recorder.wait()
         parts = parts_of(log)
         if told:
-            newest = from_stamp(told[-1])
+            newest = from_stamp(told[-1].stamp)
             sent = {key(number).stamp for number in range(1, load.sent + 1)}
             # The word may have come from the recorder before the last.
             on_disk = set().union(*(stamps(part, PATH) for part in parts[-2:]))
@@ -94,7 +94,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     # Word from the one before may still come.
     field.until(lambda: len(parts_of(log)) > KILLS, 'file of the last recorder')
     last = key(load.sent).stamp
-    field.until(lambda: told and from_stamp(told[-1]) == last, 'word of the last path')
+    field.until(lambda: told and from_stamp(told[-1].stamp) == last, 'word of the last path')
     field.until(lambda: last in stamps(parts_of(log)[-1], REPORT), 'last report')
     field.processes.stop()
     assert all(is_finished(part) for part in parts_of(log))

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.bag import LogWriter, read_log
+from kbnitp_ros.configuration import MOST_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
-from kbnitp_ros.log.bag import LogWriter, read_log
 from kbnitp_ros.log.evidence import PATH, record, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.nodes.parameters import MOST_ROBOTS
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest
 from rclpy.serialization import serialize_message

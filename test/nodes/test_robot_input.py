@@ -15,11 +15,14 @@ from geometry_msgs.msg import TransformStamped
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
-from kbnitp_ros.nodes import qos
-from kbnitp_ros.robot import Journal, Step, Trip
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.robot import Deployment, Journal, Step
 from nav_msgs.msg import Path as PathMessage
+import pytest
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
+
+pytestmark = pytest.mark.interpreter
 
 
 def transform(field, x, y, parent='map', child='base_link', turned=1.0):
@@ -34,11 +37,11 @@ def transform(field, x, y, parent='map', child='base_link', turned=1.0):
 def test_positions_that_none_can_be_make_no_step(field):
     """The robot goes where the test says; nothing drives it, so it waits for its action server."""
     fleet = Fleet(field)
-    trip = Trip(10**9, 5, (0, 1, 2, 1, 0), [Step(1, 1), Step(2, 2)])
+    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0), [Step(1, 1), Step(2, 2)])
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
-    journal.depart(trip)
+    journal.depart(deployment)
     for number in (1, 2):
-        journal.step(trip, number)
+        journal.step(deployment, number)
     journal.close()
     reports = fleet.reports()
     poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 10)
@@ -75,17 +78,17 @@ def test_positions_that_none_can_be_make_no_step(field):
 def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
     """The robot was lost for hours and is at its base, where its power was off."""
     fleet = Fleet(field)
-    trip = Trip(10**9, 5, (0, 1, 2, 1, 0))
+    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0))
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
-    journal.depart(trip)
+    journal.depart(deployment)
     for number in range(1, 302):
-        trip.steps.append(Step(1 + (number + 1) % 2, number, reading=1))
-        journal.step(trip, number)
+        deployment.steps.append(Step(1 + (number + 1) % 2, number, reading=1))
+        journal.step(deployment, number)
     journal.close()
     reports, beliefs = fleet.reports(), field.listen(BeliefMaps, '/belief')
     field.start('estimator', {**FIELD, 'await_nodes': ['test']})
     paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
-    paths.publish(path_message(GRID, trip.orders, trip.stamp, trip.mission))
+    paths.publish(path_message(GRID, deployment.path, deployment.stamp, deployment.mission))
     poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 10)
     words = 'has 302 steps, and a report has at most 10 * max_steps = 200: loops are left out'
     for starts in (1, 2):
@@ -106,8 +109,8 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
     assert report.readings == (*[(1, 1), (2, 1)] * 99, (1, 1), (0, -1))
     kept = Journal(journal.path, 'scout_1', GRID)
     kept.close()
-    assert [len(each.steps) for each in kept.trips] == [302]
-    assert kept.trips[0].is_home
+    assert [len(each.steps) for each in kept.deployments] == [302]
+    assert kept.deployments[0].is_home
 
 
 def test_detections_at_1_khz_and_none_at_all(field):
@@ -245,9 +248,9 @@ def test_a_disk_that_is_full_costs_no_step(field):
     fleet.see_that_it_is_true(report)
     assert [cell for cell, _ in report.readings] == [1, 2, 14, 13, 0]
     field.until(lambda: 'journal' in field.diagnosed('/scout_1/robot').message, 'word of the disk')
-    assert f'{journal}: File too large: what it lacks is kept in memory' in field.said(
-        '/scout_1/robot'
-    )
+    said = field.said('/scout_1/robot')
+    assert f'{journal}: File too large (raise the limit' in said
+    assert 'what it lacks is kept in memory' in said
     # Without room it does not leave.
     key = fleet.send(2, [0, 1, 0])
     field.until(lambda: 'waiting for room on the disk' in fleet.state(), 'word of it')
@@ -258,5 +261,5 @@ def test_a_disk_that_is_full_costs_no_step(field):
     field.kill('/scout_1/robot')
     kept = Journal(journal, 'scout_1', GRID)
     kept.close()
-    assert [trip.is_home for trip in kept.trips] == [True, True]
-    assert kept.trips[0].cells == [0, 1, 2, 14, 13, 0]
+    assert [deployment.is_home for deployment in kept.deployments] == [True, True]
+    assert kept.deployments[0].cells == [0, 1, 2, 14, 13, 0]

@@ -10,6 +10,8 @@ from fleet import Fleet
 import numpy as np
 import pytest
 
+pytestmark = [pytest.mark.processes, pytest.mark.interpreter]
+
 ORDERS = [0, 1, 2, 3, 16, 15, 14, 13, 0]
 
 # When the power is cut, in seconds after the robot has left: in the field, or at any time.

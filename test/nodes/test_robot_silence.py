@@ -11,6 +11,8 @@ from kbnitp_ros.log.replay import replay
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.processes
+
 
 def flap(mission, number, times, rng):
     """

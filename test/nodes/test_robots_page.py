@@ -6,8 +6,7 @@ import re
 import subprocess
 import sys
 
-from builtin_interfaces.msg import Time
-from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.log.replay import replay
 from nav_msgs.msg import Path as PathMessage
 import pytest
@@ -55,7 +54,7 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
 def test_the_page_names_topics_of_their_types():
     for topic, kind in (
         ('path', PathMessage),
-        ('recorded', Time),
+        ('recorded', Recorded),
         ('report', DeploymentReport),
     ):
         package = kind.__module__.partition('.')[0]

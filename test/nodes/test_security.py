@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.cli.demo import observed
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.nodes import qos
+from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from policies import FILES, FOLDER, in_graph, not_allowed, not_used, read_policy
@@ -133,8 +133,8 @@ def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(fiel
 def test_the_policies_allow_what_a_team_and_the_demo_do_and_nothing_else(field):
     publish_map(field)
     team = PARAMETERS | {'recorded': True, 'agents': ['scout_1', 'scout_2']}
-    watched = Watched(field.node, ['team', 'observer', 'planner'])
-    for name in ('estimator', 'planner', 'team'):
+    watched = Watched(field.node, ['all_agents', 'observer', 'planner'])
+    for name in ('estimator', 'planner', 'agent'):
         field.start(name, team)
     with observed(int(os.environ['ROS_DOMAIN_ID']), team['agents']):
         watch(field, watched)
@@ -142,10 +142,11 @@ def test_the_policies_allow_what_a_team_and_the_demo_do_and_nothing_else(field):
 
 def test_each_node_has_a_policy():
     assert {path.name.partition('.')[0] for path in FILES} == {
-        *('planner', 'estimator', 'recorder', 'agent', 'team', 'robot', 'observer')
+        *('planner', 'estimator', 'recorder', 'agent', 'all_agents', 'robot', 'observer')
     }
 
 
+@pytest.mark.processes
 def test_sros2_signs_permissions_that_are_those_of_the_policies(tmp_path):
     reason = 'sros2 comes with an installation of ROS 2 only'
     artifacts = pytest.importorskip('sros2.api._artifact_generation', reason=reason)

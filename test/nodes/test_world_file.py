@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import Grid
-from kbnitp_ros.nodes.world_file import read_world
+from laws import for_each
 import pytest
 
 GRID = Grid(3, 2, blocked=[5])
@@ -28,7 +29,7 @@ def test_the_first_row_is_the_top_row(write):
     assert world.target.tolist() == [False, True, False, False, False, False]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'text, told',
     [
         ('hazard: ["...", "..."', 'is not YAML'),

@@ -8,27 +8,29 @@ from kbnitp_ros.log.history import read_history
 import pytest
 from strangers import install
 
+pytestmark = pytest.mark.processes
+
 # A method that keeps all losses, a planner that takes the shortest path of a search, and an
 # allocation that sends robots one after another along what is found best.
 SOURCE = """
 from kbnitp_ros.core import PLANNERS, update
-from kbnitp_ros.core.inference import Told
+from kbnitp_ros.core.inference import KnownModel
 
 
-class ReturnsFirst(Told):
+class ReturnsFirst(KnownModel):
     def __init__(self, belief, model, unknowns, seed):
         super().__init__(belief, model)
         self._returned, self._losses = belief, ()
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         returned, losses = self._returned, self._losses
         if observation.survived:
-            returned = update(returned, kind.model(self.model), observation)
+            returned = update(returned, robot_type.model(self.model), observation)
         else:
-            losses = (*losses, (observation, kind))
+            losses = (*losses, (observation, robot_type))
         belief = returned
-        for lost, of_kind in losses:
-            belief = update(belief, of_kind.model(self.model), lost)
+        for lost, its_type in losses:
+            belief = update(belief, its_type.model(self.model), lost)
         self._returned, self._losses, self.belief = returned, losses, belief
 
 
@@ -37,7 +39,7 @@ def shortest(finder, objective):
 
 
 def in_turn(robots):
-    found = [robot.finder.paths(robot.objective) for robot in robots]
+    found = [robot.finder.candidates(robot.objective) for robot in robots]
     return [each[n % len(each)].path for n, each in enumerate(found)], None
 """
 ADDED = {
@@ -49,25 +51,25 @@ ADDED = {
 # All that there is to refuse, and beside it a method that works.
 BAD_SOURCE = """
 from kbnitp_ros.core import Belief, PLANNERS
-from kbnitp_ros.core.inference import Told
-from kbnitp_ros.core.planning import Found
+from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core.planning import Candidate
 import numpy as np
 
 number = 3
 
 
-class Works(Told):
-    def assimilate(self, observation, kind):
+class Works(KnownModel):
+    def assimilate(self, observation, robot_type):
         self.belief = Belief(self.belief.joint)
 
 
-class Small(Told):
-    def assimilate(self, observation, kind):
+class Small(KnownModel):
+    def assimilate(self, observation, robot_type):
         self.belief = Belief(self.belief.joint[:-1])
 
 
-class Breaks(Told):
-    def assimilate(self, observation, kind):
+class Breaks(KnownModel):
+    def assimilate(self, observation, robot_type):
         raise KeyError('nothing here')
 
 
@@ -76,17 +78,21 @@ class Unlearned:
         self.belief = belief
 
 
-class Unable(Told):
+class Unnumbered(Unlearned):
+    learns, version = False, 0
+
+
+class Unable(KnownModel):
     pass
 
 
 def half_way(finder, objective):
     base = finder.grid.base
-    return [Found(1.0, np.array([base, finder.grid.neighbors(base)[0]]))]
+    return [Candidate(1.0, np.array([base, finder.grid.neighbors(base)[0]]))]
 
 
 def one_for_all(robots):
-    return [robots[0].finder.paths(robots[0].objective)[0].path], None
+    return [robots[0].finder.candidates(robots[0].objective)[0].path], None
 """
 BAD = {
     'methods': {
@@ -94,6 +100,7 @@ BAD = {
         'small': 'Small',
         'breaks': 'Breaks',
         'unlearned': 'Unlearned',
+        'unnumbered': 'Unnumbered',
         'unable': 'Unable',
         'odd': 'number',
         'absent': 'nobody',
@@ -140,6 +147,7 @@ OF = 'of strangers_of_theirs 1.0 (entry point'
 REASONS = {
     'odd': f'{OF} odd = strangers_of_theirs:number): it is 3: it must be callable with',
     'unlearned': 'it must have an attribute learns that is True or False',
+    'unnumbered': 'it must have an attribute version that is a whole number from 1',
     'unable': 'it must have assimilate',
     'absent': f'{OF} absent = strangers_of_theirs:nobody): AttributeError: ',
     'gone': f'{OF} gone = no_such_module:Method): ModuleNotFoundError: No module named',
@@ -177,7 +185,7 @@ def test_what_cannot_be_had_is_told_once_and_the_rest_works(bad):
 from kbnitp_ros.core import *
 print(Estimator(Belief.prior(Grid(2, 2), 0.1, 0.2, 0.3), SensorModel(0.5), 'works').method)
 print(*METHODS.added, '|', *METHODS.refused)
-print(type(METHODS['kappa_bnitp'][0]).__name__, len(METHODS), len(METHODS))
+print(type(METHODS['kappa_bnitp']).__name__, len(METHODS), len(METHODS))
 """
     done = run(bad, '-c', program)
     lines = done.stdout.splitlines()
@@ -195,7 +203,8 @@ import sys
 from kbnitp_ros.core import *
 grid = Grid(3, 3)
 belief = Belief.prior(grid, 0.1, 0.2, 0.3)
-plan_team(grid, Estimator(belief, SensorModel(0.5)).belief, SensorModel(0.5), 4, 2)
+model = SensorModel(0.5)
+plan_team(grid, Estimator(belief, model).belief, model, Team(2), SearchOptions(max_steps=4))
 print('strangers_of_theirs' in sys.modules)
 """
     done = run(bad, '-c', program)
@@ -220,7 +229,8 @@ print('strangers_of_theirs' in sys.modules)
             'that is none: path must end at the base 4',
         ),
         (
-            "e = Estimator(belief, model); plan_team(grid, belief, model, 4, 2, 'one_for_all')",
+            'e = Estimator(belief, model); '
+            "plan_team(grid, belief, model, Team(2, 'one_for_all'), SearchOptions(max_steps=4))",
             f"allocation 'one_for_all' {OF} one_for_all = strangers_of_theirs:one_for_all) "
             'returns 1 paths for 2 robots',
         ),

@@ -2,12 +2,14 @@
 """Everybody can read the figures: lines differ for every colour vision, no texts overlap."""
 
 from itertools import combinations
+import json
 
 from colorspacious import cspace_convert, deltaE
 from kbnitp_ros.core import Unknowns
 from kbnitp_ros.figures import save, SERIES
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.maps_figure import maps_figure
+from kbnitp_ros.report.plots import curve_plot
 from kbnitp_ros.report.progress_figure import draw_number, progress_figure
 from legible import check_lines, check_texts
 from matplotlib.colors import to_rgb
@@ -108,6 +110,23 @@ def test_colour_vision_is_simulated():
     space = {'name': 'sRGB1+CVD', 'cvd_type': 'deuteranomaly', 'severity': 100}
     seen = [cspace_convert(colour, space, 'sRGB1') for colour in (red, green)]
     assert deltaE(*seen, input_space='sRGB1') < deltaE(red, green, input_space='sRGB1') / 2
+
+
+@pytest.mark.parametrize('name', ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', ''])
+def test_a_learnt_number_of_any_name_is_drawn(tmp_path, name):
+    whole = mission_log.mission(
+        1, method='kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))
+    )
+    for each in whole.sent:
+        if each.topic == '/model':
+            each.message.name = [name]
+    shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
+    assert list(shown.moments[-1].learnt) == [name]
+    figure = progress_figure(shown, curves_of(shown), {})
+    for file in save(figure, tmp_path / 'progress.png', 'png', 'svg'):
+        assert file.stat().st_size > 1000
+    plot = curve_plot(shown, curves_of(shown), np.arange(len(shown.moments)))
+    assert '<b>' not in json.dumps(json.loads(plot)['layout'])
 
 
 def test_a_learnt_number_has_a_panel(tmp_path):

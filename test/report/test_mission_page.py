@@ -255,6 +255,7 @@ def test_everybody_can_use_it(opened, scheme):
     assert serious == []
 
 
+@pytest.mark.processes
 def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     report, images = tmp_path / 'report', tmp_path / 'images'
     report.mkdir()

@@ -4,13 +4,14 @@
 from copy import deepcopy
 import os
 from pathlib import Path
-import resource
 
+from disk import mounted, room_for
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot import Journal, Step, Trip
+from kbnitp_ros.robot import Deployment, Journal, Step
 from kbnitp_ros.robot.journal import JournalError
+from laws import for_each
 import pytest
 
 GRID = Grid(4, 3, blocked=[5])
@@ -26,21 +27,21 @@ def opened(path, agent='scout_1', grid=GRID):
 
 def live(journal, doings):
     """Have a robot do what it can of this; yield what is on record after each line."""
-    trip = None
+    deployment = None
     for number, doing in enumerate(doings):
-        if trip is None:
-            trip = Trip(1000 + number, 7, ORDERS)
-            journal.depart(trip)
+        if deployment is None:
+            deployment = Deployment(1000 + number, 7, ORDERS)
+            journal.depart(deployment)
         elif doing == 0:
-            journal.arrive(trip, number)
-            trip = None
-        elif doing < 4 or not trip.steps or trip.steps[-1].reading == 1:
-            trip.steps.append(Step(doing, number))
-            journal.step(trip, len(trip.steps))
+            journal.arrive(deployment, number)
+            deployment = None
+        elif doing < 4 or not deployment.steps or deployment.steps[-1].reading == 1:
+            deployment.steps.append(Step(doing, number))
+            journal.step(deployment, len(deployment.steps))
         else:
-            trip.steps[-1].reading += 1
-            journal.step(trip, len(trip.steps))
-        yield deepcopy(journal.trips)
+            deployment.steps[-1].reading += 1
+            journal.step(deployment, len(deployment.steps))
+        yield deepcopy(journal.deployments)
 
 
 def reopened(path):
@@ -66,15 +67,15 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
     # Of a torn line, blocks may be on the disk that were given to the file and never written.
     path.write_bytes(content[:end] + bytes(data.draw(st.integers(0, 50))))
     journal = reopened(path)
-    assert journal.trips == states[max(lines - 1, 0)]
+    assert journal.deployments == states[max(lines - 1, 0)]
     assert path.read_bytes() == content[: ends[max(lines - 1, 0)]]
     # It is gone on with as if nothing had happened.
     journal = opened(path)
     assert not journal.damage
-    trip = Trip(9999, 7, ORDERS)
-    journal.depart(trip)
+    deployment = Deployment(9999, 7, ORDERS)
+    journal.depart(deployment)
     journal.close()
-    assert reopened(path).trips == [*states[max(lines - 1, 0)], trip]
+    assert reopened(path).deployments == [*states[max(lines - 1, 0)], deployment]
 
 
 @given(doings=DOINGS, data=st.data())
@@ -92,7 +93,7 @@ def test_damage_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory,
     path.write_bytes(content)
     journal = reopened(path)
     whole = bytes(content[:place]).count(b'\n') - 1
-    assert journal.trips == states[whole]
+    assert journal.deployments == states[whole]
     assert str(path) in journal.damage
     kept = [each for each in path.parent.iterdir() if 'damaged' in each.name]
     together = path.read_bytes() + (kept[0].read_bytes() if kept else b'')
@@ -116,7 +117,7 @@ def test_a_journal_of_another_robot_or_field_is_refused_by_name(tmp_path):
     assert path.read_bytes() == content
 
 
-@pytest.mark.parametrize('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
+@for_each('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
 def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path, content):
     path = tmp_path / 'letters'
     path.write_bytes(content)
@@ -136,31 +137,36 @@ def test_two_processes_never_write_one_journal(tmp_path):
 def test_a_disk_that_is_full_takes_nothing_from_what_is_on_it(tmp_path):
     path = tmp_path / 'journal'
     journal = opened(path)
-    trip = Trip(1, 7, ORDERS)
-    journal.depart(trip)
+    deployment = Deployment(1, 7, ORDERS)
+    journal.depart(deployment)
     size = path.stat().st_size
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    refused = f'File too large: {str(path)!r}'
     # A part of the next line has room.
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10, before[1]))
-    try:
+    with room_for(size + 10):
         for number in range(3):
-            trip.steps.append(Step(number, number, 1))
-            with pytest.raises(OSError, match='journal'):
-                journal.step(trip, len(trip.steps))
+            deployment.steps.append(Step(number, number, 1))
+            with pytest.raises(OSError, match=refused):
+                journal.step(deployment, len(deployment.steps))
             assert path.stat().st_size == size
-        with pytest.raises(OSError, match='journal'):
-            journal.arrive(trip, 9)
-        with pytest.raises(OSError, match='journal'):
-            journal.depart(Trip(2, 7, ORDERS))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert len(journal.trips) == 1
+        with pytest.raises(OSError, match=refused):
+            journal.arrive(deployment, 9)
+        with pytest.raises(OSError, match=refused):
+            journal.depart(Deployment(2, 7, ORDERS))
+    assert len(journal.deployments) == 1
     # With room again all is written that was kept in memory, in its order.
     journal.write()
     journal.close()
-    (known,) = reopened(path).trips
-    assert known == trip
+    (known,) = reopened(path).deployments
+    assert known == deployment
     assert known.is_home
+
+
+@pytest.mark.processes
+def test_a_disk_that_cannot_be_written_to_is_named(tmp_path):
+    with mounted(tmp_path / 'disk', 'ro') as folder:
+        path = folder / 'journal'
+        with pytest.raises(OSError, match=f'Read-only file system: {str(path)!r}'):
+            opened(path)
 
 
 def test_every_line_is_on_the_disk_before_the_robot_goes_on(tmp_path, monkeypatch):

@@ -3,14 +3,17 @@
 
 from dataclasses import replace
 
+from disk import room_for
 from extent import some
 from kbnitp_ros.study.charts import reliability
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_belief_that_means_what_it_says_is_on_the_diagonal():
@@ -43,7 +46,14 @@ def test_every_study_has_its_report(results, tmp_path, lethalities, trials):
     assert all(path.stat().st_size for path in written)
 
 
+def test_a_disk_that_has_no_room_for_the_report_is_named(results, tmp_path):
+    with room_for(1000), pytest.raises(OSError, match=f'File too large: {str(tmp_path)!r}'):
+        write_report(results, tmp_path)
+
+
 def test_a_study_of_teams_has_its_report(scenario, tmp_path):
-    scenario = replace(scenario, teams=(Team(), Team(3)), methods=('kappa_bnitp',), trials=1)
+    scenario = replace(
+        scenario, teams=(Strategy(), Strategy(3)), methods=('kappa_bnitp',), trials=1
+    )
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
     assert all(path.stat().st_size for path in write_report(Results(scenario, outcomes), tmp_path))

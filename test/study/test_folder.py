@@ -4,8 +4,9 @@
 from dataclasses import replace
 import os
 
+from disk import mounted, room_for
 from kbnitp_ros.study.folder import Folder
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import Trial
 import numpy as np
 import pytest
@@ -24,6 +25,21 @@ def folder(tmp_path, scenario, results):
 def the_file(tmp_path):
     (file,) = tmp_path.rglob('*.npz')
     return file
+
+
+def test_a_trial_that_the_disk_has_no_room_for_is_named_and_run_again(folder, results, tmp_path):
+    other = TRIAL._replace(number=2)
+    with room_for(100), pytest.raises(OSError, match=r'File too large: .*trials/.*-2\.npz\.part'):
+        folder.save(other, results.outcomes[TRIAL])
+    assert list(folder.outcomes()) == [TRIAL]
+
+
+@pytest.mark.processes
+def test_a_disk_that_cannot_be_written_to_is_named(scenario, tmp_path):
+    with mounted(tmp_path / 'disk', 'ro') as disk:
+        path = disk / 'study'
+        with pytest.raises(OSError, match=f'Read-only file system: {str(path)!r}'):
+            Folder(path, scenario)
 
 
 def test_an_outcome_is_kept_to_the_last_bit(folder, results):
@@ -119,9 +135,9 @@ def test_a_file_is_no_folder(tmp_path, scenario):
 
 
 def test_the_trials_of_teams_are_kept_apart(tmp_path, scenario, results):
-    scenario = replace(scenario, teams=(Team(), Team(2), Team(2, loss_cost=0.1)))
+    scenario = replace(scenario, teams=(Strategy(), Strategy(2), Strategy(2, loss_cost=0.1)))
     folder = Folder(tmp_path / 'teams', scenario)
-    done = [TRIAL, TRIAL._replace(team=Team(2))]
+    done = [TRIAL, TRIAL._replace(team=Strategy(2))]
     for trial in done:
         folder.save(trial, results.outcomes[TRIAL])
     assert list(folder.outcomes()) == done

@@ -6,14 +6,16 @@ import json
 
 from kbnitp_ros.core import run_mission
 from kbnitp_ros.study import trial as running
-from kbnitp_ros.study.last_contact import contact_markdown, summarise_contact
+from kbnitp_ros.study.comparison import CONTACT
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
 
-TEAMS = (Team(last_contact=1.0), Team(), Team(last_contact=0.3))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(last_contact=1.0), Strategy(), Strategy(last_contact=0.3))
 
 
 @pytest.fixture(scope='module')
@@ -26,11 +28,12 @@ def contacts(scenario):
 def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
     heard = []
 
-    def noting(*arguments, conduct, **options):
-        heard.append(conduct.last_contact)
-        mission = run_mission(*arguments, conduct=conduct, **options)
+    def noting(*arguments, truth, **options):
+        contact = truth.execution.last_contact
+        heard.append(contact)
+        mission = run_mission(*arguments, truth=truth, **options)
         known = [d.observation.steps_survived for d in mission if not d.observation.survived]
-        assert any(known) == (conduct.last_contact > 0.0)
+        assert any(known) == (contact > 0.0)
         return mission
 
     monkeypatch.setattr(running, 'run_mission', noting)
@@ -42,7 +45,7 @@ def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
 
 
 def test_each_is_compared_with_none(contacts):
-    summary = summarise_contact(contacts)
+    summary = CONTACT.summarise(contacts)
     assert (summary['least'], summary['robots']) == (0, [4])
     assert [row['last_contact'] for row in summary['rows']] == [0.3, 1.0]
 
@@ -51,17 +54,17 @@ def test_each_is_compared_with_none(contacts):
         return contacts.series(0.9, 'kappa_bnitp', *measures, team=team)[:, -1]
 
     for row, team in zip(summary['rows'], (TEAMS[2], TEAMS[0])):
-        worth = (log_loss(Team()) - log_loss(team)).mean()
-        assert row['worth'][0]['mean'] == pytest.approx(worth, abs=1e-6)
+        value = (log_loss(Strategy()) - log_loss(team)).mean()
+        assert row['value'][0]['mean'] == pytest.approx(value, abs=1e-6)
 
 
 def test_the_report_has_a_table_of_it(contacts, tmp_path):
     write_report(contacts, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = contact_markdown(summary['last_contact'])
+    told = CONTACT.markdown(summary['last_contact'])
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['last_contact']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')
         assert cells[:3] == ['0.9', '`kappa_bnitp`', f'{row["last_contact"]:g}']
-        assert cells[3].startswith(f'{row["worth"][0]["mean"]:.1f} [')
+        assert cells[3].startswith(f'{row["value"][0]["mean"]:.1f} [')
     assert not {'loss_cost', 'teams'} & summary.keys()

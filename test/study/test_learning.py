@@ -4,8 +4,16 @@
 from dataclasses import replace
 
 from extent import some
-from kbnitp_ros.core import Belief, run_mission, SensorModel, Unknowns, World
-from kbnitp_ros.study.learning import summarise_numbers, summarise_worth
+from kbnitp_ros.core import (
+    Belief,
+    Learning,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.study.learning import summarise_numbers, summarise_value
 from kbnitp_ros.study.report import figures_of, write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
@@ -16,6 +24,8 @@ import numpy as np
 from pyarrow import parquet
 import pytest
 import small_study
+
+pytestmark = pytest.mark.slow
 
 PRIORS = {'lethality': {'low': 0.1, 'high': 1.0}, 'malfunction': {'a': 2.0, 'b': 30.0}}
 LEARNT_STUDY = {
@@ -83,11 +93,10 @@ def test_the_method_that_learns_is_told_the_rest(learnt, believed):
         4,
         rng,
         SAMPLED,
-        max_steps=6,
-        planner='relaxed',
-        max_visits=2,
-        unknowns=Unknowns(lethality=(0.1, 1.0), malfunction=Distribution(a=2.0, b=30.0).beta()),
-        seed=2,
+        SearchOptions('relaxed', max_steps=6, max_visits=2),
+        learning=Learning(
+            Unknowns(lethality=(0.1, 1.0), malfunction=Distribution(a=2.0, b=30.0).beta()), seed=2
+        ),
     )
     assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
     place = NUMBERS.index('lethality')
@@ -151,9 +160,9 @@ def test_what_was_learnt_is_summarised(drawn):
 
 
 def test_what_learning_costs_is_paired(learnt):
-    worth = summarise_worth(learnt)
-    assert worth['robots'] == [4]
-    rows = {(row['lethality'], row['method']): row['costs'] for row in worth['rows']}
+    value = summarise_value(learnt)
+    assert value['robots'] == [4]
+    rows = {(row['lethality'], row['method']): row['costs'] for row in value['rows']}
     assert rows.keys() == {(p, m) for p in (0.2, 0.9) for m in ('kappa_bnitp', SAMPLED)}
     learner, told = (
         learnt.series(0.9, method, *LOG_LOSS)[:, -1] for method in (LEARNING, SAMPLED)

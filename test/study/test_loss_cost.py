@@ -14,12 +14,14 @@ from kbnitp_ros.study.loss_cost import (
 )
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import differ_only_in, Team
+from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
 
-TEAMS = (Team(loss_cost=0.5), Team(), Team(loss_cost=5))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
 
 
 @pytest.fixture(scope='module')
@@ -85,8 +87,8 @@ def test_loss_costs_differ(scenario):
     for differ, teams in (
         (True, TEAMS),
         (False, TEAMS[:1]),
-        (False, (Team(), Team(2, loss_cost=0.1))),
-        (False, (Team(), Team(last_contact=0.1))),
+        (False, (Strategy(), Strategy(2, loss_cost=0.1))),
+        (False, (Strategy(), Strategy(last_contact=0.1))),
     ):
         assert differ_only_in(replace(scenario, teams=teams), 'loss_cost') is differ
 
@@ -102,7 +104,7 @@ def test_each_is_compared_with_the_least(costs):
         return lost.mean(axis=0), loss.mean(axis=0)
 
     for row, team in zip(summary['rows'], (TEAMS[0], TEAMS[2])):
-        for name, expected in equal(means(Team()), means(team)).items():
+        for name, expected in equal(means(Strategy()), means(team)).items():
             assert row[name]['mean'] == pytest.approx(expected, abs=1e-6), name
 
 

@@ -4,20 +4,18 @@
 from dataclasses import replace
 import json
 
+from kbnitp_ros.study.comparison import BY_OBJECTIVE, differ_in_objective
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.loss_cost import compare, trade
-from kbnitp_ros.study.objectives import (
-    differ_in_objective,
-    objectives_markdown,
-    summarise_objectives,
-)
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
 
-TEAMS = (Team(), Team(objective='behavioral', alpha=2.0), Team(loss_cost=0.5))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(), Strategy(objective='behavioral', alpha=2.0), Strategy(loss_cost=0.5))
 
 
 @pytest.fixture(scope='module')
@@ -28,7 +26,7 @@ def compared(scenario):
 
 
 def test_each_is_compared_with_the_first(compared):
-    summary = summarise_objectives(compared)
+    summary = BY_OBJECTIVE.summarise(compared)
     assert summary['first'] == 'information'
     assert [row['objective'] for row in summary['rows']] == [
         'alpha 2',
@@ -40,11 +38,11 @@ def test_each_is_compared_with_the_first(compared):
 
     log_loss = ('hazard_log_loss', 'target_log_loss')
     for row, team in zip(summary['rows'], TEAMS[1:]):
-        worse = (at_end(team, *log_loss) - at_end(Team(), *log_loss)).mean()
+        worse = (at_end(team, *log_loss) - at_end(Strategy(), *log_loss)).mean()
         assert row['difference'][-1]['mean'] == pytest.approx(worse, abs=1e-6)
-        more = (at_end(team, 'robots_lost') - at_end(Team(), 'robots_lost')).mean()
+        more = (at_end(team, 'robots_lost') - at_end(Strategy(), 'robots_lost')).mean()
         assert row['lost_more']['mean'] == pytest.approx(more, abs=1e-6)
-        both = (trade(compared, 0.9, 'kappa_bnitp', each) for each in (Team(), team))
+        both = (trade(compared, 0.9, 'kappa_bnitp', each) for each in (Strategy(), team))
         equal = compare(*both).mean[-1]
         assert row['lost_at_equal']['mean'] == pytest.approx(equal, abs=1e-6)
 
@@ -52,7 +50,7 @@ def test_each_is_compared_with_the_first(compared):
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = objectives_markdown(summary['objectives'])
+    told = BY_OBJECTIVE.markdown(summary['objectives'])
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     assert (tmp_path / 'robots_lost.png').exists()
     for row, line in zip(summary['objectives']['rows'], told.splitlines()[4:], strict=True):
@@ -64,7 +62,7 @@ def test_the_report_has_a_table_of_it(compared, tmp_path):
 def test_it_is_for_scenarios_that_differ_in_objectives(scenario):
     assert differ_in_objective(replace(scenario, teams=TEAMS))
     assert not differ_in_objective(replace(scenario, teams=TEAMS[::2]))
-    assert not differ_in_objective(replace(scenario, teams=(*TEAMS, Team(agents=2))))
+    assert not differ_in_objective(replace(scenario, teams=(*TEAMS, Strategy(agents=2))))
 
 
 def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
@@ -80,6 +78,6 @@ def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
 
 
 def test_what_a_planner_does_not_seek_is_refused(scenario):
-    team = Team(planner='coverage', objective='behavioral', alpha=2.0)
+    team = Strategy(planner='coverage', objective='behavioral', alpha=2.0)
     with pytest.raises(ValueError, match='the planner coverage seeks none'):
         replace(scenario, teams=(team,)).check_search()

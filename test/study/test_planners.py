@@ -4,16 +4,18 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.core import run_mission
+from kbnitp_ros.core import run_mission, SearchOptions
 from kbnitp_ros.study import trial as running
-from kbnitp_ros.study.planners import planners_markdown, summarise_planners
+from kbnitp_ros.study.comparison import BY_PLANNER
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
 
-TEAMS = (Team(), Team(planner='coverage'), Team(planner='random'))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(), Strategy(planner='coverage'), Strategy(planner='random'))
 
 
 @pytest.fixture(scope='module')
@@ -26,9 +28,9 @@ def compared(scenario):
 def test_each_team_has_its_planner(scenario, monkeypatch):
     used = []
 
-    def noting(*arguments, planner, **options):
-        used.append(planner)
-        return run_mission(*arguments, planner=planner, **options)
+    def noting(*arguments, **options):
+        used.extend(each.planner for each in arguments if isinstance(each, SearchOptions))
+        return run_mission(*arguments, **options)
 
     monkeypatch.setattr(running, 'run_mission', noting)
     scenario = replace(scenario, teams=TEAMS, trials=1, lethalities=(0.5,))
@@ -38,7 +40,7 @@ def test_each_team_has_its_planner(scenario, monkeypatch):
 
 
 def test_each_is_compared_with_the_first(compared):
-    summary = summarise_planners(compared)
+    summary = BY_PLANNER.summarise(compared)
     assert summary['first'] == compared.scenario.planning.planner
     assert [row['planner'] for row in summary['rows']] == ['coverage', 'random']
 
@@ -47,18 +49,18 @@ def test_each_is_compared_with_the_first(compared):
 
     log_loss = ('hazard_log_loss', 'target_log_loss')
     for row, team in zip(summary['rows'], TEAMS[1:]):
-        worse = (at_end(team, *log_loss) - at_end(Team(), *log_loss)).mean()
+        worse = (at_end(team, *log_loss) - at_end(Strategy(), *log_loss)).mean()
         assert row['difference'][-1]['mean'] == pytest.approx(worse, abs=1e-6)
         lost = at_end(team, 'robots_lost')
         assert row['lost']['mean'] == pytest.approx(lost.mean(), abs=1e-6)
-        more = (lost - at_end(Team(), 'robots_lost')).mean()
+        more = (lost - at_end(Strategy(), 'robots_lost')).mean()
         assert row['lost_more']['mean'] == pytest.approx(more, abs=1e-6)
 
 
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = planners_markdown(summary['planners'])
+    told = BY_PLANNER.markdown(summary['planners'])
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['planners']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from kbnitp_ros.study.scenario import ALONE, read_scenario, Team, team_labels
+from kbnitp_ros.study.scenario import ALONE, read_scenario, Strategy, team_labels
 import pytest
 import small_study
 import yaml
@@ -90,7 +90,7 @@ def test_teams_are_what_the_file_says_and_robots_go_one_by_one_without(tmp_path,
     teams = [{'agents': 4, 'allocation': 'voronoi', 'loss_cost': 0.5}, {'agents': 2}, {}]
     content = {**small_study.CONTENT, 'teams': teams}
     read = read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
-    assert read.teams == (Team(4, 'voronoi', 0.5), Team(2, 'greedy', 0.0), Team(1))
+    assert read.teams == (Strategy(4, 'voronoi', 0.5), Strategy(2, 'greedy', 0.0), Strategy(1))
     assert len(read.contenders) == 3 * 3
     labels = team_labels(read)
     assert [*labels] == [*read.teams]

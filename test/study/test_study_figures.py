@@ -7,25 +7,27 @@ from kbnitp_ros.figures import SERIES
 from kbnitp_ros.study.panels import columns_for, groups_of, labels_of
 from kbnitp_ros.study.report import figures_of
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Contender, Team
+from kbnitp_ros.study.scenario import Contender, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 from legible import check_lines, check_texts
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ALLOCATED = (
-    Team(),
-    *(Team(n, how) for n in (2, 4, 8) for how in ('independent', 'voronoi', 'greedy')),
+    Strategy(),
+    *(Strategy(n, how) for n in (2, 4, 8) for how in ('independent', 'voronoi', 'greedy')),
 )
-COSTS = tuple(Team(loss_cost=cost) for cost in (0.0, 0.05, 0.1, 0.2, 0.4, 0.8))
+COSTS = tuple(Strategy(loss_cost=cost) for cost in (0.0, 0.05, 0.1, 0.2, 0.4, 0.8))
 SURVEYS = (
-    Team(),
-    *(Team(survey=right) for right in (0.7, 0.9, 0.99)),
-    *(Team(survey=0.5, trusted=trusted) for trusted in (0.7, 0.9)),
-    Team(survey=0.7, trusted=0.9),
+    Strategy(),
+    *(Strategy(survey=right) for right in (0.7, 0.9, 0.99)),
+    *(Strategy(survey=0.5, trusted=trusted) for trusted in (0.7, 0.9)),
+    Strategy(survey=0.7, trusted=0.9),
 )
-PLANNERS = tuple(Team(planner=name) for name in ('', 'coverage', 'random'))
-CONTACTS = tuple(Team(last_contact=heard) for heard in (0.0, 0.2, 1.0))
+PLANNERS = tuple(Strategy(planner=name) for name in ('', 'coverage', 'random'))
+CONTACTS = tuple(Strategy(last_contact=heard) for heard in (0.0, 0.2, 1.0))
 ALL_METHODS = (
     'relaxed_itp',
     'relaxed_bnitp',
@@ -73,7 +75,7 @@ def test_every_contender_is_in_a_panel_of_few(scenario, name):
 def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
     groups = groups_of(changed(scenario, STUDIES['allocations']).contenders)
     assert [[each.team for each in group] for group in groups] == [
-        [Team(), *(Team(agents, how) for agents in (2, 4, 8))]
+        [Strategy(), *(Strategy(agents, how) for agents in (2, 4, 8))]
         for how in ('independent', 'voronoi', 'greedy')
     ]
 
@@ -81,16 +83,16 @@ def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
 def test_what_has_no_kinds_is_beside_the_first(scenario):
     groups = groups_of(changed(scenario, STUDIES['surveys']).contenders)
     assert [[each.team for each in group] for group in groups] == [
-        [Team(), *SURVEYS[1:4]],
-        [Team(), *SURVEYS[4:]],
+        [Strategy(), *SURVEYS[1:4]],
+        [Strategy(), *SURVEYS[4:]],
     ]
 
 
 @pytest.mark.parametrize(
     'methods, teams, expected',
     [
-        (('kappa_bnitp',), (Team(),), ['kappa_bnitp']),
-        (ALL_METHODS[:2], (Team(),), list(ALL_METHODS[:2])),
+        (('kappa_bnitp',), (Strategy(),), ['kappa_bnitp']),
+        (ALL_METHODS[:2], (Strategy(),), list(ALL_METHODS[:2])),
         (ALL_METHODS[3:4], COSTS[:2], ['loss cost 0', 'loss cost 0.05']),
         (ALL_METHODS[3:4], CONTACTS[:2], ['last contact 0', 'last contact 0.2']),
         (ALL_METHODS[3:4], PLANNERS[:2], ['relaxed', 'coverage']),
@@ -99,10 +101,10 @@ def test_what_has_no_kinds_is_beside_the_first(scenario):
             (*SURVEYS[:2], SURVEYS[-1]),
             ['no map', 'map 0.7', 'map 0.7 trusted as 0.9'],
         ),
-        (('kappa_bnitp',), (Team(), Team(2)), ['one by one', '2 greedy']),
+        (('kappa_bnitp',), (Strategy(), Strategy(2)), ['one by one', '2 greedy']),
         (
             ALL_METHODS[:2],
-            (Team(), Team(2)),
+            (Strategy(), Strategy(2)),
             [f'{of}, {team}' for of in ALL_METHODS[:2] for team in ('one by one', '2 greedy')],
         ),
     ],

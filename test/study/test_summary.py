@@ -5,7 +5,7 @@ from dataclasses import replace
 import json
 
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.summary import LOG_LOSS, markdown, mean_of, summarise
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
@@ -59,7 +59,7 @@ def test_differences_are_paired(results):
 
 
 def test_teams_have_rows_of_their_own(scenario):
-    teams = (Team(), Team(2), Team(2, 'independent', 0.25))
+    teams = (Strategy(), Strategy(2), Strategy(2, 'independent', 0.25))
     scenario = replace(scenario, teams=teams, lethalities=(0.9,), trials=2)
     results = Results(
         scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.teams import after_rounds, differ_in_size, summarise_teams, teams_markdown
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 import numpy as np
 import pytest
 
-TEAMS = (Team(), Team(3, 'independent'), Team(2, 'voronoi'))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(), Strategy(3, 'independent'), Strategy(2, 'voronoi'))
 
 
 @pytest.fixture(scope='module')
@@ -41,8 +43,8 @@ def test_teams_differ_in_size(scenario):
     for differ, teams in (
         (True, TEAMS),
         (False, TEAMS[:1]),
-        (False, (Team(2, 'voronoi'), Team(2, 'greedy'))),
-        (False, (Team(1), Team(2, loss_cost=0.1))),
+        (False, (Strategy(2, 'voronoi'), Strategy(2, 'greedy'))),
+        (False, (Strategy(1), Strategy(2, loss_cost=0.1))),
     ):
         assert differ_in_size(replace(scenario, teams=teams)) is differ
 
@@ -69,7 +71,7 @@ def test_what_a_robot_and_a_round_bring(teams):
             'information_a_robot': gained / 4,
             'information_a_round': gained / row['rounds'],
             'log_loss': mean(team, 4, *loss),
-            'difference': mean(team, 4, *loss) - mean(Team(), 4, *loss),
+            'difference': mean(team, 4, *loss) - mean(Strategy(), 4, *loss),
             'early_information': prior - mean(team, first, 'joint_entropy'),
             'early_log_loss': mean(team, first, *loss),
             'early_robots_lost': mean(team, first, 'robots_lost'),

@@ -3,8 +3,18 @@
 
 from dataclasses import replace
 
-from kbnitp_ros.core import Belief, brier_score, log_loss, run_mission, SensorModel, World
-from kbnitp_ros.study.scenario import Team
+from kbnitp_ros.core import (
+    Belief,
+    brier_score,
+    log_loss,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Team,
+    Truth,
+    World,
+)
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 import numpy as np
 import pytest
@@ -25,11 +35,9 @@ def fly(scenario, trial, believed=None):
         scenario.robots,
         rng,
         trial.method,
-        max_steps=6,
-        planner='relaxed',
-        max_visits=2,
-        **trial.team.options(),
-        world_model=model,
+        SearchOptions('relaxed', max_steps=6, max_visits=2, loss_cost=trial.team.loss_cost),
+        team=Team(trial.team.agents, trial.team.allocation),
+        truth=Truth(model),
     )
     return world, prior, mission
 
@@ -93,7 +101,7 @@ def test_methods_share_the_fate_of_the_first_robot(results):
 
 
 def test_a_team_leaves_together(scenario):
-    trial = Trial(0.2, 'kappa_bnitp', 1, Team(3, 'voronoi', 0.1))
+    trial = Trial(0.2, 'kappa_bnitp', 1, Strategy(3, 'voronoi', 0.1))
     outcome = run_trial(scenario, trial)
     _, _, mission = fly(scenario, trial)
     assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()

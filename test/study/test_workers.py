@@ -16,6 +16,8 @@ import pyarrow
 from pyarrow import parquet
 import pytest
 
+pytestmark = pytest.mark.processes
+
 PATIENCE = 180.0
 
 

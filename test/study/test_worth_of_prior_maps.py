@@ -5,16 +5,18 @@ from dataclasses import replace
 import json
 
 from kbnitp_ros.core import Belief, Grid, World
-from kbnitp_ros.study.prior_maps import maps_markdown, summarise_maps
+from kbnitp_ros.study.comparison import BY_MAP
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import differ_only_in, Team
+from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.survey import surveyed
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
 
-TEAMS = (Team(), Team(survey=0.9), Team(survey=0.5, trusted=0.8))
+pytestmark = pytest.mark.slow
+
+TEAMS = (Strategy(), Strategy(survey=0.9), Strategy(survey=0.5, trusted=0.8))
 GRID = Grid(40, 40)
 WORLD = World.random(GRID, np.random.default_rng(3), 0.15, 0.8, 0.1)
 PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
@@ -30,7 +32,7 @@ def compared(scenario):
 def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
     cells = np.arange(1, GRID.cells)
     for survey, trusted in ((0.7, 0.0), (0.9, 0.0), (0.5, 0.8)):
-        belief = surveyed(PRIOR, WORLD, Team(survey=survey, trusted=trusted), 1, 2)
+        belief = surveyed(PRIOR, WORLD, Strategy(survey=survey, trusted=trusted), 1, 2)
         told = belief.hazard[cells] > 0.15
         assert (told == WORLD.hazard[cells]).mean() == pytest.approx(survey, abs=0.04)
         odds = (trusted or survey) / (1 - (trusted or survey))
@@ -38,19 +40,19 @@ def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
         assert belief.hazard[cells] == pytest.approx(expected / (1 + expected))
         assert belief.kappa == pytest.approx(PRIOR.kappa)
         assert belief.hazard[0] == 0.0
-    assert surveyed(PRIOR, WORLD, Team(), 1, 2) is PRIOR
+    assert surveyed(PRIOR, WORLD, Strategy(), 1, 2) is PRIOR
 
 
 def test_a_better_map_is_wrong_only_where_a_poorer_one_is():
     wrong = [
-        (surveyed(PRIOR, WORLD, Team(survey=survey), 1, 2).hazard > 0.15) != WORLD.hazard
+        (surveyed(PRIOR, WORLD, Strategy(survey=survey), 1, 2).hazard > 0.15) != WORLD.hazard
         for survey in (0.7, 0.9)
     ]
     assert (wrong[0] | ~wrong[1])[1:].all()
 
 
 def test_each_is_compared_with_none(compared):
-    summary = summarise_maps(compared)
+    summary = BY_MAP.summarise(compared)
     assert [(row['survey'], row['trusted']) for row in summary['rows']] == [(0.9, 0.9), (0.5, 0.8)]
     assert summary['robots'] == [0, 4]
 
@@ -59,17 +61,17 @@ def test_each_is_compared_with_none(compared):
         return compared.series(0.9, 'kappa_bnitp', *measures, team=team)
 
     for row, team in zip(summary['rows'], TEAMS[1:]):
-        worth = (log_loss(TEAMS[0]) - log_loss(team)).mean(axis=0)
-        assert row['worth'][0]['mean'] == pytest.approx(worth[0], abs=1e-6)
-        assert row['worth'][-1]['mean'] == pytest.approx(worth[-1], abs=1e-6)
+        value = (log_loss(TEAMS[0]) - log_loss(team)).mean(axis=0)
+        assert row['value'][0]['mean'] == pytest.approx(value[0], abs=1e-6)
+        assert row['value'][-1]['mean'] == pytest.approx(value[-1], abs=1e-6)
     # A right map tells something at once, and one that is trusted in vain costs.
-    assert summary['rows'][0]['worth'][0]['mean'] > 0.0 > summary['rows'][1]['worth'][0]['mean']
+    assert summary['rows'][0]['value'][0]['mean'] > 0.0 > summary['rows'][1]['value'][0]['mean']
 
 
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = maps_markdown(summary['prior_maps'])
+    told = BY_MAP.markdown(summary['prior_maps'])
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['prior_maps']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')
@@ -80,5 +82,7 @@ def test_the_report_has_a_table_of_it(compared, tmp_path):
 def test_only_teams_that_differ_in_maps_alone_are_compared(scenario):
     maps = 'survey', 'trusted'
     assert differ_only_in(replace(scenario, teams=TEAMS), *maps)
-    assert not differ_only_in(replace(scenario, teams=(Team(), Team(survey=0.9, agents=2))), *maps)
-    assert not differ_only_in(replace(scenario, teams=(Team(),)), *maps)
+    assert not differ_only_in(
+        replace(scenario, teams=(Strategy(), Strategy(survey=0.9, agents=2))), *maps
+    )
+    assert not differ_only_in(replace(scenario, teams=(Strategy(),)), *maps)

@@ -5,18 +5,18 @@ from contextlib import suppress
 from itertools import count
 
 from kbnitp_ros.core import Belief, PLANNERS, update
-from kbnitp_ros.core.inference import Told
-from kbnitp_ros.core.planning import Found, Regions
+from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core.planning import Candidate, Regions
 from kbnitp_ros.testing import check_allocation, check_method, check_planner
 import numpy as np
 import pytest
 
 
-class Sound(Told):
+class Sound(KnownModel):
     """A method that keeps the laws, to plant faults in."""
 
-    def assimilate(self, observation, kind):
-        self.belief = update(self.belief, kind.model(self.model), observation)
+    def assimilate(self, observation, robot_type):
+        self.belief = update(self.belief, robot_type.model(self.model), observation)
 
 
 class OwnCopy(Sound):
@@ -33,27 +33,27 @@ class Shared(Sound):
         super().__init__(belief, model)
         self._prior, self._seen = belief, []
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         after = self._prior
-        for each, of_kind in [*self._seen, (observation, kind)]:
-            after = update(after, of_kind.model(self.model), each)
-        self._seen.append((observation, kind))
+        for each, its_type in [*self._seen, (observation, robot_type)]:
+            after = update(after, its_type.model(self.model), each)
+        self._seen.append((observation, robot_type))
         self.belief = after
 
 
 class Small(Sound):
     """A cell is missing."""
 
-    def assimilate(self, observation, kind):
-        super().assimilate(observation, kind)
+    def assimilate(self, observation, robot_type):
+        super().assimilate(observation, robot_type)
         self.belief = Belief(self.belief.joint[1:])
 
 
 class Blurred(Sound):
     """Cells off the path lose what was known of them."""
 
-    def assimilate(self, observation, kind):
-        super().assimilate(observation, kind)
+    def assimilate(self, observation, robot_type):
+        super().assimilate(observation, robot_type)
         self.belief = Belief(0.99 * self.belief.joint + 0.01 / 4)
 
 
@@ -66,17 +66,17 @@ class Chancy(Sound):
         super().__init__(belief, model)
         self._forgets = next(self.made) % 2 == 1
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         if observation.survived or not self._forgets:
-            super().assimilate(observation, kind)
+            super().assimilate(observation, robot_type)
 
 
 class Lenient(Sound):
     """What is impossible passes without a word."""
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         with suppress(ValueError):
-            super().assimilate(observation, kind)
+            super().assimilate(observation, robot_type)
 
 
 class Hasty(Sound):
@@ -86,18 +86,18 @@ class Hasty(Sound):
         super().__init__(belief, model)
         self._taken = 0
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         self._taken += 1
-        super().assimilate(observation, kind)
+        super().assimilate(observation, robot_type)
         if self._taken > 2 and not observation.survived:
-            super().assimilate(observation, kind)
+            super().assimilate(observation, robot_type)
 
 
 class Inverted(Sound):
     """Readings are taken for their opposites."""
 
-    def assimilate(self, observation, kind):
-        model = kind.model(self.model)
+    def assimilate(self, observation, robot_type):
+        model = robot_type.model(self.model)
         swapped = type(model)(
             model.lethality,
             model.malfunction,
@@ -111,15 +111,15 @@ class Inverted(Sound):
 class Alike(Sound):
     """All robots are taken for ordinary ones."""
 
-    def assimilate(self, observation, kind):
+    def assimilate(self, observation, robot_type):
         self.belief = update(self.belief, self.model, observation)
 
 
 class Moved(Sound):
     """A loss moves targets without hazards."""
 
-    def assimilate(self, observation, kind):
-        super().assimilate(observation, kind)
+    def assimilate(self, observation, robot_type):
+        super().assimilate(observation, robot_type)
         if not observation.survived:
             joint = self.belief.joint.copy()
             joint[observation.path] = self.belief.independent().joint[observation.path]
@@ -135,7 +135,7 @@ METHODS = {
     Lenient: 'what is impossible is refused .* without a ValueError',
     Hasty: 'what is impossible is refused .* What follows the impossible',
     Inverted: 'a return is taken in exactly',
-    Alike: 'a return is taken in exactly|robots of one kind',
+    Alike: 'a return is taken in exactly|robots of one type',
     Moved: r'a loss leaves P\(target \| hazard\) as it was',
 }
 
@@ -153,16 +153,16 @@ def test_a_fault_of_a_method_is_found(method, law):
 
 
 def open_ended(finder, objective):
-    return [Found(each.worth, each.path[:-1]) for each in PLANNERS['beam'](finder, objective)]
+    return [Candidate(each.value, each.path[:-1]) for each in PLANNERS['beam'](finder, objective)]
 
 
 def too_long(finder, objective):
     base = finder.grid.base
-    return [Found.along(np.full(finder.max_steps + 2, base), objective)]
+    return [Candidate.along(np.full(finder.options.max_steps + 2, base), objective)]
 
 
 def too_often(finder, objective):
-    return [Found.along(np.full(finder.max_steps + 1, finder.grid.base), objective)]
+    return [Candidate.along(np.full(finder.options.max_steps + 1, finder.grid.base), objective)]
 
 
 def worst_first(finder, objective):
@@ -170,7 +170,9 @@ def worst_first(finder, objective):
 
 
 def boastful(finder, objective):
-    return [Found(1.01 * worth + 1.0, path) for worth, path in PLANNERS['beam'](finder, objective)]
+    return [
+        Candidate(1.01 * worth + 1.0, path) for worth, path in PLANNERS['beam'](finder, objective)
+    ]
 
 
 def moody():
@@ -188,7 +190,7 @@ PLANS = {
     'at most max_steps': too_long,
     'at most max_visits': too_often,
     'the best path comes first': worst_first,
-    'a path is worth what it says': boastful,
+    'the value of a path is what it says': boastful,
     'the same belief gives the same paths': moody(),
 }
 
@@ -200,7 +202,7 @@ def test_a_fault_of_a_planner_is_found(law, planner):
 
 
 def independent(robots):
-    return [robot.finder.paths(robot.objective)[0].path for robot in robots], None
+    return [robot.finder.candidates(robot.objective)[0].path for robot in robots], None
 
 
 def one_for_all(robots):
@@ -212,7 +214,7 @@ def as_the_first(robots):
 
 
 def second_best(robots):
-    return [robot.finder.paths(robot.objective)[-1].path for robot in robots], None
+    return [robot.finder.candidates(robot.objective)[-1].path for robot in robots], None
 
 
 def regions_of_blocked_cells(robots):

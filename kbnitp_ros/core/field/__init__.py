@@ -4,26 +4,32 @@
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
 from kbnitp_ros.core.field.compiled import compiled, while_compiling
-from kbnitp_ros.core.field.conduct import Conduct, OBEDIENT, Traverse
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
+from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.kind import Kind, of_each, ORDINARY
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
 from kbnitp_ros.core.field.observation import as_path, Observation, Visits
+from kbnitp_ros.core.field.robot_type import of_each, ORDINARY, RobotType
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others, times_log
+from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Beta, Bins, Learnt, Unknowns
 from kbnitp_ros.core.field.world import World
 
 __all__ = [
-    'OBEDIENT',
+    'ALL_KNOWN',
+    'AS_ORDERED',
     'ORDINARY',
     'Belief',
-    'Conduct',
+    'Beta',
+    'Bins',
+    'Execution',
     'Grid',
-    'Kind',
+    'Learnt',
     'Observation',
+    'RobotType',
     'SensorModel',
     'Traverse',
+    'Unknowns',
     'Visits',
     'World',
     'as_path',

@@ -60,6 +60,8 @@ class Belief:
         """
         Return the belief with these maps.
 
+        Equation :eq:`joint`.
+
         Parameters
         ----------
         hazard : array_like, shape (cells,)
@@ -168,11 +170,19 @@ class Belief:
         return kappa
 
     def entropy(self) -> float:
-        """Return H(Z) + H(X) summed over the cells, in nats: the measure of the paper."""
+        """
+        Return H(Z) + H(X) summed over the cells, in nats: the measure of the paper.
+
+        Equation :eq:`belief-entropy`.
+        """
         return float(binary_entropy(self.hazard).sum() + binary_entropy(self.target).sum())
 
     def joint_entropy(self) -> float:
-        """Return H(Z, X) summed over the cells, in nats."""
+        """
+        Return H(Z, X) summed over the cells, in nats.
+
+        Equation :eq:`belief-entropy`.
+        """
         return float(surprisal(self.joint).sum())
 
     def independent(self) -> Belief:

@@ -12,7 +12,8 @@ takes its logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, update_wrapper
 import logging
 from typing import Any, cast, TypeVar
@@ -21,6 +22,9 @@ from warnings import warn
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
 _CHECKS: list[Callable[[], None]] = []
+
+# Folders of kept code that a warning named.
+_WARNED_OF: set[str] = set()
 
 # The versions that the kernels were run with.
 TRIED = ('0.61', '0.62', '0.68')
@@ -33,7 +37,8 @@ def compiled(kernel: Kernel) -> Kernel:
     It is compiled when a kernel of its file is first called: many processes call none, and numba
     takes as long to import as all else together. The machine code is kept beside the source or in
     the home's cache, so that it is made once, which is said in the log. A RuntimeWarning tells
-    once why kernels are not compiled.
+    once why kernels are not compiled, and once for each folder that kept code in it cannot be read
+    or written: then it is compiled anew.
 
     Parameters
     ----------
@@ -85,17 +90,58 @@ def while_compiling(check: Callable[[], None]) -> None:
 def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return the kernel compiled, or itself where that cannot be."""
     numba = _numba()
-    if numba is None:
+    if numba is None or numba.config.DISABLE_JIT:
         return kernel
     try:
-        code: Callable[..., Any] = numba.njit(cache=True)(kernel)
+        kept = _kept_code(numba.core.caching.FunctionCache)(kernel)
     except RuntimeError:
         # The documented exception where no folder can be written.
         _warn_once(
             'numba can keep compiled code nowhere: set NUMBA_CACHE_DIR to a folder to write in'
         )
         return kernel
+    code: Callable[..., Any] = numba.njit(kernel)
+    # What `cache=True` sets, but for files that cannot be used.
+    code._cache = kept  # type: ignore[attr-defined]
     return code
+
+
+@cache
+def _kept_code(function_cache: type[Any]) -> type[Any]:
+    """Return numba's cache as one that does without files that it cannot read or write."""
+
+    class KeptCode(function_cache):  # type: ignore[misc]
+        """
+        The compiled code of a kernel, in files.
+
+        numba does not flush them to the disk, so that a machine that loses power leaves some cut
+        short or empty. pickle raises almost anything when it reads such a file.
+        """
+
+        def load_overload(self, signature: Any, target: Any) -> Any:
+            """Return the code for arguments of these types; None where it is to be compiled."""
+            try:
+                return super().load_overload(signature, target)
+            except Exception as error:
+                _warn_of_files(self.cache_path, f'cannot be read ({error!r})')
+                with self._or_without_files():
+                    self.flush()
+                return None
+
+        def save_overload(self, signature: Any, code: Any) -> None:
+            """Keep the code for arguments of these types, if that can be."""
+            with self._or_without_files():
+                super().save_overload(signature, code)
+
+        @contextmanager
+        def _or_without_files(self) -> Iterator[None]:
+            try:
+                yield
+            except Exception as error:
+                _warn_of_files(self.cache_path, f'cannot be written ({error!r})')
+                self.disable()
+
+    return KeptCode
 
 
 @cache
@@ -136,6 +182,17 @@ def _say_once() -> None:
     logging.getLogger(__package__).warning(
         'kernels are compiled for the first time, which takes up to a minute'
     )
+
+
+def _warn_of_files(folder: str, problem: str) -> None:
+    if folder not in _WARNED_OF:
+        _WARNED_OF.add(folder)
+        warn(
+            f'the cache of numba in {folder} {problem}: kernels are compiled again. '
+            'If this message appears at every start, delete the folder',
+            RuntimeWarning,
+            stacklevel=4,
+        )
 
 
 @cache

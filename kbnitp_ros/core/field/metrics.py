@@ -15,6 +15,8 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     """
     Return the log loss of a map, summed over the cells.
 
+    Equation :eq:`log-loss`.
+
     Parameters
     ----------
     probability : ndarray, shape (cells,)
@@ -39,7 +41,9 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
 
 def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     """
-    Return the squared error of a map, summed over the cells.
+    Return the squared error of a map, summed over the cells: its Brier score.
+
+    Equation :eq:`brier-score`.
 
     Parameters
     ----------

@@ -49,6 +49,8 @@ class SensorModel:
         """
         Return P(step survived | Z), per step.
 
+        Equation :eq:`step-survival`.
+
         Parameters
         ----------
         hazard : array_like
@@ -62,6 +64,8 @@ class SensorModel:
         """
         Return P(Y = 1 | X), per step.
 
+        Equation :eq:`reading`.
+
         Parameters
         ----------
         target : array_like
@@ -73,7 +77,11 @@ class SensorModel:
 
     @property
     def log_survival(self) -> NDArray[np.float64]:
-        """Log P(step survived | Z = z) for z = 0, 1, shape (2,), in [-inf, 0]."""
+        """
+        Log P(step survived | Z = z) for z = 0, 1, shape (2,), in [-inf, 0].
+
+        Equation :eq:`step-survival`.
+        """
         with np.errstate(divide='ignore'):
             strike = self.lethality * (1.0 - self.false_negative)
             log_survival: NDArray[np.float64] = np.log1p(-strike * np.arange(2.0))
@@ -82,7 +90,11 @@ class SensorModel:
 
     @property
     def log_reading(self) -> NDArray[np.float64]:
-        """Log P(Y = y | X = x), indexed [y, x], shape (2, 2), in [-inf, 0]."""
+        """
+        Log P(Y = y | X = x), indexed [y, x], shape (2, 2), in [-inf, 0].
+
+        Equation :eq:`reading`.
+        """
         positive = self.reading((0, 1))
         with np.errstate(divide='ignore'):
             return np.log(np.stack([1.0 - positive, positive]))

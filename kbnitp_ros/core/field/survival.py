@@ -21,6 +21,8 @@ def log_predicted_survival(
     """
     Return log S, where S = (1 - z) s0^n + z s1^n is the chance to survive n visits to a cell.
 
+    Equation :eq:`predicted-survival`.
+
     Parameters
     ----------
     hazard : ndarray, shape (...)

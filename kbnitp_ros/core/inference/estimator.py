@@ -7,21 +7,23 @@ from collections.abc import Mapping
 from copy import copy
 
 from kbnitp_ros.core.field import (
+    ALL_KNOWN,
     Belief,
-    Kind,
+    Learnt,
     Observation,
     ORDINARY,
+    RobotType,
     SensorModel,
+    Unknowns,
     whole_number,
 )
-from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, METHODS, versions
-from kbnitp_ros.core.inference.unknowns import ALL_KNOWN, Learnt, Unknowns
+from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, METHODS
 from kbnitp_ros.plugins import PluginError
 
 
 class Estimator:
     """
-    A belief that takes in one deployment after another.
+    A belief that assimilates one deployment after another.
 
     Parameters
     ----------
@@ -37,19 +39,18 @@ class Estimator:
         Of the random numbers that a method draws, at least 0. The same evidence in the same order
         gives the same belief, bit for bit.
 
-    version : int, optional
-        Which of the `versions` of the method, from 1; the last unless given.
-
     Attributes
     ----------
-    prior, method, unknowns, seed, version
+    prior, method, unknowns, seed
         What it was made with.
+    version : int
+        Of the method's arithmetic.
 
     Raises
     ------
     ValueError
-        If the method or the version is unknown, it learns no numbers and there are some to learn,
-        one of these makes no difference, or a method of another package breaks its rules.
+        If the method is unknown, it learns no numbers and there are some to learn, one of these
+        makes no difference, or a method of another package breaks its rules.
 
     """
 
@@ -60,17 +61,10 @@ class Estimator:
         method: str = 'kappa_bnitp',
         unknowns: Unknowns = ALL_KNOWN,
         seed: int = 0,
-        *,
-        version: int | None = None,
     ) -> None:
-        known = versions(method)
-        if version is None:
-            version = known[-1]
-        elif version not in known:
-            raise ValueError(f'version is {version}: {method} has {", ".join(map(str, known))}')
-        start = METHODS[method][version - 1]
+        start = METHODS.find(method)
         if unknowns.priors and not start.learns:
-            learners = [name for name, each in METHODS.items() if each[-1].learns]
+            learners = [name for name, each in METHODS.items() if each.learns]
             raise ValueError(
                 f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
                 f'numbers for right: use {" or ".join(learners)}'
@@ -79,7 +73,7 @@ class Estimator:
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
-        self.version = version
+        self.version = start.version
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(start(belief, model, unknowns, self.seed))
@@ -96,7 +90,7 @@ class Estimator:
         """
         Return the sensor model to plan with: as given, or as expected by what was learnt.
 
-        It is that of robots like all others, and `Kind.model` makes that of a kind of it.
+        It is that of robots like all others, and `RobotType.model` makes that of a type of it.
         """
         return self._inference.model
 
@@ -111,19 +105,19 @@ class Estimator:
         return self._inference.sampling_error
 
     @property
-    def is_settled(self) -> bool:
+    def is_converged(self) -> bool:
         """Whether that is as little as the method aims at."""
-        return self._inference.is_settled
+        return self._inference.is_converged
 
-    def assimilate(self, observation: Observation, kind: Kind = ORDINARY) -> None:
+    def assimilate(self, observation: Observation, robot_type: RobotType = ORDINARY) -> None:
         """
-        Take in one deployment.
+        Assimilate one deployment.
 
         Parameters
         ----------
         observation : Observation
             Its outcome.
-        kind : Kind
+        robot_type : RobotType
             Of the robot: its sensor model is that of the estimator but for what it has of its own,
             which is known even where the estimator's is learnt.
 
@@ -138,7 +132,7 @@ class Estimator:
         """
         inference = self._inference.copy()
         with METHODS.blamed(self.method):
-            inference.assimilate(observation, kind)
+            inference.assimilate(observation, robot_type)
             self._inference = self._checked(inference)
 
     def _checked(self, inference: Inference) -> Inference:

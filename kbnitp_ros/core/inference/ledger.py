@@ -7,27 +7,27 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from kbnitp_ros.core.field import Belief, Grid, Kind
-from kbnitp_ros.core.inference.estimator import Estimator
-from kbnitp_ros.core.inference.register import (
+from kbnitp_ros.core.field import Belief, Grid, RobotType
+from kbnitp_ros.core.inference.deployments import (
     deployment_order,
     DeploymentKey,
+    Deployments,
     Outcome,
-    Register,
     Report,
 )
+from kbnitp_ros.core.inference.estimator import Estimator
 
 # How far back, as a power of two, an estimator is kept after each deployment. Twice as far back
-# it is after every second one, and so on: few are kept, and going back any way to take in a late
-# deployment costs little more than the deployments that follow it.
+# it is after every second one, and so on: few are kept, and going back any way to assimilate a
+# late deployment costs little more than the deployments that follow it.
 DENSE = 2
 
 
-class Ledger(Register):
+class Ledger(Deployments):
     """
     The deployments of a mission and the belief that they give, each counted exactly once.
 
-    The belief is always, bit for bit, that of an estimator that takes in the deployments whose
+    The belief is always, bit for bit, that of an estimator that assimilates the deployments whose
     path and report are both known one after another in deployment order, so the order of arrival
     does not matter. A report that is impossible together with the deployments held is refused.
 
@@ -39,7 +39,7 @@ class Ledger(Register):
         The most steps a path may have.
     estimator : Estimator
         Before the first deployment.
-    kinds : mapping of str to Kind
+    robot_types : mapping of str to RobotType
         Of the robots of each agent whose robots are not like all others.
 
     Attributes
@@ -47,11 +47,13 @@ class Ledger(Register):
     deployments : list of DeploymentKey
         Those in the belief, in deployment order.
     newest : DeploymentKey or None
-        Whose evidence was taken in last; None before the first.
+        Whose evidence was assimilated last; None before the first.
     newest_stamp : int
         Of the report that told of it, nanoseconds of ROS time.
+    report_contents : dict of DeploymentKey to int
+        Hashes of the messages that the reports in the belief came with, 0 where there was none.
     assimilations : int
-        How many deployments its estimators took in, those again that came before a late one.
+        How many deployments its estimators assimilated, those again that came before a late one.
 
     """
 
@@ -60,14 +62,15 @@ class Ledger(Register):
         grid: Grid,
         max_steps: int,
         estimator: Estimator,
-        kinds: Mapping[str, Kind] = MappingProxyType({}),
+        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
     ) -> None:
-        super().__init__(grid, max_steps, kinds)
+        super().__init__(grid, max_steps, robot_types)
         self.deployments: list[DeploymentKey] = []
         self.newest: DeploymentKey | None = None
         self.newest_stamp = 0
+        self.report_contents: dict[DeploymentKey, int] = {}
         self.assimilations = 0
-        # Some of those on the way to the belief, by how many deployments they have taken in.
+        # Some of those on the way to the belief, by how many deployments they have assimilated.
         self._estimators = {0: estimator}
 
     @property
@@ -84,9 +87,14 @@ class Ledger(Register):
         """Return a ledger that goes on by itself from here."""
         other = super().copy()
         other.deployments = self.deployments.copy()
+        other.report_contents = self.report_contents.copy()
         return other
 
-    def _take_in(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+    def _hear_again(self, key: DeploymentKey, report: Report) -> None:
+        # The message heard before may have died with its publisher and a recorder.
+        self.report_contents[key] = report.content
+
+    def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
         """Go back to before a deployment, and from there on with this outcome of it."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)
@@ -100,7 +108,7 @@ class Ledger(Register):
             try:
                 estimator.assimilate(
                     self._observation(each, outcome if each == key else self._outcomes[each]),
-                    self.kind(each),
+                    self.robot_type(each),
                 )
             except ValueError as error:
                 if each == key:
@@ -114,6 +122,7 @@ class Ledger(Register):
         self._estimators = estimators
         self.deployments[start:] = deployments
         self.newest, self.newest_stamp = key, report.stamp
+        self.report_contents[key] = report.content
 
 
 def is_kept(count: int, deployments: int) -> bool:

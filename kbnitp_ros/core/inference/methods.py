@@ -8,21 +8,22 @@ A new one is one file and one line here, or an entry point of another package.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import cast, Protocol
 
-from kbnitp_ros.core.field import Belief, Kind, Observation, SensorModel
-from kbnitp_ros.core.inference import exact, multi_universe, published
-from kbnitp_ros.core.inference.one_pass import OnePass
-from kbnitp_ros.core.inference.sampled import Sampler
-from kbnitp_ros.core.inference.sampled_everywhere import EverywhereSampler
-from kbnitp_ros.core.inference.smoothed import Smoother
-from kbnitp_ros.core.inference.swept import SweptSmoother
-from kbnitp_ros.core.inference.unknowns import Learnt, Unknowns
+from kbnitp_ros.core.field import Belief, Learnt, Observation, RobotType, SensorModel, Unknowns
+from kbnitp_ros.core.inference.filtering import (
+    lost_likelihood,
+    multi_universe_likelihood,
+    OnePass,
+    published_likelihood,
+)
+from kbnitp_ros.core.inference.sampling import Sampler
+from kbnitp_ros.core.inference.smoothing import Smoother
 from kbnitp_ros.plugins import Registry, takes
 
 # What an inference can do, and what it knows.
 CALLED = ('assimilate', 'copy')
-KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_settled')
+KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_converged')
 
 
 class Inference(Protocol):
@@ -40,7 +41,7 @@ class Inference(Protocol):
     sampling_error : float
         How far chance takes the belief from what the method would come to without, as an
         expected KL divergence in nats.
-    is_settled : bool
+    is_converged : bool
         Whether that is as little as the method aims at.
 
     """
@@ -49,10 +50,10 @@ class Inference(Protocol):
     model: SensorModel
     parameters: Mapping[str, Learnt]
     sampling_error: float
-    is_settled: bool
+    is_converged: bool
 
-    def assimilate(self, observation: Observation, kind: Kind) -> None:
-        """Take in one deployment of a kind of robot; a ValueError leaves all as it was."""
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """Assimilate one deployment of a robot of a type; a ValueError leaves all as it was."""
 
     def copy(self) -> Inference:
         """Return one that goes on by itself from here, at next to no cost in memory."""
@@ -66,66 +67,95 @@ class Method(Protocol):
     ----------
     learns : bool
         Whether it can learn numbers that are not known.
+    version : int
+        Of its arithmetic, from 1: another one whenever the same evidence gives other bits.
 
     """
 
     @property
     def learns(self) -> bool: ...
 
+    @property
+    def version(self) -> int: ...
+
     def __call__(
         self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int, /
     ) -> Inference: ...
 
 
-def as_versions(given: object) -> tuple[Method, ...]:
+def as_method(given: object) -> Method:
     """
-    Return the versions of a method that is to be registered: one, or a tuple of them.
+    Return a method that is to be registered.
 
     Raises
     ------
     TypeError
-        If one of them is no `Method`.
-    ValueError
-        If there is none.
+        If it is no `Method`.
 
     """
-    versions = given if isinstance(given, tuple) else (given,)
-    if not versions:
-        raise ValueError('it is an empty tuple: it must have the versions of a method')
-    for each in versions:
-        takes(each, ('belief', 'model', 'unknowns', 'seed'))
-        if not isinstance(getattr(each, 'learns', None), bool):
-            raise TypeError('it must have an attribute learns that is True or False')
-        lacking = [name for name in CALLED if not callable(getattr(each, name, None))]
-        if isinstance(each, type) and lacking:
-            raise TypeError(f'it must have {" and ".join(lacking)}')
-    return versions
+    takes(given, ('belief', 'model', 'unknowns', 'seed'))
+    if not isinstance(getattr(given, 'learns', None), bool):
+        raise TypeError('it must have an attribute learns that is True or False')
+    version = getattr(given, 'version', None)
+    if not isinstance(version, int) or version < 1:
+        raise TypeError('it must have an attribute version that is a whole number from 1')
+    lacking = [name for name in CALLED if not callable(getattr(given, name, None))]
+    if isinstance(given, type) and lacking:
+        raise TypeError(f'it must have {" and ".join(lacking)}')
+    return cast(Method, given)
 
 
-# All versions of each method, which give different bits. The last is how it is computed now; a log
-# is replayed by the one that it was recorded with.
 METHODS = Registry(
     'method',
-    as_versions,
+    as_method,
     {
-        'relaxed_itp': OnePass(multi_universe.lost_likelihood, correlated=False),
-        'relaxed_bnitp': OnePass(published.lost_likelihood, correlated=False),
-        'kappa_bnitp_published': OnePass(published.lost_likelihood, correlated=True),
-        'kappa_bnitp': OnePass(exact.lost_likelihood, correlated=True),
-        'kappa_bnitp_smoothed': (SweptSmoother, Smoother),
-        'kappa_bnitp_sampled': (EverywhereSampler, Sampler),
+        'relaxed_itp': OnePass(multi_universe_likelihood, correlated=False),
+        'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
+        'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
+        'kappa_bnitp': OnePass(lost_likelihood, correlated=True),
+        'kappa_bnitp_smoothed': Smoother,
+        'kappa_bnitp_sampled': Sampler,
     },
 )
 
 
-def versions(method: str) -> range:
+def update(
+    belief: Belief,
+    model: SensorModel,
+    observation: Observation,
+    method: str = 'kappa_bnitp',
+) -> Belief:
     """
-    Return the versions that there are of a method, from 1.
+    Return the belief after one deployment; cells off the path keep their bits.
+
+    A returned robot's cells are updated exactly (arXiv:2305.06929, eq. 6-8). Of a lost robot each
+    cell's P(Z) is updated with the method's likelihood of the loss, and X follows through
+    P(X | Z), which a loss leaves unchanged. Steps it is known to have survived are evidence of
+    their own: it was lost in the rest.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment. Methods without kappa take hazard and target for independent.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    observation : Observation
+        The deployment's outcome.
+    method : str
+        A one-pass method.
 
     Raises
     ------
     ValueError
-        If the method is unknown.
+        If the method is unknown or keeps more state than a belief, the path leaves the belief's
+        cells, or the outcome is impossible under the belief.
 
     """
-    return range(1, 1 + len(METHODS.find(method)))
+    one_pass = {name: each for name, each in METHODS.items() if isinstance(each, OnePass)}
+    if method not in one_pass:
+        others = [name for name in METHODS if name not in one_pass]
+        raise ValueError(
+            f'method is {method!r}: known for one deployment are {", ".join(one_pass)}; '
+            f'{", ".join(others)} need them all, in an Estimator'
+        )
+    return one_pass[method].update(belief, model, observation)

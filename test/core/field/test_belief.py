@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The belief: one joint of hazard and target per cell, the three maps being views of it."""
 
+from itertools import product
 from math import log
 
 import brute_force
 from kbnitp_ros.core import Belief, Grid
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -18,7 +20,7 @@ def naive_entropy(probabilities):
     return -sum(p * log(p) for p in probabilities if p > 0)
 
 
-@pytest.mark.parametrize('seed', range(20))
+@for_each('seed', range(20))
 def test_maps_and_joint_are_views_of_each_other(seed):
     joint = np.random.default_rng(seed).dirichlet(np.full(4, 0.7), 30).reshape(-1, 2, 2)
     hazard, target, kappa = maps_of(joint)
@@ -77,8 +79,7 @@ def test_kappa_is_the_target_where_there_is_no_hazard():
     np.testing.assert_allclose(belief.kappa, [0.3, 0.5], atol=1e-15)
 
 
-@pytest.mark.parametrize('field', ['hazard', 'target', 'kappa'])
-@pytest.mark.parametrize('value', [np.nan, -0.1, 1.1, np.inf])
+@for_each('field, value', product(['hazard', 'target', 'kappa'], [np.nan, -0.1, 1.1, np.inf]))
 def test_maps_of_no_probability_are_refused_at_the_first_bad_cell(field, value):
     maps = {name: np.full(12, 0.5) for name in ('hazard', 'target', 'kappa')}
     maps[field][[7, 9]] = value
@@ -86,7 +87,7 @@ def test_maps_of_no_probability_are_refused_at_the_first_bad_cell(field, value):
         Belief.from_maps(**maps)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'hazard, target, kappa',
     [
         (0.5, 0.1, 0.8),  # more hazardous targets than targets
@@ -103,13 +104,13 @@ def test_maps_without_a_joint_are_refused_at_the_first_bad_cell(hazard, target, 
         assert str(value) in str(refusal.value)
 
 
-@pytest.mark.parametrize('shapes', [(3, 3, 4), (3, 2, 3), (1, 3, 3), (0, 0, 0), ((3, 1),) * 3])
+@for_each('shapes', [(3, 3, 4), (3, 2, 3), (1, 3, 3), (0, 0, 0), ((3, 1),) * 3])
 def test_maps_of_wrong_shape_are_refused(shapes):
     with pytest.raises(ValueError, match='(hazard|target|kappa).*shape'):
         Belief.from_maps(*(np.full(shape, 0.5) for shape in shapes))
 
 
-@pytest.mark.parametrize(
+@for_each(
     'joint, message',
     [
         (np.full((3, 4), 0.25), r'joint.*shape.*\(3, 4\)'),
@@ -146,7 +147,7 @@ def test_prior_takes_maps():
     np.testing.assert_allclose(belief.kappa, [0.9, 0.2, 0.1], atol=1e-14)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'maps, message',
     [
         ({'hazard': 1.5}, r'hazard.*1.5.*\[0, 1\]'),
@@ -166,7 +167,7 @@ def test_a_base_certainly_hazardous_is_refused():
         Belief.prior(Grid(3, 1, base=1), [0.2, 1.0, 0.2], 0.5, 0.5)
 
 
-@pytest.mark.parametrize('seed', range(10))
+@for_each('seed', range(10))
 def test_entropies(seed):
     joint = brute_force.random_joint(np.random.default_rng(seed), 20, base=3)
     joint[0] = [[1, 0], [0, 0]]

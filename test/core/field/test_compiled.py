@@ -2,10 +2,18 @@
 """Kernels are compiled where they can be, and run anyway where not."""
 
 import os
+from pathlib import Path
+import pickle
 import subprocess
 import sys
 
+import kbnitp_ros.core
+import numba
 import pytest
+
+pytestmark = pytest.mark.processes
+
+CORE = Path(kbnitp_ros.core.__file__).parent
 
 KERNEL = """
 from kbnitp_ros.core.field.compiled import compiled
@@ -25,7 +33,9 @@ print(half(1.0), third(3.0), type(half).__name__)
 def run(source, file='kernel.py', folder=None, before='', **environment):
     """Run the kernels in a process of its own; return what it printed and what it warned of."""
     path = folder / file
-    path.write_text(source)
+    # Of a file that changed no code is kept.
+    if not path.exists():
+        path.write_text(source)
     code = f'{before}\nimport runpy; runpy.run_path({str(path)!r})'
     done = subprocess.run(
         [sys.executable, '-c', code],
@@ -80,3 +90,88 @@ def test_code_that_can_be_kept_nowhere_is_interpreted(tmp_path):
     assert printed == ['0.5', '1.0', 'function']
     assert len(warnings) == 1
     assert 'NUMBA_CACHE_DIR' in warnings[0]
+
+
+def cut(file):
+    """Leave the first half, as a machine that loses power may."""
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def emptied(file):
+    file.write_bytes(b'')
+
+
+def overwritten(file):
+    file.write_bytes(bytes(range(256)) * 8)
+
+
+def of_other_content(file):
+    file.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps('no index'))
+
+
+def replaced_by_a_folder(file):
+    file.unlink()
+    file.mkdir()
+
+
+@pytest.mark.parametrize(
+    'torn', [cut, emptied, overwritten, of_other_content, replaced_by_a_folder]
+)
+def test_torn_files_are_compiled_anew(tmp_path, torn):
+    kept = tmp_path / 'kept'
+    environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
+    compiled = ['0.5', '1.0', 'CPUDispatcher']
+    assert run(KERNEL, **environment) == (compiled, [])
+    (index,) = kept.glob('*/kernel.half-*.nbi')
+    (data,) = kept.glob('*/kernel.third-*.nbc')
+    for file in (index, data):
+        torn(file)
+    printed, (warning,) = run(KERNEL, **environment)
+    assert printed == compiled
+    assert str(index.parent) in warning
+    again, warnings = run(KERNEL, **environment)
+    assert again == compiled
+    # A folder stays in the way.
+    assert len(warnings) == (torn is replaced_by_a_folder)
+
+
+MISSIONS = """
+from kbnitp_ros.core import (
+    Belief, Grid, Learning, plan, run_mission, SearchOptions, SensorModel, Team, Unknowns, World
+)
+import numpy as np
+
+grid, model = Grid(4, 4), SensorModel(0.9)
+prior = Belief.prior(grid, 0.5, 0.45, 0.8)
+for method, objective, unknowns in (
+    ('kappa_bnitp_smoothed', 'behavioral', Unknowns()),
+    ('kappa_bnitp_sampled', 'information', Unknowns(lethality=(0.0, 1.0))),
+):
+    rng = np.random.default_rng(1)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    alpha = 2.0 if objective == 'behavioral' else 1.0
+    mission = run_mission(
+        grid, prior, model, world, 8, rng, method,
+        SearchOptions(max_steps=6, objective=objective, alpha=alpha),
+        team=Team(2), learning=Learning(unknowns),
+    )
+    print(mission[-1].belief.joint.tobytes().hex())
+print(plan(grid, prior, model, 6, bound=True).upper_bound)
+"""
+
+
+@pytest.mark.full
+def test_torn_files_of_every_module_with_kernels_are_compiled_anew(tmp_path):
+    kept = tmp_path / 'kept'
+    environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
+    beliefs, warnings = run(MISSIONS, **environment)
+    assert not warnings
+    modules = {path.stem for path in CORE.rglob('*.py') if '\n@compiled\n' in path.read_text()}
+    files = sorted(kept.glob('*/*.nb[ic]'))
+    assert {file.name.split('.')[0] for file in files} == modules
+    for number, file in enumerate(files):
+        (cut, emptied, overwritten)[number % 3](file)
+    again, warnings = run(MISSIONS, **environment)
+    assert again == beliefs
+    assert len(warnings) == len(list(kept.iterdir()))
+    assert run(MISSIONS, **environment) == (beliefs, [])

@@ -8,6 +8,7 @@ import brute_force
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def test_neighbors_leave_out_blocked_cells():
     assert Grid(3, 3, blocked=(1, 4)).neighbors(0).tolist() == [0, 3]
 
 
-@pytest.mark.parametrize('width, height', [(1, 1), (1, 5), (5, 1), (4, 3)])
+@for_each('width, height', [(1, 1), (1, 5), (5, 1), (4, 3)])
 def test_neighbors_of_every_cell(width, height):
     grid = Grid(width, height)
     for cell, expected in brute_force.adjacent(width, height).items():
@@ -51,7 +52,7 @@ def test_a_diagonal_step_may_touch_a_blocked_cell_unless_told_otherwise():
     assert clear.neighbors(4).tolist() == [4, 5, 7, 8]
 
 
-@pytest.mark.parametrize('seed', range(20))
+@for_each('seed', range(20))
 def test_steps_keep_clear_of_blocked_cells(seed):
     rng = np.random.default_rng(seed)
     width, height = rng.integers(1, 7, 2)
@@ -68,7 +69,7 @@ def test_steps_keep_clear_of_blocked_cells(seed):
         assert grid.neighbors(cell).tolist() == [to for to in around if is_clear(to)]
 
 
-@pytest.mark.parametrize('cell', [-1, 12, 1.5])
+@for_each('cell', [-1, 12, 1.5])
 def test_only_cells_of_the_grid_have_neighbors(cell):
     with pytest.raises(ValueError, match=f'cell is {cell}.*0 to 11'):
         Grid(4, 3).neighbors(cell)
@@ -92,7 +93,7 @@ def test_points_find_the_cell_they_lie_in():
     assert grid.cells_at([[-1.99, 10.01], [-0.01, 11.49], [-1.49, 10.49]]).tolist() == [0, 11, 1]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'point',
     [
         (-0.01, 0.5),
@@ -109,7 +110,7 @@ def test_points_outside_are_refused(point):
         Grid(4, 3).cells_at([point])
 
 
-@pytest.mark.parametrize('shape', [(6,), (3, 3)])
+@for_each('shape', [(6,), (3, 3)])
 def test_points_are_pairs(shape):
     with pytest.raises(ValueError, match='point'):
         Grid(4, 3).cells_at(np.full(shape, 0.5))
@@ -126,7 +127,7 @@ def test_steps_to_base_go_around_blocked_cells():
 
 
 @pytest.mark.parametrize('blocked', [(), (1, 6, 11, 16)], ids=['open', 'walled'])
-@pytest.mark.parametrize('max_steps', [0, 1, 2, 3, 5, 1000])
+@for_each('max_steps', [0, 1, 2, 3, 5, 1000])
 def test_what_is_in_reach_is_what_some_path_leads_through(max_steps, blocked):
     grid = Grid(5, 4, base=0, blocked=blocked)
     ways_out = {0: {grid.base}}
@@ -148,7 +149,7 @@ def test_a_cell_walled_off_is_farther_than_any_other():
     assert (walled[[1, 2, 3]] >= 4).all()
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, message',
     [
         ({'width': 0}, 'width is 0.*at least 1'),
@@ -202,7 +203,7 @@ def test_grids_compare_and_cannot_be_changed():
         grid.base = 3
 
 
-@pytest.mark.parametrize(
+@for_each(
     'path',
     [
         [5, 5],
@@ -218,7 +219,7 @@ def test_legal_paths_pass(path):
     assert np.issubdtype(checked.dtype, np.integer)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'path, message',
     [
         ([], 'path.*at least two'),

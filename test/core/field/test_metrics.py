@@ -5,11 +5,12 @@ from math import isfinite, log
 
 import brute_force
 from kbnitp_ros.core import Belief, brier_score, Grid, log_loss, SensorModel, update, World
+from laws import for_each
 import numpy as np
 import pytest
 
 
-@pytest.mark.parametrize('seed', range(10))
+@for_each('seed', range(10))
 def test_scores_by_their_formulas(seed):
     rng = np.random.default_rng(seed)
     believed, truth = rng.uniform(0.001, 0.999, 30), rng.random(30) < 0.5
@@ -30,7 +31,7 @@ def test_certainty_costs_nothing_when_right_and_much_when_wrong():
     assert brier_score(believed, [True, True, False]) == 2
 
 
-@pytest.mark.parametrize('score', [log_loss, brier_score])
+@for_each('score', [log_loss, brier_score])
 def test_a_truth_of_another_size_is_refused(score):
     with pytest.raises(ValueError, match='truth'):
         score(np.array([0.5, 0.5, 0.5]), [True])

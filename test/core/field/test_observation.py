@@ -2,6 +2,7 @@
 """What comes back, or does not, from one deployment."""
 
 from kbnitp_ros.core import Observation
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -20,7 +21,7 @@ def test_a_lost_robot_brings_none():
     assert observation.survived is False
 
 
-@pytest.mark.parametrize(
+@for_each(
     'path, survived, readings, message',
     [
         ([0, 1, 0], True, None, 'readings.*missing.*each step'),
@@ -46,7 +47,7 @@ def test_bad_observations_are_refused(path, survived, readings, message):
         Observation(path, survived, readings)
 
 
-@pytest.mark.parametrize('survived', [2, -1, 0.5, float('nan'), 'yes', None])
+@for_each('survived', [2, -1, 0.5, float('nan'), 'yes', None])
 def test_survived_is_a_yes_or_no(survived):
     with pytest.raises(ValueError, match='survived'):
         Observation([0, 1, 0], survived, None)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a robot survives and what it reports."""
 
+from itertools import product
 import math
 
 from kbnitp_ros.core import SensorModel
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -23,7 +25,7 @@ def test_survival_of_a_step():
     )
 
 
-@pytest.mark.parametrize(
+@for_each(
     'lethality, expected',
     [
         (0.0, 0.95),
@@ -42,14 +44,13 @@ def test_reading_of_a_cell():
     assert float(model.reading(True)) == 0.8
 
 
-@pytest.mark.parametrize('field', FIELDS)
-@pytest.mark.parametrize('value', [-0.01, 1.01, math.nan, math.inf, -math.inf])
+@for_each('field, value', product(FIELDS, [-0.01, 1.01, math.nan, math.inf, -math.inf]))
 def test_what_is_no_probability_is_refused_by_name(field, value):
     with pytest.raises(ValueError, match=rf'{field} is {value}.*\[0, 1\]'):
         SensorModel(**{'lethality': 0.5, field: value})
 
 
-@pytest.mark.parametrize('field', FIELDS)
+@for_each('field', FIELDS)
 def test_certainties_are_allowed(field):
     for value in (0, 1):
         assert getattr(SensorModel(**{'lethality': 0.5, field: value}), field) == value

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hidden world: how it is drawn and what it does to a robot."""
 
+from itertools import product
 import math
 from types import SimpleNamespace
 
 import brute_force
 from kbnitp_ros.core import Grid, SensorModel, World
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -57,14 +59,16 @@ def test_the_same_seed_is_the_same_world():
     assert one.hazard.tobytes() != other.hazard.tobytes()
 
 
-@pytest.mark.parametrize('field', ['hazard_density', 'kappa', 'target_background'])
-@pytest.mark.parametrize('value', [-0.1, 1.1, math.nan])
+@for_each(
+    'field, value',
+    product(['hazard_density', 'kappa', 'target_background'], [-0.1, 1.1, math.nan]),
+)
 def test_densities_are_probabilities(field, value):
     with pytest.raises(ValueError, match=rf'{field} is {value}.*\[0, 1\]'):
         draw(Grid(3, 3), np.random.default_rng(0), **{field: value})
 
 
-@pytest.mark.parametrize(
+@for_each(
     'hazard, target, message',
     [
         ([False] * 3, [False] * 4, 'target.*4.*3'),
@@ -80,7 +84,7 @@ def test_bad_worlds_are_refused(hazard, target, message):
         World(hazard, target)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'hazard, target, message',
     [
         ([0, 0, 0], [0, 0, 0], 'world.*3 cells.*2 x 2'),
@@ -112,20 +116,23 @@ HAZARD = [False, True, False, True]
 TARGET = [False, True, True, False]
 
 
-@pytest.mark.parametrize('path', [[0, 1, 2, 0], [0, 1, 1, 3, 0], [0, 2, 2, 0], [0, 0]])
-@pytest.mark.parametrize(
-    'sensors',
-    [
-        {'lethality': 0.3},
-        {
-            'lethality': 0.6,
-            'malfunction': 0.2,
-            'false_negative': 0.3,
-            'true_positive': 0.7,
-            'false_positive': 0.4,
-        },
-        {'lethality': 0.05, 'malfunction': 0.0},
-    ],
+@pytest.mark.slow
+@for_each(
+    'path, sensors',
+    product(
+        [[0, 1, 2, 0], [0, 1, 1, 3, 0], [0, 2, 2, 0], [0, 0]],
+        [
+            {'lethality': 0.3},
+            {
+                'lethality': 0.6,
+                'malfunction': 0.2,
+                'false_negative': 0.3,
+                'true_positive': 0.7,
+                'false_positive': 0.4,
+            },
+            {'lethality': 0.05, 'malfunction': 0.0},
+        ],
+    ),
 )
 def test_robots_return_and_report_as_often_as_predicted(path, sensors):
     world, model, runs = World(HAZARD, TARGET), SensorModel(**sensors), 3000

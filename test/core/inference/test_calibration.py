@@ -11,8 +11,8 @@ from math import erfc, exp, gamma, sqrt
 import brute_force
 import extent
 from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
-from kbnitp_ros.core.inference import gibbs
-from kbnitp_ros.core.inference.chains import Chains
+from kbnitp_ros.core.inference.sampling import gibbs
+from kbnitp_ros.core.inference.sampling.chains import Chains
 import numpy as np
 import pytest
 
@@ -97,6 +97,7 @@ def test_the_chi_square_is_right():
     assert probability_of_more(27.204, 20) == pytest.approx(0.1, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_ranks_are_uniform():
     p, name = worst()
     assert p > SIGNIFICANT, name

@@ -3,6 +3,7 @@
 
 import brute_force
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def missing_readings(seed):
             return joint, model, path, readings
 
 
-@pytest.mark.parametrize('seed', range(300))
+@for_each('seed', range(300))
 def test_a_last_contact_is_exact(seed):
     joint, model, path, steps = last_contact(seed)
     observation = Observation(path, survived=False, steps_survived=steps)
@@ -38,7 +39,7 @@ def test_a_last_contact_is_exact(seed):
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize('seed', range(300))
+@for_each('seed', range(300))
 def test_missing_readings_are_exact(seed):
     joint, model, path, readings = missing_readings(seed)
     found = update(Belief(joint), model, Observation(path, True, readings)).joint
@@ -46,7 +47,7 @@ def test_missing_readings_are_exact(seed):
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize('seed', range(100))
+@for_each('seed', range(100))
 def test_multi_universe_averaging_takes_a_last_contact_exactly(seed):
     joint, model, path, steps = last_contact(seed, independent=True)
     observation = Observation(path, survived=False, steps_survived=steps)
@@ -55,7 +56,7 @@ def test_multi_universe_averaging_takes_a_last_contact_exactly(seed):
     assert found == pytest.approx(expected[:, 1].sum(axis=1), rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize('seed', range(100))
+@for_each('seed', range(100))
 def test_the_published_loss_starts_from_the_steps_survived(seed):
     joint, model, path, steps = last_contact(seed)
     observation = Observation(path, survived=False, steps_survived=steps)
@@ -97,7 +98,7 @@ def last_heard(contact):
     return chance
 
 
-@pytest.mark.parametrize(
+@for_each(
     'heard, is_all',
     [
         (np.triu(np.tile([[0.1], [0.5], [0.3], [0.9]], STEPS)), True),
@@ -141,7 +142,7 @@ def test_nothing_known_is_nothing_changed():
     assert looked.readings.dtype == as_numbers.readings.dtype == bool
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, message',
     [
         ({'survived': False, 'steps_survived': 3}, 'steps_survived is 3.*at most 2'),

@@ -21,6 +21,7 @@ from kbnitp_ros.core import (
     Report,
     SensorModel,
 )
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -105,6 +106,7 @@ def tell(ledger, key, said):
     return record(key, said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', METHODS)
 @given(arrivals())
 @settings(max_examples=150 if FULL else 40, deadline=None)
@@ -137,8 +139,9 @@ def mission(robots, rng):
         yield DeploymentKey('scout', number), path, report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
-@pytest.mark.parametrize('lateness', [2, 30, 1000])
+@for_each('lateness', [2, 30, 1000])
 def test_a_long_mission_may_come_in_any_disorder(method, lateness):
     rng = np.random.default_rng(lateness)
     deployments = list(mission(ROBOTS, rng))
@@ -174,6 +177,7 @@ def test_disorder_is_cheap(monkeypatch):
     assert 20 <= len(updates) - 999 <= 25
 
 
+@pytest.mark.slow
 def test_a_deployment_held_costs_little_memory():
     """Of 18 steps, with its name; far less than the messages that told of it."""
     path = [4, *[0, 1, 2, 1] * 4, 5, 4]
@@ -183,7 +187,8 @@ def test_a_deployment_held_costs_little_memory():
     for number in range(2000):
         key = DeploymentKey('scout', 10**18 + number)
         ledger.record_path(key, path)
-        readings = tuple((cell, True) for cell in path[1:])
+        # Of a generator, Python would keep each of the tuples for later ones.
+        readings = tuple([(cell, True) for cell in path[1:]])
         ledger.record_report(key, Report(True, readings) if number % 2 else Report(False))
         if (number + 1) % 1000 == 0:
             sizes.append(tracemalloc.get_traced_memory()[0])

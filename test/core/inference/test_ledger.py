@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths and reports as they come: late, twice, out of order, wrong."""
 
+import tracemalloc
+
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -38,8 +40,8 @@ def state(ledger):
         list(ledger.deployments),
         (ledger.newest, ledger.newest_stamp),
         ledger.duplicates,
-        ledger.waiting,
-        ledger.out,
+        ledger.pending,
+        ledger.in_flight,
     )
 
 
@@ -106,10 +108,10 @@ def test_a_late_return_replaces_the_loss(ledger):
 def test_of_a_loss_and_a_return_that_wait_the_return_counts(ledger, reports):
     for report in reports:
         ledger.record_report(A, report)
-    assert ledger.waiting == 2
+    assert ledger.pending == 2
     assert ledger.record_path(A, PATH)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
-    assert (ledger.deployments, ledger.waiting, ledger.out) == ([A], 0, 0)
+    assert (ledger.deployments, ledger.pending, ledger.in_flight) == ([A], 0, 0)
 
 
 def test_duplicates_change_nothing_but_their_count(ledger):
@@ -261,7 +263,7 @@ def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
     for report, _ in UNFIT:
         ledger.record_report(A, report)
     ledger.record_report(A, RETURNED)
-    assert ledger.waiting == len(UNFIT) + 1
+    assert ledger.pending == len(UNFIT) + 1
     assert ledger.record_path(A, PATH)
     assert state(ledger)[1:] == ([A], (A, 0), 0, 0, 0)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
@@ -313,3 +315,26 @@ def assert_is_refused_before_two_returns(impossible, model, method):
 
 def test_keys_name_the_agent_and_the_time():
     assert str(DeploymentKey('scout_1', 12_000_000_034)) == 'scout_1 at 12.000000034'
+
+
+def test_pending_reports_are_bounded_by_bytes_and_what_no_stamp_fits_is_dropped_first(ledger):
+    ledger.record_path(DeploymentKey('scout', 10**18), PATH)
+    real = DeploymentKey('scout', 10**18 + 1)
+    ledger.record_report(real, Report(False))
+    refusals = []
+    tracemalloc.start()
+    for number in range(700):
+        # As long as a report may be, of cells that are numbers of their own in memory.
+        readings = tuple((1000 + cell, 0) for cell in range(1500))
+        try:
+            ledger.record_report(DeploymentKey('scout', number + 1), Report(True, readings))
+        except ValueError as error:
+            refusals.append(str(error))
+        assert ledger.pending < 400
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert refusals
+    assert all('at most 50 MB of them are kept' in each for each in refusals)
+    assert peak < 60e6
+    # The report of a robot that the planner has sent is not dropped for them.
+    assert ledger.record_path(real, PATH)

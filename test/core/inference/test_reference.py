@@ -52,6 +52,7 @@ def test_the_long_chains_agree():
             assert kept(lethality, number, 'apart') < APART
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('lethality', some(LETHALITIES[::-1], 2))
 def test_sampling_is_close_and_where_losses_tie_cells_much_closer_than_smoothing(lethality):
     sampled, smoothed = (

@@ -3,11 +3,12 @@
 
 from itertools import pairwise, product
 
-from kbnitp_ros.core import Belief, count_visits, Grid, plan, plan_team, SensorModel
-from kbnitp_ros.core.planning.random_walk import random_walk
-from kbnitp_ros.core.planning.reach import Reach
+from kbnitp_ros.core import Belief, count_visits, Grid, plan, SensorModel
+from kbnitp_ros.core.planning.search.random_walk import random_walk
+from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 import pytest
+from rounds import plan_round
 
 MODEL = SensorModel(0.5)
 TOURS = ('coverage', 'shortest_unvisited')
@@ -44,7 +45,7 @@ def test_random_walks_are_uniform():
         if all(b in grid.neighbors(a) for a, b in pairwise((1, *walk, 1)))
     ]
     rng = np.random.default_rng(1)
-    reach, draws = Reach.of(grid, 4), 100 * len(walks)
+    reach, draws = reach_of(grid, 4), 100 * len(walks)
     drawn = [tuple(random_walk(reach, 4, rng)[1:-1].tolist()) for _ in range(draws)]
     counts = np.array([drawn.count(walk) for walk in walks])
     assert counts.sum() == draws
@@ -55,7 +56,7 @@ def test_random_walks_are_uniform():
 
 @pytest.mark.parametrize('max_visits', [1, 2])
 def test_random_walks_enter_no_cell_too_often(max_visits):
-    reach = Reach.of(WALLED, 12)
+    reach = reach_of(WALLED, 12)
     rng = np.random.default_rng(2)
     for _ in range(20):
         walk = WALLED.check_path(random_walk(reach, max_visits, rng), 12)
@@ -122,7 +123,7 @@ def test_the_nearest_cell_comes_next():
 @pytest.mark.parametrize('planner', TOURS)
 def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
     grid = Grid(7, 7)
-    team = plan_team(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
+    team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
     alone = sent(grid, planner, 3, 14)
     assert [each.path.tolist() for each in team.plans] == [path.tolist() for path in alone]
 

@@ -13,21 +13,23 @@ from kbnitp_ros.core import (
     Grid,
     path_information,
     plan,
-    plan_team,
     PLANNERS,
     run_mission,
+    SearchOptions,
     SensorModel,
+    Team,
     World,
 )
-from kbnitp_ros.core.planning import behavioral
-from kbnitp_ros.core.planning.behavioral import behavioral_entropy
-from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
-from kbnitp_ros.core.planning.information import added_information
-from kbnitp_ros.core.planning.moments import WEIGHTS
+from kbnitp_ros.core.planning.objective import behavioral, options
+from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
+from kbnitp_ros.core.planning.objective.information import added_information
+from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
+from kbnitp_ros.core.planning.objective.moments import WEIGHTS
 import numpy as np
 import pytest
+from rounds import plan_round
 
-LOW, HIGH = behavioral.ALPHAS
+LOW, HIGH = options.ALPHAS
 ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
 SEEKING = ('beam', 'relaxed')
 
@@ -62,9 +64,9 @@ def test_at_alpha_1_robots_that_left_before_count_as_for_the_information(seed):
     belief = Belief(brute_force.random_joint(rng, 9, 0))
     model = SensorModel(**brute_force.random_sensors(rng))
     before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
-    fates = after_sending(nobody_sent(belief), model, before)
-    expected = added_information(belief, model, path, fates)
-    found = behavioral_information(belief, model, path, 1.0, fates)
+    outcomes = after_deployment(nobody_deployed(belief), model, before)
+    expected = added_information(belief, model, path, outcomes)
+    found = behavioral_information(belief, model, path, 1.0, outcomes)
     assert found == pytest.approx(expected, rel=0, abs=1e-9)
 
 
@@ -111,6 +113,7 @@ def every_path():
     return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('alpha', ALPHAS)
 @pytest.mark.parametrize('planner, share', [('beam', 0.95), ('relaxed', 0.5)])
 def test_the_search_comes_close_to_the_best_of_all_paths(alpha, planner, share, record_property):
@@ -155,6 +158,7 @@ def test_at_alpha_1_plans_are_the_very_same(seed, planner):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('allocation', ['greedy', 'voronoi', 'independent'])
 @pytest.mark.parametrize('planner', SEEKING)
 def test_at_alpha_1_missions_are_the_very_same(planner, allocation):
@@ -174,11 +178,8 @@ def test_at_alpha_1_missions_are_the_very_same(planner, allocation):
             world,
             6,
             rng,
-            max_steps=8,
-            planner=planner,
-            agents=2,
-            allocation=allocation,
-            **sought,
+            options=SearchOptions(planner, max_steps=8, **sought),
+            team=Team(2, allocation),
         )
         return [each.belief.joint.tobytes() for each in made], [
             each.plan.path.tolist() for each in made
@@ -232,7 +233,7 @@ def test_planners_that_seek_nothing_refuse_it(planner):
     ):
         plan(*random_problem(0), 6, planner, objective='behavioral', alpha=0.5)
     with pytest.raises(ValueError, match='seeks none'):
-        plan_team(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
+        plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
 
 
 @pytest.mark.parametrize(

@@ -13,22 +13,25 @@ from kbnitp_ros.core import (
     path_information,
     PathFinder,
     plan,
-    plan_team,
+    SearchOptions,
     SensorModel,
 )
-from kbnitp_ros.core.planning import labels, planners
-from kbnitp_ros.core.planning.label_kernels import label_worth, take
-from kbnitp_ros.core.planning.moments import ERROR, WEIGHTS
-from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.objective.moments import ERROR
+from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.search import labels, planners
+from kbnitp_ros.core.planning.search.label_kernels import label_value, no_labels, take
 import numpy as np
 import pytest
+from rounds import plan_round
 
 PLANS = """
 import sys
 {before}
 import numpy as np
 import brute_force
-from kbnitp_ros.core import ALLOCATIONS, Belief, Grid, plan, plan_team, SensorModel
+from kbnitp_ros.core import (
+    ALLOCATIONS, Belief, Grid, plan, plan_team, SearchOptions, SensorModel, Team
+)
 
 for seed, lethality in enumerate((0.0, 0.5, 1.0)):
     grid = Grid(5, 4, base=7, blocked=(12,))
@@ -38,7 +41,8 @@ for seed, lethality in enumerate((0.0, 0.5, 1.0)):
         found = plan(grid, belief, model, 9, planner, width=width)
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
 for allocation in ('greedy', 'voronoi'):
-    team = plan_team(grid, belief, model, 6, 5, allocation, width=3, loss_cost=0.2)
+    options = SearchOptions(max_steps=6, width=3, loss_cost=0.2)
+    team = plan_team(grid, belief, model, Team(5, allocation), options)
     print([planned.path.tolist() for planned in team.plans], team.information.hex())
 print('numba' in sys.modules and sys.modules['numba'] is not None, file=sys.stderr)
 """
@@ -57,6 +61,7 @@ def plans(before='', **environment):
     return done.stdout, done.stderr.splitlines()[-1] == 'True'
 
 
+@pytest.mark.processes
 def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_many():
     printed, has_numba = plans()
     assert has_numba
@@ -75,17 +80,18 @@ def test_labels_are_worth_what_their_paths_are(seed):
     grid = Grid(4, 3, base=5)
     belief = Belief(brute_force.random_joint(rng, 12, 5))
     model = SensorModel(**brute_force.random_sensors(rng))
-    search = labels.Search(grid, Objective.alone(grid, belief, model, 0.0), 8, 1, 8)
+    options = SearchOptions('relaxed', max_steps=8, max_visits=8, width=1)
+    search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options)
     rank = np.argsort(search.reach.cells)
-    factor, term = (np.empty((1, gain.shape[2])) for gain in search.gains)
+    products = no_labels(1, 1, search.gains).products
     visits = np.empty(12, dtype=np.int64)
     for _ in range(10):
         path = brute_force.random_path(rng, 4, 3, 5, int(rng.integers(1, 9)))
         information = path_information(belief, model, path)
         assert search.exact(rank[path]) == pytest.approx(information, abs=2e-9)
-        take(rank[path], 0, 0, *search.gains, visits, factor, term)
-        worth = label_worth(factor, term, 0, WEIGHTS, np.ones(1), 0.0, 1e9) / 1e9
-        assert worth == pytest.approx(information, abs=ERROR + 2e-9)
+        take(rank[path], 0, 0, search.gains, visits, products)
+        value = label_value(products, 0, search.objective) / 1e9
+        assert value == pytest.approx(information, abs=ERROR + 2e-9)
         assert visits.sum() == len(path) - 1
 
 
@@ -131,7 +137,7 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
 def test_memory_can_be_asked_for_before_there_is_a_belief(
     planner, side, max_steps, width, max_visits, robots
 ):
-    finder = PathFinder(Grid(side, side), planner, max_steps, width, max_visits)
+    finder = PathFinder(Grid(side, side), SearchOptions(planner, max_steps, width, max_visits))
     with pytest.raises(ValueError, match=f'max_steps = {max_steps}.* GB'):
         finder.check_memory(robots)
 
@@ -148,7 +154,9 @@ def test_memory_can_be_asked_for_before_there_is_a_belief(
 def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
     planner, side, max_steps, width, max_visits, robots
 ):
-    PathFinder(Grid(side, side), planner, max_steps, width, max_visits).check_memory(robots)
+    PathFinder(
+        Grid(side, side), SearchOptions(planner, max_steps, width, max_visits)
+    ).check_memory(robots)
 
 
 @pytest.mark.parametrize('allocation', ['independent', 'voronoi', 'greedy'])
@@ -156,18 +164,18 @@ def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, alloca
     """Whatever became of the robots before: a mission that has begun is not refused later."""
     grid, model, robots = Grid(5, 5), SensorModel(0.5), 7
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    finder = PathFinder(grid, 'beam', 10, 4, 3)
+    finder = PathFinder(grid, SearchOptions('beam', 10, 4, 3))
     asked = []
     check = labels.check_memory
 
-    def spy(reach, *sizes):
-        asked.append(sizes)
-        check(reach, *sizes)
+    def spy(reach, options, outcomes, earlier, further, powers):
+        asked.append((options.max_steps, options.width, outcomes, earlier, further, powers))
+        check(reach, options, outcomes, earlier, further, powers)
 
     monkeypatch.setattr(labels, 'check_memory', spy)
     monkeypatch.setattr(planners, 'check_memory', spy)
     finder.check_memory(robots)
-    plan_team(grid, belief, model, 10, robots, allocation, width=4)
+    plan_round(grid, belief, model, 10, robots, allocation, width=4)
     most, *later = asked
     assert later
     assert all(np.all(np.array(sizes) <= most) for sizes in later)

@@ -37,6 +37,7 @@ def test_the_search_sees_all_closed_paths():
     assert visits.tolist() == [[1, 0], [1, 1], [1, 2], [2, 0], [2, 1], [3, 0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(50))
 def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
     grid, belief, model = random_problem(seed)

@@ -7,10 +7,17 @@ from itertools import pairwise
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kbnitp_ros.core import Belief, Grid, kept_off, plan_team, SensorModel
-from kbnitp_ros.core.planning.refused import regions_of, without
+from kbnitp_ros.core import (
+    Belief,
+    Grid,
+    keepout_cells,
+    ORDINARY,
+    SensorModel,
+)
+from kbnitp_ros.core.planning.teams.keepout import regions_of, without
 import numpy as np
 import pytest
+from rounds import plan_round
 
 GRID = Grid(9, 9)
 MODEL = SensorModel(0.5)
@@ -48,8 +55,8 @@ def test_the_near_half_stays_open(data):
 
 
 def plans(refused, prior=FAR, agents=1, **options):
-    cells = kept_off(GRID, 18, agents, refused)
-    return plan_team(GRID, prior, MODEL, 18, agents, keep_off=cells, **options).plans, cells
+    cells = keepout_cells(GRID, 18, agents, refused)
+    return plan_round(GRID, prior, MODEL, 18, agents, keepout=cells, **options).plans, cells
 
 
 @pytest.mark.parametrize('allocation', ['greedy', 'voronoi', 'independent'])
@@ -69,7 +76,7 @@ def test_what_is_planned_instead_is_of_another_region_and_no_better(prior, alloc
 
 def test_robots_that_are_out_may_be_where_others_keep_off():
     (first,), _ = plans([])
-    (other,), cells = plans([[first.path]], out=[first.path])
+    (other,), cells = plans([[first.path]], in_flight=[(first.path, ORDINARY)])
     assert not set(cells) & set(other.path.tolist())
 
 
@@ -85,8 +92,8 @@ def test_when_all_regions_are_refused_the_earlier_ones_are_forgotten():
 def test_each_robot_of_a_round_has_a_cell_to_go_to():
     grid = Grid(2, 2)
     paths = [[0, 1, 0], [0, 2, 0], [0, 3, 0]]
-    assert kept_off(grid, 4, 3, [paths]).tolist() == []
-    assert kept_off(grid, 4, 1, [paths[:1]]).tolist() == [1]
+    assert keepout_cells(grid, 4, 3, [paths]).tolist() == []
+    assert keepout_cells(grid, 4, 1, [paths[:1]]).tolist() == [1]
 
 
 @pytest.mark.parametrize('size, max_steps', [(5, 8), (7, 10), (8, 12)])
@@ -94,8 +101,8 @@ def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
     grid = Grid(size, size)
     prior, refused = Belief.prior(grid, 0.1, 0.45, 0.8), []
     for _ in range(4):
-        cells = kept_off(grid, max_steps, 2, refused)
-        team = plan_team(grid, prior, MODEL, max_steps, 2, keep_off=cells).plans
+        cells = keepout_cells(grid, max_steps, 2, refused)
+        team = plan_round(grid, prior, MODEL, max_steps, 2, keepout=cells).plans
         refused.append([plan.path for plan in team])
     ways = [[path.tolist() for path in paths] for paths in refused]
     assert all(one != other for one, other in pairwise(ways))

@@ -8,25 +8,27 @@ from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
     Grid,
-    Kind,
     path_information,
     plan,
-    plan_team,
+    RobotType,
     run_mission,
+    SearchOptions,
     SensorModel,
+    Team,
     team_information,
     World,
 )
-from kbnitp_ros.core.planning import readings
-from kbnitp_ros.core.planning.fates import after_sending, nobody_sent
+from kbnitp_ros.core.planning.objective import readings
+from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
 import numpy as np
 import pytest
+from rounds import plan_round
 
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
 MODEL = SensorModel(0.5)
 # Cheap and blind; dear and with a good camera.
-BLIND = Kind(true_positive=0.5, false_positive=0.5, max_steps=6)
-KEEN = Kind(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
+BLIND = RobotType(true_positive=0.5, false_positive=0.5, max_steps=6)
+KEEN = RobotType(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
 
 every_allocation = pytest.mark.parametrize('allocation', ALLOCATIONS)
 
@@ -43,7 +45,9 @@ def few_robots(seed):
     joint, model = brute_force.random_joint(rng, 4, 0), brute_force.random_sensors(rng)
     robots = 2 + seed % 2
     kinds = [
-        Kind(**{k: p for k, p in brute_force.random_sensors(rng).items() if rng.random() < 0.6})
+        RobotType(
+            **{k: p for k, p in brute_force.random_sensors(rng).items() if rng.random() < 0.6}
+        )
         for _ in range(robots)
     ]
     steps = rng.integers(1, 7 - robots, robots)
@@ -85,16 +89,17 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
     joint = joint * known
     joint /= joint.sum(axis=(1, 2), keepdims=True)
     exact = joint_information(joint, models_of(kinds, model), paths)
-    found = team_information(Belief(joint), model, paths, kinds=kinds)
+    found = team_information(Belief(joint), model, paths, robot_types=kinds)
     assert found == pytest.approx(exact, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_team_information_is_the_joint_information_but_for_a_little():
     above = np.zeros(300)
     for seed in range(above.size):
         joint, model, kinds, paths = few_robots(seed)
         exact = joint_information(joint, models_of(kinds, model), paths)
-        above[seed] = team_information(Belief(joint), model, paths, kinds=kinds) / exact - 1
+        above[seed] = team_information(Belief(joint), model, paths, robot_types=kinds) / exact - 1
     print(f'{above.mean():.2%} above on average, at most {above.max():.0%}')
     assert above.min() > -1e-9
     assert above.mean() < 0.003
@@ -104,24 +109,24 @@ def test_team_information_is_the_joint_information_but_for_a_little():
 def test_one_camera_written_twice_is_one_camera(seed):
     """The two are told apart by a number that changes no reading to nine digits."""
     joint, model, _, paths = few_robots(seed)
-    twin = Kind(true_positive=min(model.true_positive * (1 + 1e-13), 1.0))
-    kinds = [twin if number % 2 else Kind() for number in range(len(paths))]
+    twin = RobotType(true_positive=min(model.true_positive * (1 + 1e-13), 1.0))
+    kinds = [twin if number % 2 else RobotType() for number in range(len(paths))]
     expected = team_information(Belief(joint), model, paths)
-    found = team_information(Belief(joint), model, paths, kinds=kinds)
+    found = team_information(Belief(joint), model, paths, robot_types=kinds)
     assert found == pytest.approx(expected, abs=1e-9)
 
 
 def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
-    belief, kinds = random_belief(1), [Kind(), KEEN] * 4
-    paths = [each.path for each in plan_team(GRID, belief, MODEL, 6, 8).plans]
-    all_counted = team_information(belief, MODEL, paths, kinds=kinds)
+    belief, kinds = random_belief(1), [RobotType(), KEEN] * 4
+    paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8).plans]
+    all_counted = team_information(belief, MODEL, paths, robot_types=kinds)
     monkeypatch.setattr(readings, 'MOST_WAYS', 5**2)
-    after = nobody_sent(belief)
+    after = nobody_deployed(belief)
     for path, kind in zip(paths, kinds):
-        after = after_sending(after, kind.model(MODEL), path)
+        after = after_deployment(after, kind.model(MODEL), path)
     assert after.readings.shape[2:] == (5, 5)
     assert after.readings.sum(axis=(2, 3)) == pytest.approx(1)
-    some_counted = team_information(belief, MODEL, paths, kinds=kinds)
+    some_counted = team_information(belief, MODEL, paths, robot_types=kinds)
     assert some_counted == pytest.approx(all_counted, rel=1e-3)
 
 
@@ -130,26 +135,26 @@ def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
 
 @every_allocation
 def test_each_robot_keeps_to_its_own_limits(allocation):
-    kinds = [BLIND, Kind(), KEEN, BLIND, Kind(max_steps=12)]
+    kinds = [BLIND, RobotType(), KEEN, BLIND, RobotType(max_steps=12)]
     model = SensorModel(0.1, malfunction=0.001)
     for seed in range(2):
         belief = random_belief(seed)
-        team = plan_team(GRID, belief, model, 8, 5, allocation, kinds=kinds)
+        team = plan_round(GRID, belief, model, 8, 5, allocation, types=kinds)
         for planned, kind in zip(team.plans, kinds, strict=True):
             assert len(planned.path) - 1 <= (kind.max_steps or 8)
             own = kind.model(model)
             assert planned.information == path_information(belief, own, planned.path)
         assert max(len(planned.path) - 1 for planned in team.plans) > 8
         paths = [planned.path for planned in team.plans]
-        assert team.information == team_information(belief, model, paths, kinds=kinds)
+        assert team.information == team_information(belief, model, paths, robot_types=kinds)
 
 
 @every_allocation
 def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
-    kind = Kind(lethality=0.2, true_positive=0.8, max_steps=7, loss_cost=0.3)
+    kind = RobotType(lethality=0.2, true_positive=0.8, max_steps=7, loss_cost=0.3)
     belief = random_belief(4)
-    team = plan_team(GRID, belief, MODEL, 12, 3, allocation, kinds=[kind] * 3)
-    alike = plan_team(GRID, belief, kind.model(MODEL), 7, 3, allocation, loss_cost=0.3)
+    team = plan_round(GRID, belief, MODEL, 12, 3, allocation, types=[kind] * 3)
+    alike = plan_round(GRID, belief, kind.model(MODEL), 7, 3, allocation, loss_cost=0.3)
     assert [p.path.tolist() for p in team.plans] == [p.path.tolist() for p in alike.plans]
     assert team.information == alike.information
 
@@ -158,7 +163,7 @@ def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
 def test_a_robot_alone_is_planned_with_its_own_numbers(allocation):
     belief = random_belief(2)
     for kind in (BLIND, KEEN):
-        team = plan_team(GRID, belief, MODEL, 9, 1, allocation, kinds=[kind])
+        team = plan_round(GRID, belief, MODEL, 9, 1, allocation, types=[kind])
         cost, steps = kind.loss_cost or 0.0, kind.max_steps or 9
         alone = plan(GRID, belief, kind.model(MODEL), steps, loss_cost=cost)
         assert team.plans[0].path.tolist() == alone.path.tolist()
@@ -178,7 +183,7 @@ def test_each_goes_where_it_is_of_use(order, allocation):
     """The cheap blind one finds out where hazards are, the dear one what its camera sees."""
     grid, belief = two_wings()
     model = SensorModel(0.9, malfunction=0.001)
-    plans = plan_team(grid, belief, model, 10, 2, allocation, kinds=order).plans
+    plans = plan_round(grid, belief, model, 10, 2, allocation, types=order).plans
     for planned, kind in zip(plans, order):
         inside = planned.path[1:-1]
         assert (inside < 5).all() if kind is BLIND else (inside > 5).all()
@@ -189,20 +194,21 @@ def test_what_robots_are_out_for_is_left_to_them():
     grid, belief = two_wings()
     model, east = SensorModel(0.9, malfunction=0.001), [5, 6, 7, 8, 9, 10, 9, 8, 7, 6, 5]
     for out, goes_west in ((KEEN, True), (BLIND, False)):
-        kind = Kind(true_positive=0.99, false_positive=0.01)
-        team = plan_team(grid, belief, model, 10, 1, kinds=[kind], out=[east], kinds_out=[out])
+        kind = RobotType(true_positive=0.99, false_positive=0.01)
+        team = plan_round(grid, belief, model, 10, 1, types=[kind], in_flight=[(east, out)])
         assert (team.plans[0].path.min() < 5) == goes_west
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(8))
 def test_greedy_comes_close_to_the_best_of_all_pairs_of_kinds(seed):
     grid = Grid(3, 2, base=1)
     belief = random_belief(seed, grid)
-    kinds = [BLIND, Kind(true_positive=0.99, false_positive=0.01, malfunction=0.01)]
+    kinds = [BLIND, RobotType(true_positive=0.99, false_positive=0.01, malfunction=0.01)]
     kinds = kinds if seed % 2 else kinds[::-1]
-    team = plan_team(grid, belief, MODEL, 3, 2, kinds=kinds)
+    team = plan_round(grid, belief, MODEL, 3, 2, types=kinds)
     pairs = product(closed_paths(3, 2, 1, 3), repeat=2)
-    best = max(team_information(belief, MODEL, pair, kinds=kinds) for pair in pairs)
+    best = max(team_information(belief, MODEL, pair, robot_types=kinds) for pair in pairs)
     assert team.information >= 0.98 * best
 
 
@@ -221,8 +227,8 @@ def closed_paths(width, height, base, steps):
 def test_regions_share_out_what_each_robot_reaches():
     grid = Grid(21, 1, base=10)
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    kinds = [Kind(max_steps=4), Kind(max_steps=20)]
-    regions = plan_team(grid, belief, MODEL, 1, 2, 'voronoi', kinds=kinds).regions
+    kinds = [RobotType(max_steps=4), RobotType(max_steps=20)]
+    regions = plan_round(grid, belief, MODEL, 1, 2, 'voronoi', types=kinds).regions
     near = np.abs(np.arange(21) - 10) <= 2
     assert (regions.owner[~near] == 1).all()
     assert 0 in regions.owner[near]
@@ -235,9 +241,10 @@ def test_regions_share_out_what_each_robot_reaches():
 def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
     grid, rng = Grid(5, 5, base=12), np.random.default_rng(2)
     world = World.random(grid, rng, 0.2, 0.8, 0.1)
-    kinds = [Kind(lethality=0.0, malfunction=0.0, max_steps=4), Kind(malfunction=1.0)]
+    kinds = [RobotType(lethality=0.0, malfunction=0.0, max_steps=4), RobotType(malfunction=1.0)]
     prior = Belief.prior(grid, 0.2, 0.24, 0.8)
-    made = run_mission(grid, prior, MODEL, world, 7, rng, agents=2, kinds=kinds, max_steps=8)
+    options, team = SearchOptions(max_steps=8), Team(2, types=kinds)
+    made = run_mission(grid, prior, MODEL, world, 7, rng, options=options, team=team)
     survived = [deployment.observation.survived for deployment in made]
     assert survived == [True, False, True, False, True, False, True]
     assert all(each.observation.steps <= 4 for each in made[::2])
@@ -249,14 +256,13 @@ def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
 @pytest.mark.parametrize(
     'arguments, message',
     [
-        ({'kinds': [KEEN]}, 'kinds has 1 of them.*one for each of 2'),
-        ({'out': [[8, 7, 8]], 'kinds_out': [KEEN, KEEN]}, 'kinds has 2 of them.*each of 1'),
+        ({'types': [KEEN]}, 'has 1 values.*one for each of 2'),
         (
-            {'agents': 7, 'kinds': [Kind(true_positive=0.9 + n / 100) for n in range(7)]},
+            {'agents': 7, 'types': [RobotType(true_positive=0.9 + n / 100) for n in range(7)]},
             '7 different cameras.*at most 6',
         ),
     ],
 )
 def test_bad_kinds_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        plan_team(GRID, random_belief(0), MODEL, **{'max_steps': 4, 'agents': 2, **arguments})
+        plan_round(GRID, random_belief(0), MODEL, **{'max_steps': 4, 'agents': 2, **arguments})

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a log: parts, schemas, metadata and repair. Knows bags, and nothing of missions."""
+
+from kbnitp_ros.bag.errors import LogError, same_types
+from kbnitp_ros.bag.lock import LogLock
+from kbnitp_ros.bag.log_files import check_is_new, parts_of
+from kbnitp_ros.bag.reader import is_finished, log_size, LoggedMessage, read_log, read_metadata
+from kbnitp_ros.bag.records import LARGEST_MESSAGE, Recorded
+from kbnitp_ros.bag.repair import repair
+from kbnitp_ros.bag.schema import check_installed, qos_profiles_yaml
+from kbnitp_ros.bag.text_check import check_texts
+from kbnitp_ros.bag.writer import LogWriter
+
+__all__ = [
+    'LARGEST_MESSAGE',
+    'LogError',
+    'LogLock',
+    'LogWriter',
+    'LoggedMessage',
+    'Recorded',
+    'check_installed',
+    'check_is_new',
+    'check_texts',
+    'is_finished',
+    'log_size',
+    'parts_of',
+    'qos_profiles_yaml',
+    'read_log',
+    'read_metadata',
+    'repair',
+    'same_types',
+]

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One file of a log while it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from kbnitp_ros.bag.lock import check_in_place
+from kbnitp_ros.bag.metadata import BagFile, BagTopic, information, sync_folder
+from kbnitp_ros.bag.records import QOS, TYPE_HASH
+from kbnitp_ros.files import naming, parse_yaml
+from mcap.well_known import Profile
+from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
+import yaml
+
+COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
+
+# Bytes of messages that are collected before they are written, if no sync comes first.
+CHUNK = 2**20
+
+# Bytes that a message takes beside its own.
+MESSAGE_HEAD = 31
+
+BAG_RECORD = 'rosbag2'
+BAG_FIELD = 'serialized_metadata'
+
+
+class Definition(NamedTuple):
+    """A message type: its name, the language it is defined in and the text in that language."""
+
+    name: str
+    encoding: str
+    text: bytes
+
+
+class FileWriter:
+    """
+    Writes an MCAP file.
+
+    Attributes
+    ----------
+    contents : BagFile
+        What has been written.
+    preamble : int
+        How many bytes come before the first message: the types and channels known by then, and
+        records of named values.
+
+    Parameters
+    ----------
+    path : Path
+        The file to make.
+    compression : str
+        'none' or 'zstd'.
+
+    Raises
+    ------
+    OSError
+        If there is such a file already, its folder is missing, or the disk refuses: then none is
+        made. Also from all methods that write: then the file must be abandoned.
+
+    """
+
+    def __init__(self, path: Path, compression: str) -> None:
+        self.path = path
+        self.contents = BagFile(path.name)
+        self._file = path.open('xb')
+        self.preamble = 0
+        self._written = 0
+        self._pending = 0
+        self._schemas: dict[Definition, int] = {}
+        self._channels: dict[tuple[str, str, int, frozenset[tuple[str, str]]], int] = {}
+        self._topics: dict[int, BagTopic] = {}
+        try:
+            self._writer = Writer(
+                self._file,
+                # Chunks end where this class ends them.
+                chunk_size=2**62,
+                compression=COMPRESSIONS[compression],
+                enable_data_crcs=True,
+            )
+            with naming(path):
+                self._writer.start(Profile.ROS2, f'kbnitp_ros, {LIBRARY_IDENTIFIER}')
+            self.sync()
+            sync_folder(path.parent)
+        except OSError:
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size(self) -> int:
+        """How many bytes it has, what is not written yet counted as it is before compression."""
+        return self._written + self._pending
+
+    def add_channel(
+        self,
+        topic: str,
+        message_encoding: str,
+        definition: Definition,
+        metadata: Mapping[str, str],
+    ) -> int:
+        """Return the channel for a topic's messages; the same one for the same arguments."""
+        if definition not in self._schemas:
+            self._schemas[definition] = self._writer.register_schema(*definition)
+            self._pending += len(definition.text)
+        schema = self._schemas[definition]
+        key = topic, message_encoding, schema, frozenset(metadata.items())
+        if key not in self._channels:
+            channel = self._writer.register_channel(
+                topic, message_encoding, schema, dict(metadata)
+            )
+            self._channels[key] = channel
+            described = {
+                'name': topic,
+                'type': definition.name,
+                'serialization_format': message_encoding,
+                'offered_qos_profiles': parsed_qos(metadata.get(QOS, '')),
+                'type_description_hash': metadata.get(TYPE_HASH, ''),
+            }
+            self._topics[channel] = BagTopic(described)
+            self.contents.topics.append(self._topics[channel])
+        return self._channels[key]
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Put a record of named values into the file."""
+        with naming(self.path):
+            self._writer.add_metadata(name, dict(values))
+        self._pending += sum(len(key) + len(value) for key, value in values.items())
+
+    def write(
+        self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int
+    ) -> None:
+        """Write a message of a channel that was added; times are in nanoseconds."""
+        topic, contents = self._topics[channel], self.contents
+        if contents.last < contents.first:
+            self.preamble = self.size
+        if len(data) > CHUNK:
+            # In a chunk with others it might become too large to be read.
+            self.flush()
+        self._writer.add_message(channel, log_time, data, publish_time, sequence)
+        topic.messages += 1
+        if log_time > contents.last:
+            contents.last = log_time
+        if log_time < contents.first:
+            contents.first = log_time
+        self._pending += len(data) + MESSAGE_HEAD
+        if self._pending > CHUNK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything written so far to the system, which a killed process leaves intact."""
+        with naming(self.path):
+            self._writer.flush()
+        self._written = self._file.tell()
+        self._pending = 0
+
+    def sync(self) -> None:
+        """
+        Put everything written so far onto the disk.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the file has been removed or replaced: then nobody will read it.
+
+        """
+        self.flush()
+        # It leaves out the times of the file, and not how long it is.
+        with naming(self.path):
+            os.fdatasync(self._file.fileno())
+        self.check_in_place()
+
+    def check_in_place(self) -> None:
+        """Check that the file has not been removed or replaced; raises FileNotFoundError."""
+        check_in_place(self._file, self.path)
+
+    def finish(self) -> None:
+        """Finish the file, with indexes, and put it onto the disk."""
+        self.flush()
+        described = yaml.safe_dump(information([self.contents]), sort_keys=False)
+        self.add_metadata(BAG_RECORD, {BAG_FIELD: described})
+        with naming(self.path):
+            self._writer.finish()
+        self.sync()
+        with naming(self.path):
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Leave the file as it was after the last flush, unfinished; nothing is raised."""
+        if self._file.closed:
+            return
+        with suppress(OSError):
+            os.ftruncate(self._file.fileno(), self._written)
+        with suppress(OSError):
+            # Not the buffer over it, which would try again to write what could not be written.
+            self._file.raw.close()
+
+
+def parsed_qos(text: str) -> object:
+    """Return the QoS that a channel was offered; none if it does not say, or in no YAML."""
+    try:
+        return parse_yaml(text) or []
+    except ValueError:
+        return []

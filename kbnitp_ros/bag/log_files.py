@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which files a log consists of.
+
+A log that was split or gone on with is ``mission.mcap``, ``mission_1.mcap``, ``mission_2.mcap``, …
+in one folder; one by ``ros2 bag record`` counts from ``bag_0.mcap``. The first file or the folder
+names the log, a later file only itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path, PurePath
+import re
+from typing import Any
+
+from kbnitp_ros.bag.errors import LogError
+from kbnitp_ros.files import NotYamlError, read_yaml
+
+SUFFIXES = ('.mcap', '.db3')
+METADATA = 'metadata.yaml'
+INFORMATION = 'rosbag2_bagfile_information'
+
+# What later parts have after the name of the log; a date has more digits.
+NUMBER = r'_([1-9]\d{0,4})'
+
+
+def parts_of(path: str | Path) -> list[Path]:
+    """
+    Return the files of a log in order.
+
+    The folder's metadata.yaml may be missing or older than the files: it only adds to what their
+    names say.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log's first file, or the folder if that holds no other log; or a later file, which
+        names itself alone.
+
+    Raises
+    ------
+    LogError
+        If a part is missing, the folder cannot be read or holds no log or several, or the files
+        are compressed.
+
+    """
+    path = Path(path)
+    try:
+        if not path.is_dir():
+            return [path] if is_later_part(path) else with_later_parts(path)
+        files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+        listed = [path / name for name in listed_parts(path)]
+        firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
+        if not firsts:
+            raise LogError(f'{path} holds no log: there is no file *.mcap or *.db3 in it')
+        parts = with_later_parts(firsts[0])
+        if others := [file.name for file in files if file not in parts]:
+            raise LogError(
+                f'{path} holds {parts[0].name} and {others[0]}, which are of different logs: '
+                'name the first file of one'
+            )
+    except OSError as error:
+        raise LogError(f'{path} cannot be read: {error.strerror}') from error
+    return parts
+
+
+def with_later_parts(first: Path) -> list[Path]:
+    """Return the first file of a log and those that come after it."""
+    listed = listed_parts(first.parent)
+    names = listed if first.name in listed[:1] else [first.name]
+    numbers = [number for number, file in numbered(first).items() if file.name not in names]
+    names += [part_path(first, number).name for number in range(1, max(numbers, default=0) + 1)]
+    parts = [first.with_name(name) for name in dict.fromkeys(names)]
+    if missing := [part.name for part in parts[1:] if not part.exists()]:
+        raise LogError(
+            f'{missing[0]} of the log {first} is missing: put it back, or name the parts singly'
+        )
+    return parts
+
+
+def numbered(first: Path) -> dict[int, Path]:
+    """Return the files whose names say that they come after the first one, by number."""
+    pattern = re.compile(re.escape(base(first)) + NUMBER + re.escape(first.suffix))
+    matches = ((file, pattern.fullmatch(file.name)) for file in first.parent.iterdir())
+    return {int(match[1]): file for file, match in matches if match}
+
+
+def part_path(first: Path, number: int) -> Path:
+    """Return where a later part of a log goes, number 1 coming after the first file."""
+    return first.with_name(f'{base(first)}_{number}{first.suffix}')
+
+
+def base(first: Path) -> str:
+    """Return what the names of all parts begin with."""
+    return first.stem.removesuffix('_0')
+
+
+def is_later_part(path: Path) -> bool:
+    """Return whether the file comes after the first one of a log that is there as well."""
+    match = re.fullmatch(f'(.+){NUMBER}', path.stem)
+    return match is not None and any(
+        path.with_name(f'{match[1]}{zero}{path.suffix}').exists() for zero in ('', '_0')
+    )
+
+
+def listed_parts(folder: Path) -> list[str]:
+    """
+    Return the names of the files that metadata.yaml lists; none if there is no such whole file.
+
+    Raises
+    ------
+    LogError
+        If it says that rosbag2 compressed them.
+
+    """
+    information = read_information(folder)
+    mode = str(information.get('compression_mode') or 'none')
+    if mode.lower() != 'none':
+        raise LogError(f'{folder} is compressed, mode {mode}: decompress it with ros2 bag convert')
+    listed = information.get('relative_file_paths')
+    return [PurePath(str(name)).name for name in listed] if isinstance(listed, list) else []
+
+
+def read_information(folder: Path) -> Mapping[str, Any]:
+    """
+    Return what metadata.yaml says of the bag in a folder; nothing if it is not all there.
+
+    Raises
+    ------
+    OSError
+        If it is there and cannot be read.
+    LogError
+        If it has a key twice or stands for too much.
+
+    """
+    path = folder / METADATA
+    try:
+        content = read_yaml(path)
+    except (FileNotFoundError, NotYamlError):
+        return {}
+    except ValueError as error:
+        raise LogError(f'{path}: {error}; without it the log can be read, too') from error
+    information = content.get(INFORMATION) if isinstance(content, dict) else None
+    return information if isinstance(information, dict) else {}
+
+
+def check_is_new(first: Path) -> None:
+    """
+    Check that the first file of a new log has a name that tells it from other logs.
+
+    Raises
+    ------
+    LogError
+        If it is not named as an MCAP file, or not in UTF-8.
+    FileExistsError
+        If it is there, would be taken for a part of another log, or there are files for parts of
+        this one.
+
+    """
+    if first.suffix != '.mcap':
+        raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
+    try:
+        str(first).encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f'{str(first)!r} is no name for a log: it must be UTF-8') from error
+    if first.exists():
+        raise FileExistsError(f'{first} exists, and no log is written over: name another file')
+    if is_later_part(first):
+        raise FileExistsError(
+            f'{first} would be taken for a part of the log beside it: give it another name'
+        )
+    if first.parent.is_dir() and (later := numbered(first)):
+        raise FileExistsError(
+            f'{next(iter(later.values()))} would be taken for a part of {first}: '
+            'give that another name'
+        )

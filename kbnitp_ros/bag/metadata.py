@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What rosbag2 wants to know of a bag: in the file itself, and beside it as metadata.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+import os
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.bag.log_files import INFORMATION, METADATA, read_information
+from kbnitp_ros.files import naming
+import yaml
+
+# rosbag2's metadata version of ROS 2 Jazzy, where a topic's QoS is a list and policies have names.
+VERSION = 9
+
+
+@dataclass
+class BagTopic:
+    """
+    A topic with one QoS and how many messages it has.
+
+    Attributes
+    ----------
+    metadata : dict
+        As rosbag2 writes it: name, type, serialization_format, offered_qos_profiles,
+        type_description_hash.
+
+    """
+
+    metadata: dict[str, Any]
+    messages: int = 0
+
+
+@dataclass
+class BagFile:
+    """
+    What is in a file of a bag.
+
+    Attributes
+    ----------
+    first, last : int
+        Times of its earliest and its latest message, in nanoseconds. Without messages first is
+        the greatest time there is and last is 0.
+
+    """
+
+    name: str
+    topics: list[BagTopic] = field(default_factory=list)
+    first: int = 2**63 - 1
+    last: int = 0
+
+    @property
+    def messages(self) -> int:
+        """How many it has."""
+        return sum(topic.messages for topic in self.topics)
+
+
+def information(files: Sequence[BagFile]) -> dict[str, Any]:
+    """Return the description of a bag that consists of these files."""
+    first, last = min(file.first for file in files), max(file.last for file in files)
+    return {
+        'version': VERSION,
+        'storage_identifier': 'mcap',
+        **span(first, last, sum(file.messages for file in files)),
+        'topics_with_message_count': [
+            {'topic_metadata': topic.metadata, 'message_count': topic.messages}
+            for topic in merged(files)
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [
+            {'path': file.name, **span(file.first, file.last, file.messages)} for file in files
+        ],
+        'custom_data': {},
+        'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
+    }
+
+
+def span(first: int, last: int, messages: int) -> dict[str, Any]:
+    """Return when a bag or a file of it starts, how long it lasts and how many messages it has."""
+    start = min(first, last)
+    return {
+        'duration': {'nanoseconds': last - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': messages,
+    }
+
+
+def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
+    """Yield the topics of all files, those of one name twice if they differ, as in their QoS."""
+    topics: dict[str, BagTopic] = {}
+    for topic in (topic for file in files for topic in file.topics):
+        same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
+        same.messages += topic.messages
+    yield from topics.values()
+
+
+def file_of(bag: Mapping[str, Any]) -> BagFile:
+    """Return what is in the one file of a bag, from its description."""
+    file = BagFile(
+        bag['relative_file_paths'][0],
+        [
+            BagTopic(entry['topic_metadata'], entry['message_count'])
+            for entry in bag['topics_with_message_count']
+        ],
+    )
+    if file.messages:
+        file.first = bag['starting_time']['nanoseconds_since_epoch']
+        file.last = file.first + bag['duration']['nanoseconds']
+    return file
+
+
+def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
+    """
+    Write metadata.yaml, which makes the folder a bag; it is the old or the new one at any time.
+
+    Returns
+    -------
+    bool
+        False if the folder has that of another bag: it is left alone.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+
+    """
+    if is_of_another_bag(folder, files[0].name):
+        return False
+    target = folder / METADATA
+    # Another log in the folder may be finished at the same time.
+    new = target.with_name(f'{files[0].name}.{METADATA}.new')
+    try:
+        with naming(new), new.open('w') as file:
+            yaml.safe_dump({INFORMATION: information(files)}, file, sort_keys=False)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(target)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+    sync_folder(folder)
+    return True
+
+
+def is_of_another_bag(folder: Path, first: str) -> bool:
+    """Return whether the folder's metadata.yaml, if any, is of a bag with another first file."""
+    listed = read_information(folder).get('relative_file_paths')
+    return isinstance(listed, list) and listed[:1] != [first]
+
+
+def sync_folder(folder: Path) -> None:
+    """Put onto the disk which files the folder has."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with naming(folder):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How topics are described in a log: their type's definition and hash, and the QoS offered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ENCODING = 'ros2msg'
+SEPARATOR = '=' * 80
+
+# The resource of the ament index in which a package lists its interfaces, one a line.
+INTERFACES = 'rosidl_interfaces'
+
+
+@dataclass(frozen=True)
+class TypeDescription:
+    """
+    What a reader needs to know of a message type.
+
+    Attributes
+    ----------
+    definition : str
+        The type's definition, then that of every type it refers to, directly or not.
+    type_hash : str
+        REP-2011 hash, 'RIHS01_' and 64 hex digits.
+
+    """
+
+    definition: str
+    type_hash: str
+
+
+def check_installed(type_name: str) -> None:
+    """
+    Check that the ament index lists a message type.
+
+    Type names come from the network and from files: nothing is imported or opened by one that is
+    not listed.
+
+    Parameters
+    ----------
+    type_name : str
+        Such as 'nav_msgs/msg/Path'.
+
+    Raises
+    ------
+    LookupError
+        If no installed package lists it; so it is for services, actions and their parts, and for
+        types that are defined in IDL alone.
+
+    """
+    package, _, interface = type_name.partition('/')
+    # Only who writes a log needs to know what is installed.
+    from ament_index_python.resources import get_resource, get_resources
+
+    listed: list[str] = []
+    if interface.startswith('msg/') and package in get_resources(INTERFACES):
+        listed = get_resource(INTERFACES, package)[0].splitlines()
+    if f'{interface}.msg' not in listed:
+        raise LookupError(
+            f'type {type_name!r} is not installed: no package of the ament index lists it '
+            'among its messages'
+        )
+
+
+def describe(type_name: str) -> TypeDescription:
+    """
+    Return the description of an installed message type.
+
+    Parameters
+    ----------
+    type_name : str
+        Such as 'nav_msgs/msg/Path'.
+
+    Raises
+    ------
+    LookupError
+        If it is not installed.
+
+    """
+    check_installed(type_name)
+    description = json.loads(installed_text(type_name, 'json'))
+    hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
+    message = description['type_description_msg']
+    sections = [installed_text(type_name, 'msg')]
+    for referenced in message['referenced_type_descriptions']:
+        text = installed_text(referenced['type_name'], 'msg')
+        short_name = referenced['type_name'].replace('/msg/', '/')
+        sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
+    return TypeDescription('\n'.join(sections), hashes[type_name])
+
+
+def installed_text(type_name: str, suffix: str) -> str:
+    """
+    Return what is installed of a message type, as 'msg' or as 'json'.
+
+    Raises
+    ------
+    LookupError
+        If it is not there: a type may be defined in IDL alone.
+
+    """
+    from ament_index_python.packages import get_package_share_directory
+
+    package, kind, name = type_name.split('/')
+    try:
+        return Path(get_package_share_directory(package), kind, f'{name}.{suffix}').read_text()
+    except OSError as error:
+        raise LookupError(f'type {type_name} is not installed: {error}') from error
+
+
+def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
+    """
+    Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic.
+
+    Parameters
+    ----------
+    profiles : iterable of rclpy.qos.QoSProfile
+        One for each publisher.
+
+    Returns
+    -------
+    str
+        A YAML list; each entry has all nine policies.
+
+    """
+
+    def duration(value: Any) -> dict[str, int]:
+        seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
+        return {'sec': seconds, 'nsec': nanoseconds}
+
+    text: str = yaml.safe_dump(
+        [
+            {
+                'history': profile.history.name.lower(),
+                'depth': profile.depth,
+                'reliability': profile.reliability.name.lower(),
+                'durability': profile.durability.name.lower(),
+                'deadline': duration(profile.deadline),
+                'lifespan': duration(profile.lifespan),
+                'liveliness': profile.liveliness.name.lower(),
+                'liveliness_lease_duration': duration(profile.liveliness_lease_duration),
+                'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+            }
+            for profile in profiles
+        ],
+        sort_keys=False,
+    )
+    return text

@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the mission log: MCAP files as rosbag2 and its relatives expect them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from kbnitp_ros.bag.errors import LogError
+from kbnitp_ros.bag.file_writer import COMPRESSIONS, Definition, FileWriter
+from kbnitp_ros.bag.lock import LogLock
+from kbnitp_ros.bag.log_files import check_is_new, is_later_part, part_path, parts_of
+from kbnitp_ros.bag.metadata import BagFile, is_of_another_bag, write_metadata
+from kbnitp_ros.bag.records import LARGEST_MESSAGE, QOS, TYPE_HASH
+from kbnitp_ros.bag.repair import finished
+from kbnitp_ros.bag.schema import describe
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+
+@dataclass
+class Topic:
+    """
+    A topic on record.
+
+    Attributes
+    ----------
+    metadata : dict
+        What its channel says of it.
+    messages : int
+        How many were written, to all parts.
+    channel : int
+        Its number in the part being written.
+
+    """
+
+    definition: Definition
+    metadata: dict[str, str]
+    messages: int = 0
+    channel: int = 0
+
+
+class LogWriter:
+    """
+    Writes messages, as the bytes that came off the wire, to a new log or on to an old one.
+
+    No other process can write the log until this one closes it or ends.
+
+    Messages are collected in chunks. After `sync` all that was written is on the disk and stays
+    readable whatever happens to the process or the machine; `close` makes the last file a finished
+    one, with indexes, as was done with those before, and the folder a bag. Used in a ``with``
+    statement it closes itself.
+
+    Once the disk has refused anything the log is as it was after the last thing that reached it,
+    and closed.
+
+    Attributes
+    ----------
+    path : Path
+        The log's first file.
+    current_path : Path
+        The file being written.
+    shares_folder : bool
+        Whether the folder has the metadata.yaml of another bag, which is left alone: others then
+        know the log by its files only.
+
+    Parameters
+    ----------
+    path : str or Path
+        The first file to make; or with `resume` the first file, or the folder, of a log to go on
+        with, in a new file beside it.
+    resume : bool
+        Whether the log is there already. Where it is unfinished it is finished first.
+    compression : str
+        'none' or 'zstd'.
+    max_file_size : int
+        Bytes, beside those that each file begins with, after which the log goes on in another
+        file; 0 for never.
+    max_file_duration : float
+        Seconds after which it does so, by the times of the messages; 0 for never.
+
+    Raises
+    ------
+    OSError
+        If there is such a file already, its folder is missing, or the disk refuses; also from all
+        methods that write.
+    LogError
+        If there is no log to go on with, a corrupt one or one that another process writes, or a
+        new one is not named as an MCAP file.
+    ValueError
+        If the compression is unknown.
+
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        resume: bool = False,
+        compression: str = 'none',
+        max_file_size: int = 0,
+        max_file_duration: float = 0.0,
+    ) -> None:
+        if compression not in COMPRESSIONS:
+            raise ValueError(f'compression is {compression!r}: it must be none or zstd')
+        self._compression = compression
+        self._max_size = max_file_size or 2**63
+        self._max_duration = round(max_file_duration * 1e9) or 2**63
+        self._topics: dict[str, Topic] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._finished: list[BagFile] = []
+        self._number = 0
+        if resume:
+            parts = parts_of(path)
+            self.path = parts[0]
+            check_goes_on(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
+            self._lock = LogLock(self.path)
+            try:
+                # There may have been one more since, by a writer that has just ended.
+                parts = parts_of(path)
+                self._finished = [finished(part, compression, self._lock) for part in parts]
+                self._number = len(parts)
+                self.current_path = part_path(self.path, self._number)
+                part = FileWriter(self.current_path, compression)
+            except BaseException:
+                self._lock.release()
+                raise
+        else:
+            self.path = self.current_path = Path(path)
+            check_is_new(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
+            part = FileWriter(self.path, compression)
+            try:
+                self._lock = LogLock(self.path)
+            except BaseException:
+                part.abandon()
+                raise
+        self._part: FileWriter | None = part
+
+    def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
+        """
+        Put a topic on record: before its first message, and again whenever its QoS changes.
+
+        Parameters
+        ----------
+        topic : str
+            Its full name.
+        type_name : str
+            Its message type, such as 'nav_msgs/msg/Path'. It must be installed.
+        qos_profiles_yaml : str
+            What its publishers offer, as `schema.qos_profiles_yaml` puts it.
+
+        Raises
+        ------
+        LookupError
+            If the type is not installed.
+
+        """
+        description = describe(type_name)
+        definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
+        metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
+        known = self._topics.get(topic)
+        self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)
+        self._add_channel(topic)
+
+    def _add_channel(self, topic: str) -> None:
+        """Have the part that is being written know a topic."""
+        added = self._topics[topic]
+        added.channel = self._open_part().add_channel(
+            topic, MessageEncoding.CDR, added.definition, added.metadata
+        )
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """
+        Put a record of named values into this file and all later ones, or change it there.
+
+        Of a record that is in the file already, only what is new or another value now is written:
+        some tools warn of each name that stands in two records.
+        """
+        known = self._metadata.get(name, {})
+        new = {key: value for key, value in values.items() if known.get(key) != value}
+        if name in self._metadata and not new:
+            return
+        self._metadata[name] = {**known, **values}
+        try:
+            self._open_part().add_metadata(name, new)
+        except OSError:
+            self._abandon()
+            raise
+
+    def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
+        """
+        Write a message.
+
+        Parameters
+        ----------
+        topic : str
+            One that was added.
+        data : bytes
+            The message in CDR, with its encapsulation header, of at most `LARGEST_MESSAGE` bytes.
+        log_time, publish_time : int
+            When it was received and when it was sent, in nanoseconds; a negative time, which the
+            file cannot hold, becomes 0.
+
+        Raises
+        ------
+        ValueError
+            If the message is too large to be read again.
+
+        """
+        if len(data) > LARGEST_MESSAGE:
+            raise ValueError(
+                f'a message of topic {topic} has {len(data)} bytes: at most {LARGEST_MESSAGE} are '
+                'written'
+            )
+        part = self._open_part()
+        contents = part.contents
+        entry = self._topics[topic]
+        entry.messages += 1
+        try:
+            if contents.last and (
+                part.size - part.preamble >= self._max_size
+                or log_time - contents.first >= self._max_duration
+            ):
+                part = self._next_part()
+            part.write(entry.channel, data, max(log_time, 0), max(publish_time, 0), entry.messages)
+        except OSError:
+            self._abandon()
+            raise
+
+    def sync(self) -> None:
+        """
+        Put everything written so far onto the disk.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the log has been removed or replaced.
+
+        """
+        try:
+            self._open_part().sync()
+            self._lock.check_in_place()
+        except OSError:
+            self._abandon()
+            raise
+
+    def check_in_place(self) -> None:
+        """Check that the log has not been removed or replaced; raises FileNotFoundError."""
+        self._open_part().check_in_place()
+        self._lock.check_in_place()
+
+    def close(self) -> None:
+        """Finish the log and put it onto the disk; nothing is done if it is closed already."""
+        if self._part is None:
+            return
+        try:
+            self._finish_part()
+        except OSError:
+            self._abandon()
+            raise
+        self._part = None
+        self._lock.release()
+
+    def __enter__(self) -> LogWriter:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the log, also after an error: what was written is worth having."""
+        self.close()
+
+    def _open_part(self) -> FileWriter:
+        if self._part is None:
+            raise ValueError(f'{self.path} is closed')
+        return self._part
+
+    def _next_part(self) -> FileWriter:
+        """Go on in another file, which can be read without those before."""
+        self._finish_part()
+        self._number += 1
+        self.current_path = part_path(self.path, self._number)
+        self._part = FileWriter(self.current_path, self._compression)
+        for name, values in self._metadata.items():
+            self._part.add_metadata(name, values)
+        for topic in self._topics:
+            self._add_channel(topic)
+        return self._part
+
+    def _finish_part(self) -> None:
+        part = self._open_part()
+        part.finish()
+        self._finished.append(part.contents)
+        self.shares_folder = not write_metadata(self.path.parent, self._finished)
+
+    def _abandon(self) -> None:
+        """Give up after an error: what reached the disk stays as it is."""
+        if self._part is not None:
+            self._part.abandon()
+            self._part = None
+            self._lock.release()
+
+
+def check_goes_on(first: Path) -> None:
+    """
+    Check that a log can be gone on with under the name of this file.
+
+    Raises
+    ------
+    LogError
+        If it is a later part, or no MCAP file.
+
+    """
+    if is_later_part(first):
+        raise LogError(f'{first} is a part of the log beside it: name the first file of that')
+    if first.suffix != '.mcap':
+        raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be gone on with')

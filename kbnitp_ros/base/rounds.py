@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rounds of a mission: where the robots go that leave together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+import time
+from typing import Any
+
+from kbnitp_ros.configuration import search_options, type_to_plan, value_for
+from kbnitp_ros.core import (
+    count_visits,
+    DeploymentKey,
+    Grid,
+    keepout_cells,
+    Plan,
+    plan_team,
+    RobotType,
+    Team,
+)
+from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.headers import next_name
+import numpy as np
+from numpy.typing import NDArray
+
+# Of robots that leave together, by deployment.
+Paths = dict[DeploymentKey, NDArray[np.intp]]
+Plans = dict[DeploymentKey, Plan]
+
+
+class Rounds:
+    """
+    Plans rounds, each on a belief.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    values : mapping
+        The planner's parameters by name, kept up to date.
+    warn : callable
+        Called with a sentence for the operator.
+
+    """
+
+    def __init__(
+        self, grid: Grid, values: Mapping[str, Any], warn: Callable[[str], object]
+    ) -> None:
+        self._grid = grid
+        self._values = values
+        self._warn = warn
+        self._is_slow = False
+        # How often the paths of all robots that left enter each cell.
+        self._visited = count_visits(grid, [])
+
+    def note_path(self, path: NDArray[np.intp]) -> None:
+        """Take note of the path of a robot that leaves, shape (steps + 1,)."""
+        np.add.at(self._visited, path[1:], 1)
+
+    def plan(
+        self,
+        known: Snapshot,
+        agents: Sequence[str],
+        out: Paths,
+        stamp: int,
+        refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+        noted: Sequence[NDArray[np.intp]] = (),
+    ) -> Plans:
+        """
+        Return the plans of robots that leave together.
+
+        Parameters
+        ----------
+        known : Snapshot
+            The belief to plan on.
+        agents : sequence of str
+            Whose robots leave.
+        out : dict
+            The paths of those that are out.
+        stamp : int
+            Names the first of these deployments, in nanoseconds.
+        refused : sequence of sequence of ndarray
+            The paths of each round that was refused in place of this one.
+        noted : sequence of ndarray
+            The paths of this round that were taken note of before it is planned.
+
+        """
+        start = time.monotonic()
+
+        def robot_type(agent: str) -> RobotType:
+            return type_to_plan(self._values, agent, known.robot_types)
+
+        most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
+        team = plan_team(
+            self._grid,
+            known.belief,
+            known.model,
+            Team(len(agents), self._values['allocation'], tuple(map(robot_type, agents))),
+            search_options(self._values),
+            in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
+            visited=self._visited - count_visits(self._grid, noted),
+            keepout=keepout_cells(self._grid, most_steps, len(agents), refused),
+        )
+        away = [
+            value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
+            for agent, planned in zip(agents, team.plans)
+        ]
+        self._say_if_slow(time.monotonic() - start, max(away))
+        return {
+            DeploymentKey(agent, stamp + number): planned
+            for number, (agent, planned) in enumerate(zip(agents, team.plans))
+        }
+
+    def missing(
+        self,
+        planned_on: Snapshot,
+        agents: Sequence[str],
+        recorded: Paths,
+        refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+    ) -> Plans:
+        """
+        Return the plans of a round that died with the mission before their paths were on record.
+
+        Some of the others may have reported, so nobody could plan these later.
+
+        Parameters
+        ----------
+        planned_on : Snapshot
+            The belief that the round was planned on.
+        agents : sequence of str
+            Those of the team.
+        recorded : dict
+            The paths of the round that are on record.
+        refused : sequence of sequence of ndarray
+            As of `plan`.
+
+        """
+        agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
+        if len(recorded) >= len(agents):
+            return {}
+        first = next_name(planned_on.stamp, planned_on.mission)
+        noted = list(recorded.values())
+        planned = self.plan(planned_on, agents, {}, first, refused, noted)
+        # Otherwise it was a round of other agents, or the parameters are others now.
+        if not all(
+            key in planned and np.array_equal(path, planned[key].path)
+            for key, path in recorded.items()
+        ):
+            return {}
+        return {key: plan for key, plan in planned.items() if key not in recorded}
+
+    def _say_if_slow(self, planning: float, away: float) -> None:
+        """Say once that robots wait longer for their paths than they are away, in seconds."""
+        if 0.0 < away < planning and not self._is_slow:
+            self._is_slow = True
+            self._warn(
+                f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
+                'a lower beam_width, or the planner relaxed, takes less'
+            )
+
+
+def describe_plan(grid: Grid, plan: Plan) -> str:
+    """Return where a plan leads and what is expected of it."""
+    farthest = plan.path[np.argmax(grid.steps_to_base[plan.path])]
+    ((x, y),) = grid.centers([farthest]).tolist()
+    return (
+        f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '
+        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats'
+    )

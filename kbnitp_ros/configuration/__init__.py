@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of all nodes: their table, how values are checked, and what these describe."""
+
+from kbnitp_ros.configuration.agents import (
+    agents_of,
+    most_steps,
+    robot_type_of,
+    robot_types_of,
+    value_for,
+)
+from kbnitp_ros.configuration.estimator import estimator_of
+from kbnitp_ros.configuration.field import grid_of
+from kbnitp_ros.configuration.known import (
+    check_known,
+    check_own,
+    parameter_of,
+    parameters_of,
+    ROS_PARAMETERS,
+)
+from kbnitp_ros.configuration.models import execution_of, sensor_model_of, unknowns_of
+from kbnitp_ros.configuration.names import nearest, own_name
+from kbnitp_ros.configuration.page import reference_page
+from kbnitp_ros.configuration.parameter import Parameter
+from kbnitp_ros.configuration.prior import prior_of
+from kbnitp_ros.configuration.search import check_search, search_options, type_to_plan
+from kbnitp_ros.configuration.table import (
+    LEARN,
+    MOST_AGENTS,
+    MOST_CELLS,
+    MOST_ROBOTS,
+    MOST_STEPS,
+    NODES,
+    TABLE,
+)
+
+__all__ = [
+    'LEARN',
+    'MOST_AGENTS',
+    'MOST_CELLS',
+    'MOST_ROBOTS',
+    'MOST_STEPS',
+    'NODES',
+    'ROS_PARAMETERS',
+    'TABLE',
+    'Parameter',
+    'agents_of',
+    'check_known',
+    'check_own',
+    'check_search',
+    'estimator_of',
+    'execution_of',
+    'grid_of',
+    'most_steps',
+    'nearest',
+    'own_name',
+    'parameter_of',
+    'parameters_of',
+    'prior_of',
+    'reference_page',
+    'robot_type_of',
+    'robot_types_of',
+    'search_options',
+    'sensor_model_of',
+    'type_to_plan',
+    'unknowns_of',
+    'value_for',
+]

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grid that the parameters describe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from kbnitp_ros.configuration.table import LONGEST_SIDE
+from kbnitp_ros.core import Grid
+from kbnitp_ros.maps import Map, read_map
+from kbnitp_ros.messages.grids import told_resolution
+
+
+def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
+    """
+    Return the grid that these parameters describe, as beliefs tell it.
+
+    Parameters
+    ----------
+    values : mapping
+        Of all parameters of the field, by name.
+    heard : Map, optional
+        The one on the parameter `map_topic`.
+
+    Raises
+    ------
+    ValueError
+        If the map cannot be read, the grid is none or larger than `LONGEST_SIDE`, or two
+        parameters do not go together.
+
+    """
+    position = values['grid.base_position']
+    if position and len(position) != 2:
+        raise ValueError(
+            f'parameter grid.base_position is {list(position)}: it must be x and y, or empty'
+        )
+    if values['map'] and values['map_topic']:
+        raise ValueError('parameters map and map_topic are both given: the field has one map')
+    if heard is None and values['map_topic']:
+        raise ValueError('parameter map_topic is given, and no map has come on it')
+    field = read_map(values['map']) if values['map'] else heard
+    side = told_resolution(values['grid.resolution'])
+    corners = values['grid.corners']
+    steps = {
+        'connectivity': values['grid.connectivity'],
+        'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
+    }
+    if field is not None:
+        # As wide as it is told, so that all nodes have one grid.
+        field = replace(field, resolution=told_resolution(field.resolution))
+        grid = field.grid(
+            side or None,
+            position or None,
+            unknown_blocks=values['unknown_blocks'],
+            base=values['grid.base'],
+            **steps,
+        )
+        if max(grid.width, grid.height) > LONGEST_SIDE:
+            raise ValueError(
+                f'the map makes a grid of {grid.width} x {grid.height} cells: at most '
+                f'{LONGEST_SIDE} a side may be; set a coarser grid.resolution'
+            )
+        return grid
+    grid = Grid(
+        width=values['grid.width'],
+        height=values['grid.height'],
+        resolution=side or 1.0,
+        origin=values['grid.origin'],
+    )
+    base = int(grid.cells_at([position])[0]) if position else values['grid.base']
+    return replace(grid, base=base, blocked=values['grid.blocked'], **steps)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What users give for the parameters, in files and on the command line, checked against the table.
+
+ROS hands a node the values only, and passes over in silence what is misspelt or meant for others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+import re
+from typing import Any
+
+from kbnitp_ros.configuration import check_known, nearest, NODES, parameter_of
+from kbnitp_ros.files import KeyTwiceError, read_yaml
+
+# What a section of a file may be called besides the nodes: some of them, whatever their names.
+WILDCARDS = ('*', '**')
+
+# A mapping of this name takes from ROS the number that another file or -p gave.
+OWN_NUMBERS = 'robots'
+FLAT = 'what one agent has of its own is named in one, such as robots.scout_1.max_steps'
+
+# The flags for ROS that matter here, and how else they may be written.
+REMAP, RULE, FILE = ('-r', '--remap'), ('-p', '--param'), ('--params-file',)
+
+# Values by parameter name, by the name of the section of a file that gives them.
+Sections = dict[str, dict[str, Any]]
+
+
+def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> Sections:
+    """
+    Return what a parameter file gives, checked.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file in the format of ROS 2, such as config/mission.yaml.
+    names : mapping, optional
+        What nodes are called that do not have the names of their executables, and these.
+
+    Returns
+    -------
+    dict
+        Values by dotted parameter name, by section in the order of the file: ``/**`` for
+        all nodes, ``/**/planner`` for those called planner.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, it is no such YAML, a section is for no node, or a value in it is
+        for no parameter of that node (in sections for all: of any node) or not allowed.
+
+    """
+    try:
+        return sections_of(read_yaml(path), names or {})
+    except KeyTwiceError as error:
+        remedy = f'; {FLAT}' if error.key == OWN_NUMBERS else ''
+        raise ValueError(f'parameter file {path}: {error}{remedy}') from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ValueError(f'parameter file {path}: {reason}') from error
+
+
+def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
+    """Return the sections of a parameter file as YAML loads it, checked like `read_sections`."""
+    if not isinstance(config, Mapping):
+        raise ValueError(f'it holds {config!r}: it must hold sections, such as /**')
+    sections = dict(_sections(config, ''))
+    for section, values in sections.items():
+        nodes = _nodes_in(section, names)
+        try:
+            for name, value in values.items():
+                check_known(name, nodes)
+                for node in nodes:
+                    if parameter := parameter_of(node, name):
+                        parameter.check(value)
+        except ValueError as error:
+            raise ValueError(f'section {section!r}: {error}') from error
+    return sections
+
+
+def _sections(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the sections below a namespace, with their values."""
+    for key, content in tree.items():
+        name = f'{above}{key}'
+        if not isinstance(content, Mapping) or ('ros__parameters' in content and len(content) > 1):
+            raise ValueError(f'section {name!r} must hold ros__parameters and nothing else')
+        if 'ros__parameters' in content:
+            yield name, dict(_leaves(content['ros__parameters'], name))
+        else:
+            yield from _sections(content, f'{name}/')
+
+
+def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings by their dotted names."""
+    if tree is not None and not isinstance(tree, Mapping):
+        raise ValueError(f'section {section!r} holds {tree!r}: it must hold parameters by name')
+    for key, value in (tree or {}).items():
+        if isinstance(value, Mapping):
+            if not above and key == OWN_NUMBERS:
+                raise ValueError(
+                    f'section {section!r} has a mapping {key!r}, to which ROS gives up the number '
+                    f'of robots: {FLAT}'
+                )
+            yield from _leaves(value, section, f'{above}{key}.')
+        else:
+            yield f'{above}{key}', value
+
+
+def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
+    """Return the executables whose nodes a section, or the start of a rule, is for."""
+    name = section.rpartition('/')[2]
+    if name in WILDCARDS:
+        return NODES
+    if name not in (known := list(dict.fromkeys([*NODES, *names]))):
+        raise ValueError(
+            f'section {section!r} is for no node: {nearest(name, known)}'
+            f'the nodes are {", ".join(known)}'
+        )
+    return [names.get(name, name)]
+
+
+def values_for(sections: Sections, node: str) -> dict[str, Any]:
+    """
+    Return the values that ROS gives a node of these sections: of those that fit, the last counts.
+
+    Parameters
+    ----------
+    sections : dict
+        Of a file.
+    node : str
+        The node's full name.
+
+    """
+    values = {}
+    for section, given in sections.items():
+        if _fits(section, node):
+            values.update(given)
+    return values
+
+
+def _fits(section: str, node: str) -> bool:
+    """Return whether a section is for the node of this full name, as rclpy decides it."""
+    return bool(re.fullmatch(f'/{section.removeprefix("/")}'.replace('/*', r'(/\w+)'), node))
+
+
+def check_given(name: str, arguments: Sequence[str]) -> None:
+    """
+    Check what a node's command line gives for parameters.
+
+    Parameters
+    ----------
+    name : str
+        The executable.
+    arguments : sequence of str
+        The command line without the program.
+
+    Raises
+    ------
+    ValueError
+        If a file is not as `read_sections` wants it, if a parameter is given that the node does
+        not have, or one that ROS would take from a file all the same.
+
+    """
+    given = list(_ros_arguments(arguments))
+    remaps = dict(rule.split(':=', 1) for flag, rule in given if flag in REMAP and ':=' in rule)
+    called = remaps.get('__node', name)
+    files = [read_sections(path, {called: name}) for flag, path in given if flag in FILE]
+    for rule in (rule for flag, rule in given if flag in RULE):
+        node, _, parameter = rule.partition(':=')[0].rpartition(':')
+        check_known(parameter, _nodes_in(node, {called: name}) if node else [name])
+        if not node:
+            _check_counts(rule, parameter, files, f'{remaps.get("__ns", "").rstrip("/")}/{called}')
+
+
+def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: str) -> None:
+    """Check that ROS, to which a rule is one more line of section /**, does not overrule it."""
+    sections = list(dict.fromkeys([*(name for file in files for name in file), '/**']))
+    after = sections.index('/**') + 1
+    for section in sections[after:]:
+        if _fits(section, node) and any(parameter in file.get(section, {}) for file in files):
+            raise ValueError(
+                f'-p {rule} would change nothing: to ROS, section {section!r} of the parameter '
+                f'file counts for more; change {parameter} there'
+            )
+
+
+def names_given(arguments: Sequence[str]) -> list[str]:
+    """Return what of a command line says how the node and its topics are called."""
+    renamed = [each for each in _ros_arguments(arguments) if each[0] in REMAP]
+    return ['--ros-args', *chain.from_iterable(renamed)]
+
+
+def _ros_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the flags that are for ROS, each with the word that follows it."""
+    is_for_ros = False
+    for word, following in zip(arguments, [*arguments[1:], '']):
+        if word in ('--ros-args', '--'):
+            is_for_ros = word == '--ros-args'
+        elif is_for_ros and word.startswith('-'):
+            yield word, following

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameters a node has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from kbnitp_ros.configuration.names import nearest, own_name
+from kbnitp_ros.configuration.parameter import Parameter
+from kbnitp_ros.configuration.table import NODES, TABLE
+
+# What rclpy gives every node.
+ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+
+
+def parameters_of(name: str) -> dict[str, Parameter]:
+    """Return the parameters of the node called `name`, by their names."""
+    return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
+
+
+def parameter_of(node: str, name: str) -> Parameter | None:
+    """Return the parameter of a node that has this name, that of one agent too; None if none."""
+    known = parameters_of(node)
+    own = own_name(name)
+    if own is None:
+        return known.get(name)
+    common = known.get(own[1])
+    return replace(common, name=name) if common and common.per_agent else None
+
+
+def check_known(name: str, nodes: Sequence[str]) -> None:
+    """
+    Check that a name is one of the parameters of some of these nodes.
+
+    Parameters
+    ----------
+    name : str
+        The parameter's.
+    nodes : sequence of str
+        One that it is given to, or all that share it.
+
+    Raises
+    ------
+    ValueError
+        If not; names the parameter meant, or the nodes that have this one.
+
+    """
+    if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
+        return
+    whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
+    if others := [node for node in NODES if parameter_of(node, name)]:
+        raise ValueError(
+            f'parameter {name} is unknown to {whose}: it is one of {", ".join(others)}'
+        )
+    table = [parameter for node in nodes for parameter in parameters_of(node).values()]
+    known = {parameter.name for parameter in table}
+    if own := own_name(name):
+        agent, meant = own
+        known = {f'robots.{agent}.{each.name}' for each in table if each.per_agent}
+        if meant in {parameter.name for parameter in table}:
+            raise ValueError(f'parameter {name}: all agents have the same {meant}')
+    raise ValueError(
+        f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
+        f'{nodes[0]} --help tells which it has'
+    )
+
+
+def check_own(values: Mapping[str, Any]) -> None:
+    """
+    Check that what agents have of their own is for agents that there are.
+
+    Raises
+    ------
+    ValueError
+        If not; names the agent meant.
+
+    """
+    for name in values:
+        own = own_name(name)
+        if own and own[0] not in values['agents']:
+            agents = values['agents']
+            raise ValueError(
+                f'parameter {name} is for {own[0]}: {nearest(own[0], agents)}the parameter agents '
+                f'names {", ".join(agents)}'
+            )

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the parameters say that sensors and robots behave, and what of it is to be learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kbnitp_ros.configuration.table import LEARN
+from kbnitp_ros.core import Beta, Execution, SensorModel, Unknowns
+
+
+def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
+    """Return the sensor model that these parameters describe."""
+    return SensorModel(
+        lethality=values['sensor.lethality'],
+        malfunction=values['sensor.malfunction'],
+        false_negative=values['sensor.false_negative'],
+        true_positive=values['sensor.true_positive'],
+        false_positive=values['sensor.false_positive'],
+    )
+
+
+def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
+    """
+    Return which numbers these parameters leave to be learnt.
+
+    Raises
+    ------
+    ValueError
+        If one is named twice, or what is believed of any at first is no distribution.
+
+    """
+    learn = values['learn']
+    if len(set(learn)) < len(learn):
+        raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
+    priors = {}
+    for name in LEARN:
+        believed = values[f'learn.{name}']
+        try:
+            if len(believed) not in (2, 4):
+                raise ValueError('it must be low and high, or low, high, a and b')
+            priors[name] = Beta(**dict(zip(('low', 'high', 'a', 'b'), believed)))
+        except ValueError as error:
+            raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
+    return Unknowns(**{name: priors[name] for name in learn})
+
+
+def execution_of(values: Mapping[str, Any]) -> Execution:
+    """Return how simulated robots depart from their orders."""
+    return Execution(
+        detour=values['detour_probability'],
+        early_return=values['early_return_probability'],
+        last_contact=values['last_contact_probability'],
+        camera_failure=values['camera_failure_probability'],
+    )

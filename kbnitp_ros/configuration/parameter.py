@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a parameter is: its default, what its values must be, and how they are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+import json
+import re
+from typing import Any
+
+from kbnitp_ros.configuration.names import nearest
+from kbnitp_ros.files import parse_yaml
+from kbnitp_ros.plugins import Registry
+
+KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One row of the table.
+
+    Attributes
+    ----------
+    name : str
+        As in ROS, the dot a level.
+    default : bool, int, float, str or tuple of them
+        Its type is the parameter's type.
+    description : str
+        One sentence, with the unit.
+    nodes : tuple of str
+        The nodes that have it.
+    element : type, optional
+        The type of a list's elements.
+    limits : tuple of two numbers, optional
+        Lowest and highest value allowed.
+    off : number, optional
+        A value below the limits that stands for none, such as 0 for no limit of a size.
+    choices : collection of str
+        The values allowed; empty when any is. Those of a registry grow by what other packages add.
+    pattern : str
+        What a text must match, as a regular expression; empty when it need not.
+    read_only : bool
+        Whether it is fixed once the node runs.
+    per_agent : bool
+        Whether one agent may have another value than the others, as ``robots.AGENT.NAME``.
+
+    """
+
+    name: str
+    default: Any
+    description: str
+    nodes: tuple[str, ...]
+    element: type | None = None
+    limits: tuple[float, float] | None = None
+    off: float | None = None
+    choices: Collection[str] = ()
+    pattern: str = ''
+    read_only: bool = True
+    per_agent: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Return what a value must be, in words."""
+        if self.element is None:
+            return KINDS[type(self.default)]
+        return f'a list, each {KINDS[self.element]}'
+
+    @property
+    def allowed(self) -> str:
+        """Return what a value of the right type must also be, in words; empty when nothing."""
+        if self.limits is not None:
+            return f'{self._off_or}from {self.limits[0]} to {self.limits[1]}'
+        if self.choices != ():
+            return f'one of {", ".join(self.choices)}'
+        return f'of the form {self.pattern}' if self.pattern else ''
+
+    @property
+    def _off_or(self) -> str:
+        return '' if self.off is None else f'{self.off} or '
+
+    @property
+    def must_be(self) -> str:
+        """Return what a value must be, in words."""
+        return ', '.join(filter(None, (self.kind, self.allowed)))
+
+    @property
+    def changeable(self) -> str:
+        """Return whether it can be changed, in words; empty when it cannot."""
+        return '' if self.read_only else ' Can be changed while the node runs.'
+
+    @property
+    def summary(self) -> str:
+        """Return what it is, its default and what it must be."""
+        return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
+
+    def read(self, text: str) -> Any:
+        """
+        Return the value that a text typed on a command line stands for, as `check` does.
+
+        Raises
+        ------
+        ValueError
+            If it stands for none.
+
+        """
+        if self.element is None and isinstance(self.default, str):
+            return self.check(text)
+        try:
+            # To YAML, 1e-3 is a text.
+            value = float(text) if type(self.default) is float else parse_yaml(text)
+        except ValueError:
+            value = text
+        return self.check(value)
+
+    def check(self, value: Any) -> Any:
+        """
+        Return `value` as this parameter's type; whole numbers are taken for numbers.
+
+        Raises
+        ------
+        ValueError
+            If it is of another type, out of range or none of the choices.
+
+        """
+        if self.element is None:
+            return self._check_one(value, type(self.default))
+        # rclpy hands an empty YAML list over as None.
+        values = () if value is None else value
+        if isinstance(values, (str, bytes, Mapping)) or not hasattr(values, '__iter__'):
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
+        return tuple(self._check_one(one, self.element) for one in values)
+
+    def _check_one(self, value: Any, wanted: type[Any]) -> Any:
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if type(value) is not wanted:
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
+        if (
+            (self.limits and value != self.off and not self.limits[0] <= value <= self.limits[1])
+            or (self.choices != () and value not in self.choices)
+            or (self.pattern and not re.fullmatch(self.pattern, value))
+        ):
+            meant = nearest(value, self.choices) if self.choices else ''
+            if isinstance(self.choices, Registry) and value in self.choices.refused:
+                meant = f'{self.choices.refused[value]}; '
+            raise ValueError(
+                f'parameter {self.name} is {value!r}: {meant}it must be {self.allowed}'
+            )
+        return value

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search that the parameters describe, and whether the planner can do it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from kbnitp_ros.configuration.agents import agents_of, robot_type_of
+from kbnitp_ros.core import check_team, Grid, ORDINARY, PathFinder, RobotType, SearchOptions
+
+# The options whose parameters have other names.
+NAMES = {'width': 'beam_width'}
+
+
+def search_options(values: Mapping[str, Any]) -> SearchOptions:
+    """
+    Return the options that these parameters describe.
+
+    Raises
+    ------
+    ValueError
+        If they do not go together.
+
+    """
+    names = (field.name for field in fields(SearchOptions))
+    return SearchOptions(**{name: values[NAMES.get(name, name)] for name in names})
+
+
+def type_to_plan(
+    values: Mapping[str, Any], agent: str, believed: Mapping[str, RobotType]
+) -> RobotType:
+    """Return the type of an agent's robots: sensors as believed, limits as the parameters say."""
+    own = robot_type_of(values, agent)
+    sensors = believed.get(agent, ORDINARY)
+    return replace(sensors, max_steps=own.max_steps, loss_cost=own.loss_cost)
+
+
+def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
+    """
+    Check that the planner can search with these parameters, and have the memory that it takes.
+
+    Parameters
+    ----------
+    values : mapping
+        Of the parameters of the planner, by name.
+    grid : Grid
+        The field.
+    believed : mapping of str to RobotType
+        The types of agents' robots as the belief has them, as far as they are known.
+
+    Raises
+    ------
+    ValueError
+        If it does not seek the objective; with an estimate, if it takes too much.
+
+    """
+    types = [type_to_plan(values, agent, believed) for agent in agents_of(values, grid)]
+    check_team(PathFinder(grid, search_options(values)), types)

@@ -1,0 +1,593 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of all parameters: names, types, defaults, ranges and meanings."""
+
+from kbnitp_ros.configuration.names import NAME
+from kbnitp_ros.configuration.parameter import Parameter
+from kbnitp_ros.core import ALLOCATIONS, ALPHAS, METHODS, OBJECTIVES, PLANNERS
+from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
+
+NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
+FIELD = ('planner', 'agent', 'estimator')
+SENSING = ('agent', 'estimator')
+GRID = (*FIELD, 'robot')
+
+PROBABILITY = (0.0, 1.0)
+MOST_ROBOTS = MOST_DEPLOYMENTS
+MOST_STEPS = 10_000
+LONGEST_SIDE = 1000
+MOST_AGENTS = 100
+MOST_CELLS = LONGEST_SIDE**2
+
+# The topic of what the operator decides.
+OPERATOR = 'operator'
+
+# The numbers that can be learnt: what they are, and what is believed of them at first.
+LEARN = {
+    'lethality': ('sensor.lethality', (0.0, 1.0)),
+    'malfunction': ('sensor.malfunction', (0.0, 1.0, 2.0, 30.0)),
+    'hazard_density': ('prior.hazard', (0.0, 1.0, 1.5, 5.0)),
+    'kappa': ('prior.kappa', (0.0, 1.0, 4.0, 1.5)),
+    'target_background': (
+        'the probability of a target where there is no hazard',
+        (0.0, 1.0, 1.5, 8.0),
+    ),
+    'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
+    'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
+}
+
+TABLE = (
+    Parameter(
+        'map',
+        '',
+        'YAML file of a map, as map_server reads it, that gives the field in place of grid.width, '
+        'grid.height, grid.origin and grid.blocked; empty for none.',
+        GRID,
+    ),
+    Parameter(
+        'map_topic',
+        '',
+        'Topic that such a map is published on, such as /map, to be waited for; empty for none.',
+        GRID,
+    ),
+    Parameter(
+        'unknown_blocks',
+        True,
+        'Whether robots keep off cells of which the map does not know a part.',
+        GRID,
+    ),
+    Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, LONGEST_SIDE)),
+    Parameter('grid.height', 9, 'Cells along y.', GRID, limits=(1, LONGEST_SIDE)),
+    Parameter(
+        'grid.base',
+        0,
+        'Cell (row * width + column, row 0 at the bottom) that every path starts and ends in.',
+        GRID,
+        limits=(0, MOST_CELLS - 1),
+    ),
+    Parameter(
+        'grid.base_position',
+        (),
+        'A point in the cell that every path starts and ends in, x and y in metres in the frame '
+        'map, in place of grid.base; empty for none.',
+        GRID,
+        element=float,
+    ),
+    Parameter(
+        'grid.resolution',
+        0.0,
+        "Side of a cell in metres, at least the map's; 0 for the map's, without a map 1.",
+        GRID,
+        limits=(0.0, 1000.0),
+    ),
+    Parameter(
+        'grid.origin',
+        (0.0, 0.0),
+        'Lower-left corner of cell 0 in metres, x and y in the frame map.',
+        GRID,
+        element=float,
+    ),
+    Parameter('grid.blocked', (), 'Cells that no robot can enter.', GRID, element=int),
+    Parameter(
+        'grid.connectivity',
+        8,
+        'To how many of the cells around one a step may lead: 8, or the 4 that share a side.',
+        GRID,
+        limits=(4, 8),
+    ),
+    Parameter(
+        'grid.corners',
+        'auto',
+        'Whether a diagonal step may touch a blocked cell: cut, as in the paper, or avoid; auto '
+        'for avoid on a map and cut without one.',
+        GRID,
+        choices=('auto', 'avoid', 'cut'),
+    ),
+    Parameter(
+        'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS), per_agent=True
+    ),
+    Parameter(
+        'sensor.lethality',
+        0.5,
+        'Probability that a hazard strikes a robot that steps into its cell. The sensor '
+        'parameters of the agent are the truth, those of the estimator what estimator and planner '
+        'believe.',
+        SENSING,
+        limits=PROBABILITY,
+        per_agent=True,
+    ),
+    Parameter(
+        'sensor.malfunction',
+        0.05,
+        'Probability that a robot is lost in a step without any hazard.',
+        SENSING,
+        limits=PROBABILITY,
+        per_agent=True,
+    ),
+    Parameter(
+        'sensor.false_negative',
+        0.05,
+        'Probability that a robot survives a hazard that strikes it.',
+        SENSING,
+        limits=PROBABILITY,
+        per_agent=True,
+    ),
+    Parameter(
+        'sensor.true_positive',
+        0.95,
+        'Probability that a target is reported where there is one.',
+        SENSING,
+        limits=PROBABILITY,
+        per_agent=True,
+    ),
+    Parameter(
+        'sensor.false_positive',
+        0.05,
+        'Probability that a target is reported where there is none.',
+        SENSING,
+        limits=PROBABILITY,
+        per_agent=True,
+    ),
+    Parameter(
+        'prior.hazard',
+        0.5,
+        'Probability of a hazard in each cell before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'prior.target',
+        0.45,
+        'Probability of a target in each cell before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'prior.kappa',
+        0.8,
+        'Probability of a target where there is a hazard, before the first deployment.',
+        ('estimator',),
+        limits=PROBABILITY,
+    ),
+    *(
+        Parameter(
+            f'prior.{name}_map',
+            '',
+            f'File with prior.{name} of each cell: a map_server map of mode scale, or rows and '
+            'columns in .npy; empty for the number, which also holds where the map has nothing.',
+            ('estimator',),
+        )
+        for name in ('hazard', 'target', 'kappa')
+    ),
+    Parameter(
+        'prior.log',
+        '',
+        'Log of an earlier mission in the same field, whose last belief is the prior; empty for '
+        'none.',
+        ('estimator',),
+    ),
+    Parameter(
+        'method',
+        'kappa_bnitp',
+        'How a deployment is turned into belief.',
+        ('estimator',),
+        choices=METHODS,
+    ),
+    Parameter(
+        'learn',
+        (),
+        'Numbers that are not known but learnt, by kappa_bnitp_sampled. Robots are then planned '
+        'with what is known of them.',
+        ('estimator',),
+        element=str,
+        choices=tuple(LEARN),
+    ),
+    *(
+        Parameter(
+            f'learn.{name}',
+            interval,
+            f'What is believed of {meaning} at first, if it is learnt: low and high, and if not '
+            'all between is equally likely a and b of a Beta distribution.',
+            ('estimator',),
+            element=float,
+        )
+        for name, (meaning, interval) in LEARN.items()
+    ),
+    Parameter(
+        'agents',
+        ('scout_1',),
+        f'Names of all agents of the team, at most {MOST_AGENTS}; each has its topics under its '
+        'name.',
+        FIELD,
+        element=str,
+        pattern=NAME,
+    ),
+    Parameter(
+        'agent',
+        '',
+        'The agent whose robots this node simulates, one of agents; empty for all of them.',
+        ('agent',),
+        pattern=f'({NAME})?',
+    ),
+    Parameter(
+        'agent', 'scout_1', 'Name of the agent that this robot is.', ('robot',), pattern=NAME
+    ),
+    Parameter(
+        'robots',
+        100,
+        'Robots to deploy, one after another.',
+        ('planner',),
+        limits=(0, MOST_ROBOTS),
+        read_only=False,
+    ),
+    Parameter(
+        'planner',
+        'beam',
+        'How a path is searched for; random, coverage and shortest_unvisited seek no '
+        'information, and are there to be compared with.',
+        ('planner',),
+        choices=PLANNERS,
+        read_only=False,
+    ),
+    Parameter(
+        'beam_width',
+        16,
+        'Labels the beam planner keeps for each cell and step.',
+        ('planner',),
+        limits=(1, 10_000),
+        read_only=False,
+    ),
+    Parameter(
+        'max_visits',
+        3,
+        'Most visits of a path to one cell.',
+        ('planner',),
+        limits=(1, 10_000),
+        read_only=False,
+    ),
+    Parameter(
+        'allocation',
+        'greedy',
+        'How the robots of a round share the field.',
+        ('planner',),
+        choices=ALLOCATIONS,
+        read_only=False,
+    ),
+    Parameter(
+        'objective',
+        'information',
+        'What paths are sought for: the information expected, or with behavioral a fall of '
+        'behavioral entropies, for the planners beam and relaxed.',
+        ('planner',),
+        choices=OBJECTIVES,
+        read_only=False,
+    ),
+    Parameter(
+        'alpha',
+        1.0,
+        'The Prelec weight of the objective behavioral: 1 is the information, less counts what is '
+        'nearly certain as less sure, more as surer.',
+        ('planner',),
+        limits=ALPHAS,
+        read_only=False,
+    ),
+    Parameter(
+        'loss_cost',
+        0.0,
+        'What a lost robot is worth, in nats of information.',
+        ('planner',),
+        limits=(0.0, 1e9),
+        read_only=False,
+        per_agent=True,
+    ),
+    Parameter(
+        'approval',
+        False,
+        'Whether robots leave only when the operator has approved of their paths, shown on '
+        'AGENT/proposal, by the service approve.',
+        ('planner',),
+        read_only=False,
+    ),
+    Parameter(
+        'keep_running',
+        True,
+        'Whether the planner goes on running when the mission is over, and does not end.',
+        ('planner',),
+    ),
+    Parameter(
+        'rolling',
+        False,
+        'Whether a robot leaves whenever its agent is free, and not with all others in rounds.',
+        ('planner',),
+    ),
+    Parameter(
+        'step_period',
+        0.0,
+        'Seconds a robot takes for a step; 0 for as fast as possible.',
+        ('planner', 'agent'),
+        limits=(0.0, 1e6),
+        per_agent=True,
+    ),
+    Parameter(
+        'detour_probability',
+        0.0,
+        'Probability that a simulated robot takes a step through a third cell.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'early_return_probability',
+        0.0,
+        'Probability that a simulated robot turns back before a step; never before its first.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'last_contact_probability',
+        0.0,
+        'Probability that the base hears, after a step, how far a simulated robot is.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'camera_failure_probability',
+        0.0,
+        "Probability that a simulated robot's camera fails in a step, for the rest of the way.",
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'silent_loss',
+        False,
+        'Whether a robot that was destroyed is only known by not coming back.',
+        ('planner', 'agent'),
+    ),
+    Parameter(
+        'return_deadline',
+        10.0,
+        'Seconds of ROS time after the expected return when a silent robot is given up as lost.',
+        ('planner',),
+        limits=(1e-3, 1e9),
+    ),
+    Parameter(
+        'publish_pose',
+        False,
+        'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
+        ('agent',),
+    ),
+    Parameter(
+        'await_nodes',
+        ('agent', 'estimator'),
+        'Who must listen to the paths before the first is sent: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
+        ('planner',),
+        element=str,
+        pattern=NAME,
+    ),
+    Parameter(
+        'await_nodes',
+        ('planner',),
+        'Who must listen to the belief before the first is published: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
+        ('estimator',),
+        element=str,
+        pattern=NAME,
+    ),
+    Parameter(
+        'await_nodes',
+        ('planner', 'estimator'),
+        'Who must listen to the reports before the first robot leaves: '
+        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
+        ('agent', 'robot'),
+        element=str,
+        pattern=NAME,
+    ),
+    Parameter(
+        'seed',
+        0,
+        'Seed of the random numbers that the method draws.',
+        ('estimator',),
+        limits=(0, 2**63 - 1),
+    ),
+    Parameter(
+        'seed',
+        0,
+        'Seed of the hidden world and of what happens to the robots in it.',
+        ('agent',),
+        limits=(0, 2**63 - 1),
+    ),
+    Parameter(
+        'world.file',
+        '',
+        'YAML file with the hidden world; empty to draw one from the seed.',
+        ('agent',),
+    ),
+    Parameter(
+        'world.hazard_density',
+        0.15,
+        'Probability of a hazard in each cell of a drawn world but the base.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'world.kappa',
+        0.8,
+        'Probability of a target in a cell of a drawn world that has a hazard.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'world.target_background',
+        0.1,
+        'Probability of a target in a cell of a drawn world that has no hazard.',
+        ('agent',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'publish_truth',
+        False,
+        'Whether the hidden world is shown on truth/hazard and truth/target.',
+        ('agent',),
+    ),
+    Parameter(
+        'recorded',
+        False,
+        'Whether a robot leaves only when the recorder has its path on disk, and the estimator '
+        'takes that path only.',
+        ('planner', 'estimator', 'agent'),
+    ),
+    Parameter(
+        'recorded',
+        True,
+        'Whether the robot leaves only when the recorder has its path on disk.',
+        ('robot',),
+    ),
+    Parameter(
+        'journal',
+        '',
+        "File on the robot's own disk that keeps its orders, its way and its readings, one for "
+        'each mission; empty for AGENT.journal in the folder .ros/kbnitp_ros of the home.',
+        ('robot',),
+    ),
+    Parameter(
+        'driver',
+        'follow_waypoints',
+        'Action of Nav2 that drives the robot.',
+        ('robot',),
+        choices=('follow_waypoints', 'navigate_through_poses', 'follow_path'),
+    ),
+    Parameter(
+        'nav_namespace',
+        '',
+        "Namespace of the robot's Nav2, which its actions are in; / for none, empty for that of "
+        'this node.',
+        ('robot',),
+        pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
+    ),
+    Parameter(
+        'base_frame',
+        'base_link',
+        'Frame of the robot, whose place in the frame map TF tells.',
+        ('robot',),
+    ),
+    Parameter(
+        'tf_timeout',
+        2.0,
+        'Seconds after which a transform or the time of a detection is too old, and for which a '
+        'jump of more than a cell must last to count.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'arrival_tolerance',
+        0.5,
+        'Metres from the middle of the base within which the robot is home.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'stay_time',
+        2.0,
+        'Seconds that a robot waits in a cell where its path stays for a step.',
+        ('robot',),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
+        'attempts',
+        3,
+        'How often a goal is tried that brings the robot to no new cell, before it goes home.',
+        ('robot',),
+        limits=(1, 1000),
+    ),
+    Parameter(
+        'retry_delay',
+        2.0,
+        'Seconds after a goal failed until the next.',
+        ('robot',),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
+        'server_timeout',
+        10.0,
+        'Seconds without feedback after which an action server is taken for dead.',
+        ('robot',),
+        limits=(1e-3, 1e6),
+    ),
+    Parameter(
+        'detection_type',
+        'bool',
+        'Type of the messages on detections: std_msgs/Bool, or vision_msgs/Detection2DArray where '
+        'that package is installed.',
+        ('robot',),
+        choices=('bool', 'detection2d_array'),
+    ),
+    Parameter(
+        'detection_class',
+        '',
+        'Class of a detection in an array that is a target; empty for any.',
+        ('robot',),
+    ),
+    Parameter(
+        'detection_score',
+        0.5,
+        'Score that a detection in an array must have to count.',
+        ('robot',),
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'resume',
+        '',
+        'Log of the mission to go on with, its first file or its folder; empty for a new mission.',
+        ('planner', 'agent', 'estimator', 'recorder'),
+    ),
+    Parameter(
+        'file',
+        '',
+        'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used '
+        'with resume.',
+        ('recorder',),
+    ),
+    Parameter(
+        'compression',
+        'none',
+        'How the log is compressed.',
+        ('recorder',),
+        choices=('none', 'zstd'),
+    ),
+    Parameter(
+        'max_file_size',
+        2**24,
+        'Bytes after which the log goes on in another file beside the first, which frees the '
+        'memory that its index takes; 0 for one file. What each file begins with, which is up to '
+        '100 kB, does not count.',
+        ('recorder',),
+        limits=(2**20, 2**62),
+        off=0,
+    ),
+    Parameter(
+        'max_file_duration',
+        0.0,
+        'Seconds after which the log goes on in another file beside the first; 0 for one file.',
+        ('recorder',),
+        limits=(0.0, 1e9),
+    ),
+)

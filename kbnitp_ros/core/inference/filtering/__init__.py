@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The evidence of one deployment on single cells, and the methods that keep nothing else."""
+
+from kbnitp_ros.core.inference.filtering.evidence import (
+    check_cells,
+    condition,
+    returned_log_likelihood,
+    survived_log_likelihood,
+)
+from kbnitp_ros.core.inference.filtering.known_model import KnownModel
+from kbnitp_ros.core.inference.filtering.loss_likelihood import (
+    lost_likelihood,
+    multi_universe_likelihood,
+    published_likelihood,
+)
+from kbnitp_ros.core.inference.filtering.one_pass import OnePass
+
+__all__ = [
+    'KnownModel',
+    'OnePass',
+    'check_cells',
+    'condition',
+    'lost_likelihood',
+    'multi_universe_likelihood',
+    'published_likelihood',
+    'returned_log_likelihood',
+    'survived_log_likelihood',
+]

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What evidence says of single cells."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
+import numpy as np
+from numpy.typing import NDArray
+
+
+def check_cells(belief: Belief, observation: Observation) -> None:
+    """
+    Check that a path lies in the field that a belief is of.
+
+    Raises
+    ------
+    ValueError
+        If it does not; names the first cell beyond.
+
+    """
+    beyond = observation.path[observation.path >= belief.cells]
+    if beyond.size:
+        raise ValueError(
+            f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
+        )
+
+
+def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.float64]:
+    """
+    Return log P(survived the visits | Z = z) of each visited cell, shape (n, 2).
+
+    Equation :eq:`loss-contact`.
+
+    A lost robot's last contact tells this of the steps before it.
+    """
+    return times_log(visits.counts[:, None], model.log_survival)
+
+
+def returned_log_likelihood(
+    model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
+) -> NDArray[np.float64]:
+    """
+    Return log P(survived, readings | Z = z, X = x) of each visited cell.
+
+    Equation :eq:`returned`.
+
+    Parameters
+    ----------
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    visits : Visits
+        Of a path that a robot returned from.
+    readings : ndarray of bool or int, shape (steps,)
+        Y in each step, -1 where the robot did not look.
+
+    Returns
+    -------
+    ndarray, shape (n, 2, 2)
+        Indexed [visited cell, z, x]: each visit adds log s_z, and if it looked log P(y | x).
+
+    """
+    positive = np.bincount(visits.of_step, weights=readings == 1)
+    negative = np.bincount(visits.of_step, weights=readings == 0)
+    survived = survived_log_likelihood(model, visits)
+    read = times_log(positive[:, None], model.log_reading[1])
+    read += times_log(negative[:, None], model.log_reading[0])
+    return survived[:, :, None] + read[:, None, :]
+
+
+def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
+    """
+    Return the belief given evidence on some cells; the others keep their bits.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before.
+    cells : ndarray of int, shape (n,)
+        Each at most once.
+    log_likelihood : ndarray, broadcastable to (n, 2, 2)
+        Of the evidence, up to a constant for each cell.
+
+    Raises
+    ------
+    ValueError
+        If the evidence is impossible.
+
+    """
+    joint = belief.joint.copy()
+    joint[cells] = condition(joint[cells], log_likelihood)
+    return Belief(joint)
+
+
+def condition(
+    joint: NDArray[np.float64], log_likelihood: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """
+    Return the cells' joints given evidence, normalised.
+
+    Equation :eq:`returned`.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (n, 2, 2)
+        Before.
+    log_likelihood : ndarray, broadcastable to (n, 2, 2)
+        Of the evidence, up to a constant for each cell.
+
+    Raises
+    ------
+    ValueError
+        If the evidence is impossible.
+
+    """
+    with np.errstate(divide='ignore'):
+        log_joint = np.log(joint) + log_likelihood
+    peak = log_joint.max(axis=(1, 2), keepdims=True)
+    if not np.isfinite(peak).all():
+        raise ValueError(
+            'the outcome is impossible under this belief and sensor model: '
+            'allow for it with probabilities that are not exactly 0 or 1'
+        )
+    posterior: NDArray[np.float64] = np.exp(log_joint - peak)
+    posterior /= posterior.sum(axis=(1, 2), keepdims=True)
+    return posterior

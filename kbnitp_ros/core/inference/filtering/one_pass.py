@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Methods that fold each deployment into the belief once and forget it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from kbnitp_ros.core.field import Belief, Observation, RobotType, SensorModel, Visits
+from kbnitp_ros.core.inference.filtering.evidence import (
+    check_cells,
+    given,
+    returned_log_likelihood,
+    survived_log_likelihood,
+)
+from kbnitp_ros.core.inference.filtering.known_model import KnownModel
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class OnePass:
+    """
+    A method that folds each deployment into the belief once and forgets it.
+
+    A returned robot is evidence that all of them assimilate alike. They differ in the likelihood
+    P(lost | Z_i = z) they give the cells of a lost robot's path, and in whether they hold hazard
+    and target correlated.
+
+    Attributes
+    ----------
+    lost : callable
+        (hazard of the visited cells (n,), model, visits) -> likelihood, shape (n, 2), indexed
+        [visited cell, z]; any common factor is normalised away.
+    correlated : bool
+        Whether it holds kappa; without it a mission starts from kappa := target.
+
+    """
+
+    lost: Callable[[NDArray[np.float64], SensorModel, Visits], NDArray[np.float64]]
+    correlated: bool
+    learns: ClassVar[bool] = False
+    version: ClassVar[int] = 1
+
+    def __call__(self, belief: Belief, model: SensorModel, *_: object) -> OnePassEstimate:
+        """Return the estimate before the first deployment."""
+        return OnePassEstimate(belief if self.correlated else belief.independent(), model, self)
+
+    def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
+        """
+        Return the belief after one deployment, as `kbnitp_ros.core.update` does.
+
+        A return is equation :eq:`returned`, a loss after a last contact :eq:`loss-contact`.
+        """
+        check_cells(belief, observation)
+        if not self.correlated:
+            belief = independent(belief, observation.path[1:])
+        if observation.readings is not None:
+            visits = Visits.of(observation.path)
+            return given(
+                belief, visits.cells, returned_log_likelihood(model, visits, observation.readings)
+            )
+        if observation.steps_survived:
+            survived = Visits.of(observation.path[: observation.steps_survived + 1])
+            belief = given(
+                belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
+            )
+        steps = observation.steps_survived
+        visits = Visits.of(observation.path[steps:])
+        lost = self.lost(belief.hazard[visits.cells], model, visits)
+        with np.errstate(divide='ignore'):
+            return given(belief, visits.cells, np.log(lost)[:, :, None])
+
+
+class OnePassEstimate(KnownModel):
+    """A belief that a one-pass method folds deployments into."""
+
+    def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
+        super().__init__(belief, model)
+        self._method = method
+
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """Assimilate one more deployment."""
+        self.belief = self._method.update(self.belief, robot_type.model(self.model), observation)
+
+
+def independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:
+    """Return the belief with hazard and target independent in `cells`."""
+    joint = belief.joint.copy()
+    joint[cells] = Belief(joint[cells]).independent().joint
+    return Belief(joint)

@@ -1,0 +1,402 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many chains that draw hazards and unknown numbers, and what is read off them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kbnitp_ros.core.field import Learnt, ORDINARY, SensorModel, times_log
+from kbnitp_ros.core.inference.sampling import gibbs
+from kbnitp_ros.core.inference.sampling.chain_state import (
+    CHAINS,
+    ChainState,
+    Floats,
+    GROUPS,
+    Places,
+)
+from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling.prior_map import CERTAIN_HAZARD, CERTAIN_TARGET, softplus
+from kbnitp_ros.core.inference.sampling.tally import Tally
+import numpy as np
+
+# Swaps proposed in a sweep.
+SWAPS = 4
+# What the log odds of readings alone may come to: it stays below what stands for certainty in a
+# prior.
+CERTAIN_READING = 1e5
+
+
+def log(likelihood: Floats) -> Floats:
+    """Return the logarithm, -inf at 0."""
+    with np.errstate(divide='ignore'):
+        logarithm: Floats = np.log(likelihood)
+    return logarithm
+
+
+class Chains:
+    """
+    The chains on their way through the posterior of some evidence.
+
+    The posterior is equation :eq:`sampled-posterior`. Each chain holds hazards z and a value of
+    each unknown number, and a sweep draws each of these given all others.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        The values of the numbers.
+    tally : Tally
+        The evidence.
+    state : ChainState
+        Where the chains are, with all cells that were visited.
+    rng : numpy.random.Generator
+        The only source of randomness.
+
+    Attributes
+    ----------
+    sweeps : int
+        How many were made.
+
+    """
+
+    def __init__(
+        self,
+        hypotheses: Hypotheses,
+        tally: Tally,
+        state: ChainState,
+        rng: np.random.Generator,
+    ) -> None:
+        # From here on, cells are those that the chains hold; of the others nothing is drawn.
+        self._cells = state.cells
+        self._unvisited = Unvisited(hypotheses, state.cells)
+        self._hypotheses = hypotheses
+        self._maps = maps = hypotheses.maps.within(state.cells)
+        self._tally = tally = tally.within(state.cells)
+        self._read = np.flatnonzero(tally.read)
+        self._rng = rng
+        self._hazardous = state.hazardous.copy()
+        self._place = {name: each.copy() for name, each in state.place.items()}
+        self.sweeps = 0
+        self._undecided = np.flatnonzero(maps.hazard.undecided)
+        self._graph = tally.loss_graph(maps.possible, maps.hazard.undecided)
+        # On a large field robots come back from few cells: the others have the odds of the prior.
+        self._returned = np.flatnonzero(tally.survived.any(axis=0))
+        self._prior_odds = maps.odds()
+        # By robot type, as the tally counts them.
+        self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
+        # What losses have in common with others: the robot type and the number of steps.
+        longest = tally.steps.max(initial=0)
+        lengths, self._length = np.unique(
+            tally.robot_type * (longest + 1) + tally.steps, return_inverse=True
+        )
+        self._type_of_length, steps = np.divmod(lengths, longest + 1)
+        exposures = np.arange(longest + 1)
+        log_endured, log_spared = self._survival_of_types()
+        of_lengths = np.take(log_endured, self._type_of_length, axis=1)
+        self._endured = np.exp(times_log(steps, of_lengths))
+        self._spared = np.exp(times_log(exposures, log_spared[:, :, None]))
+        self._hazard_state = gibbs.HazardState(
+            self._hazardous,
+            np.zeros((CHAINS, tally.steps.size), np.int32),
+            self._place['malfunction'],
+            self._place['lethality'],
+        )
+        gibbs.count_exposures(self._hazard_state, self._graph)
+        self._uniform = np.empty(state.hazardous.shape)
+        certain = np.where(maps.possible, gibbs.LARGE, 0.0)
+        self._odds = np.tile(certain, (CHAINS, 1))
+        self._joints = np.zeros((GROUPS, maps.possible.size, 2, 2))
+        self._weights = {
+            name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
+            for name in hypotheses.unknown
+        }
+        # Sums of the chances to survive a step into a safe cell and into a hazard, of robots like
+        # all others.
+        self._steps_survived = np.zeros(2)
+
+    def sweep(self) -> None:
+        """Draw everything once, and add up the probabilities it was drawn with."""
+        odds, target_if_safe, target_if_hazardous = self._given_returns()
+        factors = gibbs.Factors(
+            odds, self._length, self._type_of_length, self._endured, self._spared
+        )
+        with np.errstate(over='ignore'):
+            gibbs.draw_hazards(
+                self._hazard_state,
+                factors,
+                self._graph,
+                self._undecided,
+                self._rng.random(out=self._uniform),
+                self._odds,
+            )
+            if self._tally.steps.size:
+                proposals = self._rng.random((CHAINS, SWAPS, 4))
+                gibbs.swap_hazards(self._hazard_state, factors, self._graph, proposals)
+            gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
+        self._draw_survival()
+        self._draw_the_rest(target_if_safe, target_if_hazardous)
+        self._unvisited.add(self._place)
+        self.sweeps += 1
+
+    @property
+    def state(self) -> ChainState:
+        """Where the chains are now; they are not to go on from there."""
+        return ChainState(self._place, self._cells, self._hazardous)
+
+    def joint(self) -> tuple[Floats, float]:
+        """
+        Return the cells' joints, shape (cells, 2, 2), and how far chance has taken them.
+
+        Equations :eq:`averaged-belief` and :eq:`sampling-error`.
+
+        The latter is the expected KL divergence of the joints from what endless sweeps would give,
+        in nats summed over the cells, by the spread of the groups of chains.
+        """
+        by_group = self._unvisited.joints(self.sweeps)
+        by_group[:, self._cells] = self._joints / self.sweeps
+        joint = by_group.mean(axis=0)
+        variance = by_group.var(axis=0, ddof=1) / GROUPS
+        seen = joint > 0.0
+        return joint, float((variance[seen] / joint[seen]).sum() / 2.0)
+
+    def _of_chains(self, name: str, of_values: Floats) -> Floats:
+        """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
+        return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
+
+    def _survival_of_types(self) -> tuple[Floats, Floats]:
+        """Return log chances of no malfunction and of no strike, each of shape (values, types)."""
+        endured, spared = (
+            [np.broadcast_to(of_type, self._hypotheses.bins[name].values.size) for of_type in each]
+            for name, each in (
+                ('malfunction', [rates.log_endured for rates in self._rates]),
+                ('lethality', [rates.log_spared for rates in self._rates]),
+            )
+        )
+        return np.stack(endured, axis=1), np.stack(spared, axis=1)
+
+    def _given_returns(self) -> tuple[Floats, Floats, Floats]:
+        r"""
+        Return what steps survived and readings tell of each cell, shape (1 or chains, cells).
+
+        Equations :eq:`reading-odds`, :eq:`hazard-odds` and :eq:`target-conditional`: with the log
+        likelihood ratio d of the readings, the log odds of a hazard are
+
+        .. math:: \ln \frac{h}{1 - h} + N \ln (1 - \lambda)
+            + \ln (1 - \kappa + \kappa e^d) - \ln (1 - b + b e^d).
+
+        That is the odds of a hazard, and those of a target without and with one.
+        """
+        tally, maps = self._tally, self._maps
+        cells = self._returned
+        read: Floats = np.zeros((1, cells.size))
+        log_odds = maps.hazard.at(self._place['hazard_density'], cells)
+        if_safe = maps.background.at(self._place['target_background'], cells)
+        if_hazardous = maps.kappa.at(self._place['kappa'], cells)
+        for rates, survived, positive, negative in zip(
+            self._rates,
+            tally.survived[:, cells],
+            tally.positive[:, cells],
+            tally.negative[:, cells],
+        ):
+            true = self._of_chains('true_positive', rates.true_positive)
+            false = self._of_chains('false_positive', rates.false_positive)
+            with np.errstate(divide='ignore', invalid='ignore'):
+                read = read + times_log(positive, np.log(true) - np.log(false))
+                read = read + times_log(negative, np.log1p(-true) - np.log1p(-false))
+            spared = self._of_chains('lethality', rates.log_spared)
+            log_odds = log_odds + times_log(survived, spared)
+        read = read.clip(-CERTAIN_READING, CERTAIN_READING)
+        log_odds = log_odds + (softplus(read + if_hazardous) - softplus(if_hazardous))
+        log_odds = log_odds - (softplus(read + if_safe) - softplus(if_safe))
+        return (
+            self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD)),
+            self._odds_with('target_background', np.minimum(read + if_safe, CERTAIN_TARGET)),
+            self._odds_with('kappa', np.minimum(read + if_hazardous, CERTAIN_TARGET)),
+        )
+
+    def _odds_with(self, name: str, log_odds: Floats) -> Floats:
+        """Return the odds by a map of the prior, but for the cells with returns."""
+        of_values = self._prior_odds[name]
+        is_known = of_values.shape[0] == 1
+        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._place[name]]
+        odds[:, self._returned] = np.exp(log_odds)
+        return odds
+
+    def _draw(self, name: str, log_likelihood: Floats) -> Floats:
+        """
+        Draw a number in each chain, if it is unknown, and add up its values' weights.
+
+        Parameters
+        ----------
+        name : str
+            Which.
+        log_likelihood : ndarray, shape (chains, values)
+            Of each value, given all else in the chain, up to a constant for each chain.
+
+        Returns
+        -------
+        ndarray, shape (chains, values)
+            The weights it was drawn by.
+
+        """
+        log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
+        weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+        gibbs.draw_values(weight, self._rng.random(CHAINS), self._place[name])
+        self._weights[name] += weight.reshape(GROUPS, -1, weight.shape[1]).mean(axis=1)
+        return weight
+
+    def _draw_survival(self) -> None:
+        r"""
+        Draw lethality and malfunction, given hazards and each other.
+
+        Equation :eq:`rate-conditional`,
+
+        .. math::
+
+            P(\lambda \mid z, m) &\propto P(\lambda) (1 - \lambda)^{\sum N_i z_i} \prod F_a \\
+            P(m \mid z, \lambda) &\propto P(m) (1 - m)^{\sum N_i} \prod F_a,
+
+        where :math:`F_a = F(T_a, E_a)` is the chance of loss a.
+        """
+        tally, hypotheses = self._tally, self._hypotheses
+        exposures, lengths = self._hazard_state.exposures, self._length
+        if 'lethality' in hypotheses.unknown:
+            values, robot_types, most = self._spared.shape
+            likelihood = np.ones((CHAINS, values))
+            endured = self._endured[self._place['malfunction'][:, None], lengths]
+            spared: Floats = self._spared.reshape(values, robot_types * most).T.copy()
+            place = exposures + (tally.robot_type * most).astype(np.int32)
+            gibbs.weigh_by_losses(endured, place, spared, likelihood)
+            log_likelihood = log(likelihood)
+            for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
+                if robot_type.lethality is None:
+                    exposed = (self._hazardous[:, self._returned] * survived[self._returned]).sum(
+                        axis=1
+                    )
+                    log_likelihood = log_likelihood + exposed[:, None] * rates.log_spared
+            weight = self._draw('lethality', log_likelihood)
+            ordinary = self._rates[tally.robot_types.index(ORDINARY)]
+            spared = (weight * np.exp(ordinary.log_spared)).sum(axis=1)
+            endured = np.exp(ordinary.log_endured[self._place['malfunction']])
+            self._steps_survived += endured.sum(), (endured * spared).sum()
+        if 'malfunction' in hypotheses.unknown:
+            likelihood = np.ones((CHAINS, self._endured.shape[0]))
+            spared = self._spared[self._place['lethality'][:, None], tally.robot_type, exposures]
+            length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
+            gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
+            log_likelihood = log(likelihood)
+            for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
+                if robot_type.malfunction is None:
+                    log_likelihood = log_likelihood + survived.sum() * rates.log_endured
+            self._draw('malfunction', log_likelihood)
+
+    def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
+        r"""
+        Draw the numbers of the prior and of the target sensor, given hazards and targets.
+
+        Targets by equation :eq:`target-conditional`. The average of a prior map, whose offset of
+        log odds is :math:`\delta`, by :eq:`map-conditional`, and rates by :eq:`count-conditional`,
+
+        .. math::
+
+            P(\eta \mid u) &\propto P(\eta) e^{\delta \sum u_i} \prod (1 - p_i(\delta)) \\
+            P(r \mid x, y) &\propto P(r) r^K (1 - r)^{R - K}.
+        """
+        tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
+        unknown = hypotheses.unknown
+        hazardous = self._hazardous.astype(bool)
+        if 'hazard_density' in unknown:
+            prior = maps.hazard
+            count = (hazardous & prior.undecided).sum(axis=1)
+            log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
+            self._draw('hazard_density', log_likelihood)
+        if not {'kappa', 'target_background', 'true_positive', 'false_positive'} & {*unknown}:
+            return
+        # There is no evidence on a target that nobody looked for.
+        read = self._read
+        hazardous, if_safe, if_hazardous = (
+            np.take(each, read, axis=1)
+            for each in (hazardous, target_if_safe, target_if_hazardous)
+        )
+        odds = np.where(hazardous, if_hazardous, if_safe)
+        target = self._rng.random(odds.shape) * (1.0 + odds) < odds
+        for name, prior, concerned in (
+            ('kappa', maps.kappa, hazardous),
+            ('target_background', maps.background, ~hazardous),
+        ):
+            if name in unknown:
+                cells = concerned & prior.undecided[read]
+                log_likelihood = (cells & target).sum(axis=1)[:, None] * prior.offset
+                gibbs.sum_of_cells(cells, prior.log_absent[read], log_likelihood)
+                self._draw(name, log_likelihood)
+        for name, concerned in (('true_positive', target), ('false_positive', ~target)):
+            if name in unknown:
+                values = hypotheses.bins[name].values
+                learning = [getattr(robot_type, name) is None for robot_type in tally.robot_types]
+                positive, negative = (
+                    (concerned * counts[learning].sum(axis=0)[read]).sum(axis=1)[:, None]
+                    for counts in (tally.positive, tally.negative)
+                )
+                log_likelihood = positive * np.log(values) + negative * np.log1p(-values)
+                self._draw(name, log_likelihood)
+
+    def learnt(self) -> dict[str, Learnt]:
+        """Return what is known of each unknown number by now, by its name."""
+        return {
+            name: Learnt.by_groups(self._hypotheses.bins[name], weights / self.sweeps)
+            for name, weights in self._weights.items()
+        }
+
+    def model(self) -> SensorModel:
+        """
+        Return the model of robots like all others: the probabilities expected of them.
+
+        Equation :eq:`mean-model`.
+        """
+        means = {name: learnt.mean for name, learnt in self.learnt().items()}
+        if 'lethality' in means:
+            # That of a step into a hazard is the mean of a product: where both are unknown, a
+            # high lethality goes with few malfunctions.
+            endured, spared = self._steps_survived
+            means['lethality'] = self._hypotheses.lethality(spared / endured)
+        return self._hypotheses.model_with(means)
+
+
+class Unvisited:
+    """
+    The cells that chains do not hold: their joints are the prior's, with the numbers of a chain.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        The prior, and the values of its numbers.
+    held : ndarray of int
+        The cells that the chains hold.
+
+    """
+
+    def __init__(self, hypotheses: Hypotheses, held: Places) -> None:
+        cells = np.setdiff1d(np.arange(hypotheses.belief.cells), held)
+        if hypotheses.prior_is_known:
+            # It is their joint as it stands: there is nothing to average.
+            cells = cells[:0]
+        self._cells = cells
+        self._prior = hypotheses.belief.joint
+        self._odds = hypotheses.maps.within(cells).odds()
+        self._joints = np.zeros((GROUPS, cells.size, 2, 2))
+
+    def add(self, place: Mapping[str, Places]) -> None:
+        """Add the joints by the numbers of each chain, whose values `place` has by name."""
+        hazard, target_if_safe, target_if_hazardous = (
+            odds[place[name]] for name, odds in self._odds.items()
+        )
+        gibbs.add_joints(hazard, target_if_safe, target_if_hazardous, self._joints)
+
+    def joints(self, sweeps: int) -> Floats:
+        """
+        Return the joints of a field, averaged over groups of chains.
+
+        The shape is (groups, cells, 2, 2). Cells that the chains hold have the prior's.
+        """
+        joints = np.tile(self._prior, (GROUPS, 1, 1, 1))
+        joints[:, self._cells] = self._joints / sweeps
+        return joints

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Sampling: the joint posterior of the field and of unknown numbers, by many Gibbs chains.
+
+Every lost path stays a factor 1 - prod_i s_{z_i}^{n_i}, and every step survived and every reading
+a local likelihood in which targets are summed out. Each chain holds the hazards of all cells and a
+value of each number that is not known; a sweep draws each of these given all others. The belief
+averages the conditional probabilities that hazards were drawn with, which vary less than what was
+drawn (Rao-Blackwell). Cells without evidence are summed out like targets: they enter the
+chains when a robot is first sent to them. The chains go on from deployment to deployment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import ClassVar
+
+from kbnitp_ros.core.field import Belief, Learnt, Observation, RobotType, SensorModel, Unknowns
+from kbnitp_ros.core.inference.filtering import check_cells
+from kbnitp_ros.core.inference.sampling.chain_state import CHAINS, ChainState
+from kbnitp_ros.core.inference.sampling.chains import Chains
+from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling.tally import Tally
+import numpy as np
+
+# Sweeps are made so many at a time until the belief has converged, and at most MOST_SWEEPS for a
+# deployment.
+SWEEPS = 4
+MOST_SWEEPS = 32
+
+# How far chance may take a converged belief from what endless sweeps would give (KL divergence,
+# nats), with all numbers known and with some to learn. What is yet to be learnt of a number moves
+# the belief by nats, so there more is left to chance.
+CONVERGED = 2.5e-4
+CONVERGED_LEARNING = 5e-3
+
+# The most bytes that the chains may take, and how many they take for each of their cells.
+MOST_MEMORY = 1 << 31
+BYTES = 48
+
+# Seeds are shared with the worlds of simulations, whose generators are keyed by seed and number.
+OWN_KEY = 0x53414D50
+
+
+def generator(seed: int, deployments: int) -> np.random.Generator:
+    """Return the generator for one deployment, which no world and no robot of that seed has."""
+    return np.random.default_rng([OWN_KEY, seed, deployments])
+
+
+class Sampler:
+    """
+    The evidence of a mission, and the belief that sampling gives.
+
+    The belief is a function of the evidence, in its order, and of the seed: the chains' random
+    numbers are those of a generator keyed by the seed and the number of deployments. No array is
+    changed once it is made, so a shallow copy goes on by itself.
+
+    Parameters
+    ----------
+    belief : Belief
+        The prior.
+    model : SensorModel
+        What robots like all others, and their sensors, are believed to be like.
+    unknowns : Unknowns
+        Which numbers of the two are not known.
+    seed : int
+        At least 0.
+
+    Attributes
+    ----------
+    belief : Belief
+        Given all deployments so far, averaged over what is not known.
+    model : SensorModel
+        The mean model: per step it survives, and reads, with the probabilities expected of robots
+        like all others.
+    parameters : mapping of str to Learnt
+        What is known of each unknown number.
+    sampling_error : float
+        The KL divergence, in nats, expected between the belief and what endless sweeps would
+        give.
+    is_converged : bool
+        Whether that is as little as aimed at.
+
+    Raises
+    ------
+    ValueError
+        If a number that is said to be unknown makes no difference, or the field is too large for
+        the memory that chains may take.
+
+    """
+
+    learns: ClassVar[bool] = True
+    version: ClassVar[int] = 2
+
+    def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
+        check_memory(belief.cells)
+        self._hypotheses = Hypotheses(belief, model, unknowns)
+        self._seed = seed
+        self._tally = Tally.empty(belief.cells)
+        self.belief = self._hypotheses.belief
+        rng = generator(seed, 0)
+        self._state = ChainState.start(self._hypotheses.bins, rng)
+        self.parameters: Mapping[str, Learnt] = {
+            name: Learnt(bins, np.exp(bins.log_prior))
+            for name, bins in self._hypotheses.bins.items()
+            if name in unknowns.priors
+        }
+        self.model = self._hypotheses.model_with(
+            {name: learnt.mean for name, learnt in self.parameters.items()}
+        )
+        self.sampling_error, self.is_converged = 0.0, True
+
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """
+        Assimilate one more deployment.
+
+        Raises
+        ------
+        ValueError
+            If its path leaves the field or the outcome is impossible; everything then stays as it
+            was.
+
+        """
+        check_cells(self.belief, observation)
+        tally = self._tally.with_deployment(observation, robot_type)
+        self._hypotheses.refuse_impossible(tally)
+        rng = generator(self._seed, tally.deployments)
+        visited = np.flatnonzero(tally.visited)
+        state = self._state.with_cells(visited, self._hypotheses.maps.hazard, rng)
+        chains = Chains(self._hypotheses, tally, state, rng)
+        converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
+        for _ in range(MOST_SWEEPS // SWEEPS):
+            for _ in range(SWEEPS):
+                chains.sweep()
+            joint, error = chains.joint()
+            if error <= converged:
+                break
+        self._tally, self._state = tally, chains.state
+        if self._hypotheses.prior_is_known:
+            joint[~tally.visited] = self._hypotheses.belief.joint[~tally.visited]
+        self.belief = self._hypotheses.belief_of(joint)
+        self.sampling_error, self.is_converged = error, error <= converged
+        self.parameters = chains.learnt()
+        self.model = chains.model()
+
+    def copy(self) -> Sampler:
+        """Return a sampler that goes on by itself from here."""
+        return copy(self)
+
+
+def check_memory(cells: int) -> None:
+    """
+    Check that the chains of a field can have the memory that they take.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if not.
+
+    """
+    estimate = BYTES * CHAINS * cells
+    if estimate > MOST_MEMORY:
+        raise ValueError(
+            f'sampling {cells} cells takes about {estimate / 1e9:.1f} GB, and '
+            f'{MOST_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
+        )

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All evidence of a mission, counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from kbnitp_ros.core.field import Observation, ORDINARY, RobotType, Visits
+from kbnitp_ros.core.inference.sampling import gibbs
+import numpy as np
+from numpy.typing import NDArray
+
+
+def none_yet() -> NDArray[np.int32]:
+    """Return an empty list of whole numbers."""
+    return np.empty(0, np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """
+    The evidence of all deployments. No array is changed once it is made.
+
+    Attributes
+    ----------
+    survived, positive, negative : ndarray of int, shape (types, cells)
+        Steps of robots of each type into each cell that are known to have been survived, and how
+        many of them brought a reading of a target, and of none.
+    robot_types : tuple of RobotType
+        Of the robots so far, by what sets their sensor models apart.
+    deployments : int
+        How many there were.
+    steps, robot_type : ndarray of int, shape (losses,)
+        Of each path on which a robot was lost, without those it is known to have survived, and
+        of which type the robot was.
+    cell, path, visits : ndarray of int, shape (entries,)
+        Which cell is on which of these paths, and how often it enters it; in the order of paths.
+
+    """
+
+    survived: NDArray[np.int32]
+    positive: NDArray[np.int32]
+    negative: NDArray[np.int32]
+    robot_types: tuple[RobotType, ...] = (ORDINARY,)
+    deployments: int = 0
+    steps: NDArray[np.int32] = field(default_factory=none_yet)
+    robot_type: NDArray[np.int32] = field(default_factory=none_yet)
+    cell: NDArray[np.int32] = field(default_factory=none_yet)
+    path: NDArray[np.int32] = field(default_factory=none_yet)
+    visits: NDArray[np.int32] = field(default_factory=none_yet)
+
+    @classmethod
+    def empty(cls, cells: int) -> Tally:
+        """Return the tally before the first deployment."""
+        return cls(*np.zeros((3, 1, cells), np.int32))
+
+    def with_deployment(self, observation: Observation, robot_type: RobotType) -> Tally:
+        """Return the tally with one more deployment, of a robot of this type."""
+        sensors = RobotType(**robot_type.sensors)
+        known = self.with_type(sensors)
+        of_type, steps = known.robot_types.index(sensors), observation.path[1:]
+        tally = replace(known, deployments=self.deployments + 1)
+        if observation.readings is not None:
+            seen, not_seen = (steps[observation.readings == reading] for reading in (1, 0))
+            return replace(
+                tally,
+                survived=add_steps(known.survived, of_type, steps),
+                positive=add_steps(known.positive, of_type, seen),
+                negative=add_steps(known.negative, of_type, not_seen),
+            )
+        alive = observation.steps_survived
+        lost = Visits.of(observation.path[alive:])
+        return replace(
+            tally,
+            survived=add_steps(known.survived, of_type, steps[:alive]),
+            steps=np.append(self.steps, np.int32(steps.size - alive)),
+            robot_type=np.append(self.robot_type, np.int32(of_type)),
+            cell=np.append(self.cell, lost.cells.astype(np.int32)),
+            path=np.append(self.path, np.full(lost.cells.size, self.steps.size, np.int32)),
+            visits=np.append(self.visits, lost.counts.astype(np.int32)),
+        )
+
+    def with_type(self, robot_type: RobotType) -> Tally:
+        """Return the tally with room for a robot type."""
+        if robot_type in self.robot_types:
+            return self
+        survived, positive, negative = (
+            np.pad(counts, ((0, 1), (0, 0)))
+            for counts in (self.survived, self.positive, self.negative)
+        )
+        return replace(
+            self,
+            survived=survived,
+            positive=positive,
+            negative=negative,
+            robot_types=(*self.robot_types, robot_type),
+        )
+
+    @property
+    def visited(self) -> NDArray[np.bool_]:
+        """Which cells some robot was to step into, shape (cells,)."""
+        visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
+        visited[self.cell] = True
+        return visited
+
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """In which cells a target was looked for, shape (cells,)."""
+        read: NDArray[np.bool_] = np.any(self.positive + self.negative > 0, axis=0)
+        return read
+
+    def within(self, cells: NDArray[np.intp]) -> Tally:
+        """Return the same of cells in ascending order, all that were visited among them."""
+        return replace(
+            self,
+            survived=self.survived[:, cells],
+            positive=self.positive[:, cells],
+            negative=self.negative[:, cells],
+            cell=np.searchsorted(cells, self.cell).astype(np.int32),
+        )
+
+    def loss_graph(
+        self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]
+    ) -> gibbs.LossGraph:
+        """Return the lost paths with their cells of possible, and those of undecided, hazards."""
+        held = np.flatnonzero(possible[self.cell])
+        by_cell = held[np.argsort(self.cell[held], kind='stable')]
+        movable = undecided[self.cell]
+        return gibbs.LossGraph(
+            group_starts(self.cell[held], self.survived.shape[1]),
+            self.path[by_cell],
+            self.visits[by_cell],
+            group_starts(self.path[movable], self.steps.size),
+            self.cell[movable],
+        )
+
+
+def add_steps(
+    counts: NDArray[np.int32], robot_type: int, steps: NDArray[np.intp]
+) -> NDArray[np.int32]:
+    """Return how often each cell was stepped into, with some steps more of one type."""
+    more = counts.copy()
+    more[robot_type] += np.bincount(steps, minlength=counts.shape[1]).astype(np.int32)
+    return more
+
+
+def group_starts(group: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
+    """Return where each group starts among sorted entries, and the end, shape (groups + 1,)."""
+    return np.append(0, np.cumsum(np.bincount(group, minlength=groups))).astype(np.int32)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The information that deployments are expected to bring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from kbnitp_ros.core.field import (
+    Belief,
+    binary_entropy,
+    log_predicted_survival,
+    of_each,
+    RobotType,
+    SensorModel,
+    Visits,
+)
+from kbnitp_ros.core.planning.objective.information_kernels import left_open
+from kbnitp_ros.core.planning.objective.joint_outcomes import (
+    after_deployment,
+    JointOutcomes,
+    nobody_deployed,
+)
+from kbnitp_ros.core.planning.objective.prediction import predict
+from kbnitp_ros.core.planning.objective.readings import new_information
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
+    """
+    Return the log of the chance that a robot comes back, with the hazards as believed.
+
+    Equation :eq:`path-survival`.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment.
+    model : SensorModel
+        What the robot is believed to be like.
+    path : ndarray of int, shape (steps + 1,)
+        The cells in order.
+
+    Returns
+    -------
+    float
+        log P0 = sum_i log S_i, in [-inf, 0].
+
+    """
+    visits = Visits.of(path)
+    hazard = belief.hazard[visits.cells]
+    return float(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
+
+
+def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> float:
+    """
+    Return the mutual information between the field and the outcome of one deployment.
+
+    Equation :eq:`information`.
+
+    The paper's objective I(X; Y | Theta) + I(Z; Theta) equals the whole I(Z, X; Theta, Y), since
+    the readings tell of Z nothing that X does not. It is computed exactly as
+
+        h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    path : array_like of int, shape (steps + 1,)
+        The cells in order.
+
+    Returns
+    -------
+    float
+        Nats, at least 0 but for rounding.
+
+    Raises
+    ------
+    ValueError
+        If the path has no step or leaves the belief's cells.
+
+    """
+    return added_information(belief, model, path, nobody_deployed(belief))
+
+
+def team_information(
+    belief: Belief,
+    model: SensorModel,
+    paths: Sequence[ArrayLike],
+    outcomes: JointOutcomes | None = None,
+    robot_types: Sequence[RobotType] = (),
+) -> float:
+    """
+    Return the mutual information between the field and the outcomes of several deployments.
+
+    Equation :eq:`team-information`.
+
+    By the chain rule the sum of what each path adds to those before it, as `added_information`
+    approximates that; of a single path exactly `path_information`.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployments.
+    model : SensorModel
+        What robots like all others, and their sensors, are believed to be like.
+    paths : sequence of array_like of int, each of shape (steps + 1,)
+        The cells of each robot's path in order.
+    outcomes : JointOutcomes, optional
+        Of robots that have left before, to whose information this is added; without it nobody
+        has.
+    robot_types : sequence of RobotType
+        Of each robot; empty if all are alike.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    Raises
+    ------
+    ValueError
+        If a path has no step or leaves the belief's cells, or there is not one type for each.
+
+    """
+    outcomes = nobody_deployed(belief) if outcomes is None else outcomes
+    models = [each.model(model) for each in of_each(len(paths), robot_types)]
+    information = 0.0
+    for number, (path, own) in enumerate(zip(paths, models)):
+        if number:
+            outcomes = after_deployment(outcomes, models[number - 1], paths[number - 1])
+        information += added_information(belief, own, path, outcomes)
+    return information
+
+
+def added_information(
+    belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
+) -> float:
+    """
+    Return the information that a deployment is expected to add to what robots before it bring.
+
+    Equation :eq:`added-information`.
+
+    Their readings of a cell and the path's own count together, less what theirs tell alone. Two
+    things are approximated: that losses tie cells together is forgotten, and what the earlier
+    robots' readings tell of hazards does not make the path's own outcome any surer.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before all of these deployments.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    path : array_like of int, shape (steps + 1,)
+        The cells in order.
+    outcomes : JointOutcomes
+        Of the robots before.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    Raises
+    ------
+    ValueError
+        If the path has no step or leaves the belief's cells.
+
+    """
+    ahead = predict(belief, model, path, outcomes)
+    added = new_information(ahead.readings, ahead.joint, ahead.earlier, ahead.visits.counts).sum(
+        axis=1
+    )
+    open_outcome = left_open(ahead.exposures)
+    of_each = binary_entropy(ahead.survival) + ahead.survival * added - open_outcome
+    return float((outcomes.probability * of_each).sum())

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loops over the readings of cells, and over the exposures of a path."""
+
+from __future__ import annotations
+
+from math import exp, expm1, log
+from typing import NamedTuple
+
+from kbnitp_ros.core.field import compiled
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Readings(NamedTuple):
+    """
+    What a robot may read of a cell, on top of what others have read.
+
+    A state says how many readings each camera has brought, and an outcome how many of them are
+    positive, which is sufficient.
+
+    Attributes
+    ----------
+    survival : ndarray, shape (most visits + 1, 2)
+        P(n visits survived | Z = z), indexed [n, z].
+    after : ndarray of int, shape (earlier states, most visits + 1)
+        The state after n more readings by the robot.
+    outcomes : ndarray of int, shape (states,)
+        How many each has.
+    likelihood : ndarray, shape (states, most outcomes, 2)
+        P(outcome | X = x), indexed [state, outcome, x]; 0 beyond the outcomes of a state.
+    noise : ndarray, shape (states, 2)
+        Entropy of the outcome, nats, indexed [state, x].
+
+    """
+
+    survival: NDArray[np.float64]
+    after: NDArray[np.intp]
+    outcomes: NDArray[np.intp]
+    likelihood: NDArray[np.float64]
+    noise: NDArray[np.float64]
+
+
+class Exposures(NamedTuple):
+    """
+    How often a robot may be exposed to hazards on a path.
+
+    Attributes
+    ----------
+    chance : ndarray, shape (most exposures + 1,)
+        P(c) of each number of exposures c.
+    log_survival : ndarray, shape (most exposures + 1,)
+        log P(survive | z), which depends on the hazards z through c alone.
+
+    """
+
+    chance: NDArray[np.float64]
+    log_survival: NDArray[np.float64]
+
+
+@compiled
+def new_readings(
+    readings: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    visits: NDArray[np.intp],
+    information: NDArray[np.float64],
+) -> None:
+    """
+    Find what a robot that survives n visits reads of cells on top of earlier robots' readings.
+
+    Equation :eq:`reading-information`.
+
+    The sum over states e of P(e) * (I(X; Y in e and n more) - I(X; Y in e)), given the n visits
+    survived. A state is how many readings each camera has brought; readings enter through their
+    counts of positives, which are sufficient.
+
+    Parameters
+    ----------
+    readings : Readings
+        What the robot may read.
+    joint : ndarray, shape (cells, 2, 2)
+        P(Z = z, X = x), indexed [cell, z, x].
+    earlier : ndarray, shape (cells, earlier states)
+        P(earlier readings).
+    visits : ndarray of int, shape (cells,)
+        n of each cell.
+    information : ndarray, shape (cells,)
+        The result, nats; 0 where n visits cannot be survived.
+
+    """
+    for cell in range(joint.shape[0]):
+        n, survival = visits[cell], readings.survival
+        without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
+        target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
+        information[cell] = 0.0
+        if without + target == 0.0:
+            continue
+        target /= without + target
+        for state in range(earlier.shape[1]):
+            if earlier[cell, state] > 0.0:
+                more = reading_information(target, readings.after[state, n], readings)
+                more -= reading_information(target, readings.after[state, 0], readings)
+                information[cell] += earlier[cell, state] * more
+
+
+@compiled
+def reading_information(target: float, state: int, readings: Readings) -> float:
+    """
+    Return I(X; Y) of a state for P(X = 1) = `target`, nats.
+
+    Equation :eq:`reading-information`.
+    """
+    entropy: float = 0.0
+    for outcome in range(readings.outcomes[state]):
+        p = (1.0 - target) * readings.likelihood[state, outcome, 0]
+        p += target * readings.likelihood[state, outcome, 1]
+        if p > 0.0:
+            entropy -= p * log(p)
+    entropy -= (1.0 - target) * readings.noise[state, 0] + target * readings.noise[state, 1]
+    return entropy
+
+
+@compiled
+def exposed(
+    steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
+) -> Exposures:
+    """
+    Find how often a robot may be exposed to hazards on a path, and what becomes of it then.
+
+    Equation :eq:`exposures`.
+
+    The hazards decide the number of exposures c, and with it P(survive | z) = s0^(steps - c) s1^c.
+
+    Parameters
+    ----------
+    steps : ndarray of int, shape (steps,)
+        The cell that each step leads to.
+    hazard : ndarray, shape (cells,)
+        P(Z = 1).
+    log_safe, log_deadly : float
+        log s0 and log s1, in [-inf, 0].
+
+    Returns
+    -------
+    Exposures
+        For each c from 0 to the number of steps; P(c) is a Poisson-binomial distribution.
+
+    """
+    visits = np.zeros(hazard.size, np.int64)
+    for cell in steps:
+        visits[cell] += 1
+    # Of the cells so far.
+    chance = np.zeros(steps.size + 1)
+    chance[0] = 1.0
+    most = 0
+    for cell in steps:
+        z, n = hazard[cell], visits[cell]
+        if n == 0:
+            continue
+        visits[cell] = 0
+        most += n
+        for c in range(most, n - 1, -1):
+            chance[c] = (1.0 - z) * chance[c] + z * chance[c - n]
+        for c in range(n):
+            chance[c] *= 1.0 - z
+    log_survival = np.zeros(steps.size + 1)
+    for c in range(most + 1):
+        if c < most:
+            log_survival[c] += (most - c) * log_safe
+        if c > 0:
+            log_survival[c] += c * log_deadly
+    return Exposures(chance, log_survival)
+
+
+@compiled
+def left_open(exposures: Exposures) -> float:
+    """
+    Return E_z[h(P(survive | z))] of a path, nats.
+
+    Equation :eq:`outcome-entropy`.
+    """
+    chance, log_survival = exposures
+    entropy = 0.0
+    for c in range(chance.size):
+        survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
+        if survival > 0.0 and loss > 0.0:
+            entropy -= chance[c] * (survival * log_survival[c] + loss * log(loss))
+    return entropy
+
+
+@compiled
+def coin(p: float, q: float, alpha: float, beta: float) -> float:
+    """
+    Return the behavioral entropy of a coin that falls with probability p, and q = 1 - p.
+
+    Equation :eq:`behavioral-entropy`.
+    """
+    entropy = 0.0
+    if p > 0.0 and p < 1.0:
+        weighted = beta * (-log(p)) ** alpha
+        entropy += weighted * exp(-weighted)
+    if q > 0.0 and q < 1.0:
+        weighted = beta * (-log(q)) ** alpha
+        entropy += weighted * exp(-weighted)
+    return entropy
+
+
+@compiled
+def fall(target: float, state: int, readings: Readings, alpha: float, beta: float) -> float:
+    """Return by how much the readings of a state are expected to lower the entropy."""
+    fallen = coin(target, 1.0 - target, alpha, beta)
+    for outcome in range(readings.outcomes[state]):
+        without = (1.0 - target) * readings.likelihood[state, outcome, 0]
+        there = target * readings.likelihood[state, outcome, 1]
+        p = without + there
+        if p > 0.0:
+            fallen -= p * coin(there / p, without / p, alpha, beta)
+    return fallen
+
+
+@compiled
+def new_falls(
+    readings: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    visits: NDArray[np.intp],
+    alpha: float,
+    beta: float,
+    fallen: NDArray[np.float64],
+) -> None:
+    """
+    Find what the readings of a robot that survives n visits do on top of earlier readings.
+
+    The third term of equation :eq:`behavioral-information`.
+
+    As `new_readings` does it, with the fall of the behavioral entropy of the
+    target in place of the information.
+
+    Parameters
+    ----------
+    readings, joint, earlier, visits
+        As there.
+    alpha, beta : float
+        Of the Prelec weight.
+    fallen : ndarray, shape (cells,)
+        The result, nats; 0 where n visits cannot be survived.
+
+    """
+    for cell in range(joint.shape[0]):
+        n, survival = visits[cell], readings.survival
+        without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
+        target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
+        fallen[cell] = 0.0
+        if without + target == 0.0:
+            continue
+        target /= without + target
+        for state in range(earlier.shape[1]):
+            if earlier[cell, state] > 0.0:
+                more = fall(target, readings.after[state, n], readings, alpha, beta)
+                more -= fall(target, readings.after[state, 0], readings, alpha, beta)
+                fallen[cell] += earlier[cell, state] * more
+
+
+@compiled
+def outcome_left_open(exposures: Exposures, alpha: float, beta: float) -> float:
+    """
+    Return the expected behavioral entropy of a robot's return once the hazards are known.
+
+    The second term of equation :eq:`behavioral-information`.
+
+    Parameters
+    ----------
+    exposures : Exposures
+        Of the robot's path.
+    alpha, beta : float
+        Of the Prelec weight.
+
+    """
+    chance, log_survival = exposures
+    entropy = 0.0
+    for c in range(chance.size):
+        entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)
+    return entropy

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The options of a search for paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from kbnitp_ros.core.field import cost, RobotType, whole_number
+
+# What is sought.
+OBJECTIVES = ('information', 'behavioral')
+
+# The alpha of Shannon's entropy, and the range of those of behavioral entropies.
+SHANNON = 1.0
+ALPHAS = (0.2, 5.0)
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """
+    The options of a search for paths.
+
+    Parameters
+    ----------
+    planner : str
+        One of `PLANNERS`. 'relaxed' keeps the best label of each cell and step, 'beam' the best
+        `width`. The others seek no information and serve as baselines: 'random' draws a closed
+        walk, 'coverage' ploughs the field where earlier paths left off, and 'shortest_unvisited'
+        goes to the nearest cell that was visited least, and on to the next.
+    max_steps : int
+        The most steps of a path, at least 1.
+    width : int
+        How many labels the beam keeps for each cell and step, at least 1.
+    max_visits : int
+        How often a path may enter a cell, at least 1.
+    objective : str
+        What is sought: 'information', or 'behavioral', `behavioral_information` in its place.
+    alpha : float
+        Of the Prelec weight of the behavioral objective, from 0.2 to 5; with 1 it is the
+        information.
+    loss_cost : float
+        The cost of a lost robot, nats of information, at least 0.
+
+    Raises
+    ------
+    ValueError
+        If the objective is unknown or has no alpha, or a number is out of range.
+
+    """
+
+    planner: str = 'beam'
+    max_steps: int = 18
+    width: int = 16
+    max_visits: int = 3
+    objective: str = 'information'
+    alpha: float = SHANNON
+    loss_cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ('max_steps', 'width', 'max_visits'):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
+        object.__setattr__(self, 'loss_cost', cost('loss_cost', self.loss_cost))
+        if self.objective not in OBJECTIVES:
+            raise ValueError(
+                f'objective is {self.objective!r}: it must be one of {", ".join(OBJECTIVES)}'
+            )
+        low, high = ALPHAS
+        if not low <= self.alpha <= high:
+            raise ValueError(f'alpha is {self.alpha}: it must be in [{low}, {high}]')
+        if self.objective == 'information' and self.alpha != SHANNON:
+            raise ValueError(
+                f'alpha is {self.alpha}, which the objective information does not have: choose '
+                'objective behavioral, or leave alpha at 1'
+            )
+        object.__setattr__(self, 'alpha', float(self.alpha))
+
+    def of_type(self, robot_type: RobotType) -> SearchOptions:
+        """Return the options for robots of a type, some of which are its own."""
+        own = robot_type.own
+        return replace(self, **{name: own[name] for name in vars(self) if name in own})

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Label search: extend the best few partial paths of every cell, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.planning.objective.behavioral import powers_weights
+from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
+from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
+from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
+from kbnitp_ros.core.planning.search.gains import gains_of
+from kbnitp_ros.core.planning.search.label_kernels import (
+    improve,
+    LabelObjective,
+    no_labels,
+    out_and_back,
+    outcome_value,
+    Reach,
+    search,
+    take,
+    trace,
+)
+from kbnitp_ros.core.planning.search.reach import reach_of
+import numpy as np
+from numpy.typing import NDArray
+
+# As many closed paths are ranked by their exact value, or `width` if that is more; so many of
+# them are improved.
+RANKED = 8
+
+# So many paths that lead back the way they came are improved as well.
+TURNED = 4
+
+# Local search replaces up to so many cells in a row of a closed path, and in so many of the best
+# one more.
+REPLACED = 2
+BEST = 2
+
+# The most bytes that a search may take.
+MOST_MEMORY = 1 << 30
+
+
+def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list[Candidate]:
+    """
+    Return the closed paths of the highest value that the search finds.
+
+    Labels at the same cell after the same number of steps compete by the objective of their
+    partial path, and every second one is kept for its heuristic value: the objective of that path
+    and a good completion together. Paths that differ only in the order of their visits have the
+    same value and count once. A local search then replaces stretches of one or two cells in the
+    best closed paths, and in the best that lead back the way they came, and stretches of up to
+    three in the best of all these. A search of width 1 does nothing of this: there is one label
+    for each cell and step, as in the paper.
+
+    Parameters
+    ----------
+    grid : Grid
+        Gives the base and who neighbours whom.
+    objective : Objective
+        Of the robot.
+    options : SearchOptions
+        Of which the search reads `max_steps`, `width` and `max_visits`.
+
+    Returns
+    -------
+    list of Candidate
+        Ranked by the exact objective, the best first, then the shortest; `RANKED` or `width` of
+        those that seemed best, and what became of them. The same belief gives the same paths.
+
+    Raises
+    ------
+    ValueError
+        If the search would take too much memory.
+
+    """
+    labels = LabelSearch(grid, objective, options)
+    closed = labels.closed_paths(max(options.width, RANKED))
+    if options.width > 1:
+        improved = labels.improved([*closed[:RANKED], *labels.turned_paths(TURNED)], REPLACED)
+        best = [path for _, path in labels.ranked(improved)[:BEST]]
+        closed += improved + labels.improved(best, REPLACED + 1)
+    return [Candidate(value, labels.reach.cells[path]) for value, path in labels.ranked(closed)]
+
+
+class LabelSearch:
+    """
+    A label search; arguments as of `best_paths`.
+
+    Its cells are ranks in `reach`. The kernels say what goes in and comes out.
+
+    """
+
+    def __init__(self, grid: Grid, objective: Objective, options: SearchOptions) -> None:
+        max_steps, width = options.max_steps, options.width
+        max_visits = min(options.max_visits, max_steps)
+        self._sought = objective
+        outcomes = objective.outcomes.probability
+        self.reach = reach_of(grid, max_steps)
+        earlier = objective.outcomes.states
+        further = objective.outcomes.states_after(objective.model, max_visits)
+        weights = powers_weights(objective.alpha, outcomes)
+        powers = weights.size
+        check_memory(self.reach, options, outcomes.size, earlier, further, powers)
+        self.gains = gains_of(objective, self.reach.cells, max_visits)
+        self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
+        self._hazard = objective.belief.hazard[self.reach.cells]
+        self._log_survival = objective.model.log_survival
+        self.objective = LabelObjective(weights, outcomes, objective.loss_cost, 10.0**DECIMALS)
+        self._width = width
+        # The values of closed paths, by the marks of their visits.
+        self._exact: dict[int, float] = {}
+        by_heuristic = width // 2
+        completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 4))
+        if by_heuristic:
+            self._search(1, 0, completions)
+        self._origins, self._values = self._search(width, by_heuristic, completions)
+
+    def _search(
+        self, width: int, by_heuristic: int, completions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Return where each label comes from, and the values of those at the base."""
+        return search(
+            self.reach, self.marks, self.gains, self.objective, width, by_heuristic, completions
+        )
+
+    def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
+        """Return the paths of the best labels at the base, then the shortest, as ranks."""
+        best = np.argsort(-self._values, axis=None, kind='stable')[:most]
+        return [
+            self._traced(0, row, steps)
+            for steps, row in zip(*np.divmod(best, self._width))
+            if self._values[steps, row] > -inf
+        ]
+
+    def turned_paths(self, most: int) -> list[NDArray[np.intp]]:
+        """
+        Return the best of the paths that go to a cell by its best label and back the same way.
+
+        They leave two of the steps allowed to improve them by.
+        """
+        steps = (self.reach.within.size - 3) // 2
+        if steps < 1:
+            return []
+        values = out_and_back(
+            steps, self.reach, self._origins, self._width, self.gains, self.objective
+        )
+        ways = [
+            self._traced(cell, cell * self._width, steps)
+            for cell in np.argsort(-values, kind='stable')[:most]
+            if values[cell] > -inf
+        ]
+        return [np.concatenate((way, way[-2::-1])) for way in ways]
+
+    def _traced(self, cell: int, row: int, steps: int) -> NDArray[np.intp]:
+        """Return the path of a label in some row after so many steps at a cell, as ranks."""
+        path = np.empty(steps + 1, dtype=np.intp)
+        path[steps] = cell
+        trace(self.reach, self._origins, self._width, row, path)
+        return path
+
+    def improved(self, paths: Sequence[NDArray[np.intp]], replaced: int) -> list[NDArray[np.intp]]:
+        """Return closed paths with stretches of up to so many cells replaced by better ones."""
+        improved = []
+        for path in paths:
+            longest = np.empty(self.reach.within.size, dtype=np.intp)
+            longest[: path.size] = path
+            steps = improve(
+                longest,
+                path.size - 1,
+                self.reach.neighbors,
+                self.gains,
+                self.objective,
+                replaced,
+            )
+            improved.append(longest[: steps + 1])
+        return improved
+
+    def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
+        """Return closed paths and their value, the best first, those of equal visits once."""
+        of_visits: dict[int, NDArray[np.intp]] = {}
+        for path in paths:
+            of_visits.setdefault(int(self.marks[path[1:]].sum()), path)
+        for visits, path in of_visits.items():
+            if visits not in self._exact:
+                self._exact[visits] = self.exact(path)
+        values = [(self._exact[visits], path) for visits, path in of_visits.items()]
+        return sorted(values, key=lambda ranked: (-ranked[0], ranked[1].size))
+
+    def exact(self, path: NDArray[np.intp]) -> float:
+        """
+        Return the value of a closed path, without the error of the moments, rounded.
+
+        Equation :eq:`objective-value`.
+        """
+        if self._sought.alpha != SHANNON:
+            return Candidate.along(self.reach.cells[path], self._sought).value
+        products = no_labels(1, 1, self.gains).products
+        visits = np.empty(self.reach.cells.size, dtype=np.int64)
+        take(path, 0, 0, self.gains, visits, products)
+        value = outcome_value(products, 0, self.objective)
+        value -= left_open(exposed(path[1:], self._hazard, *self._log_survival))
+        return round(value, DECIMALS)
+
+
+def check_memory(
+    reach: Reach,
+    options: SearchOptions,
+    outcomes: int,
+    earlier: int,
+    further: int,
+    powers: int,
+) -> None:
+    """
+    Check that a search can have the memory that it takes.
+
+    Parameters
+    ----------
+    reach : Reach
+        Of the paths.
+    options : SearchOptions
+        As of `best_paths`.
+    outcomes, earlier, further : int
+        How many outcomes the robots before have, how many numbers of readings of a cell they may
+        bring, and how many there are with those of the robot that is planned for.
+    powers : int
+        How many a label carries.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if it is more than `MOST_MEMORY`.
+
+    """
+    number = 8
+    max_steps, width, max_visits = options.max_steps, options.width, options.max_visits
+    visits = min(max_visits, max_steps)
+    labels, cells = int(reach.start[-1]), reach.cells.size
+    factors_and_terms = powers + 1 + 2 * outcomes
+    estimate = (
+        # Where each label comes from, and the completions if some are kept for their heuristic.
+        labels * (4 * width + (number * (powers + 4) if width > 1 else 0))
+        # The labels of two steps, with their marks and the visits around.
+        + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
+        # The gains and the chances of readings, while they are made.
+        + 3 * number * cells * visits * factors_and_terms
+        + 10 * number * further**2
+        # What the robots before bring.
+        + 2 * number * outcomes * cells * (earlier + 4)
+    )
+    if estimate > MOST_MEMORY:
+        raise ValueError(
+            f'planning with max_steps = {max_steps}, a beam width of {width} and max_visits = '
+            f'{max_visits} takes about {estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB '
+            'are allowed: lower one of them'
+        )
+
+
+def scattered(cells: int, bits: int) -> NDArray[np.int64]:
+    """
+    Return a mark for each cell whose sums tell apart how often each was visited (splitmix).
+
+    Parameters
+    ----------
+    cells : int
+        How many.
+    bits : int
+        Of a mark, such that no sum overflows.
+
+    """
+    x = np.arange(1, cells + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return ((x ^ (x >> np.uint64(31))) >> np.uint64(64 - bits)).astype(np.int64)

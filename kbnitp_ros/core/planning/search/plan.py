@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of the next deployment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel
+from kbnitp_ros.core.planning.objective.information import path_information, path_log_survival
+from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.options import SearchOptions
+from kbnitp_ros.core.planning.search.bound import check_memory, upper_bound
+from kbnitp_ros.core.planning.search.planners import BASELINES, PathFinder
+from kbnitp_ros.core.planning.search.reach import reach_of
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """
+    A path for one robot and what is expected of it.
+
+    Attributes
+    ----------
+    path : ndarray of int, shape (steps + 1,)
+        Cells, the base first and last.
+    information : float
+        `path_information`, nats.
+    survival : float
+        Predicted chance that the robot returns, in [0, 1].
+    upper_bound : float or None
+        No path that the search may return has a higher information - loss_cost * (1 - survival),
+        nats; None unless a bound was asked for.
+    gap : float or None
+        How far the plan is below `upper_bound`, nats, at least 0.
+
+    """
+
+    path: NDArray[np.intp]
+    information: float
+    survival: float
+    upper_bound: float | None = None
+    gap: float | None = None
+
+    def __post_init__(self) -> None:
+        frozen(self.path)
+
+    @classmethod
+    def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
+        """Return the plan to take `path`, shape (steps + 1,)."""
+        survival = float(np.exp(path_log_survival(belief, model, path)))
+        return cls(path, path_information(belief, model, path), survival)
+
+
+def plan(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    max_steps: int,
+    planner: str = 'beam',
+    *,
+    visited: ArrayLike = (),
+    bound: bool = False,
+    **options: Any,
+) -> Plan:
+    """
+    Plan the next deployment: a closed path of high expected information.
+
+    The planner maximises information - loss_cost * (1 - survival).
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    belief : Belief
+        What is believed of it.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    max_steps, planner, **options
+        As of `SearchOptions`.
+    visited : array_like of int, shape (cells,), optional
+        How often the paths of earlier deployments entered each cell, for the planners that go by
+        it; never unless given.
+    bound : bool
+        Whether the plan has an `upper_bound` and a `gap`. Of the objective 'information' and the
+        planners that seek it.
+
+    Returns
+    -------
+    Plan
+        The same belief, with the same visits, gives the same plan.
+
+    Raises
+    ------
+    ValueError
+        If the planner or the objective is unknown, the planner does not seek the objective, a
+        number is out of range, or the belief has another number of cells than the grid; if there
+        is no bound for the objective or the planner, or it takes more memory than is allowed.
+
+    """
+    search = SearchOptions(planner, max_steps, **options)
+    finder = PathFinder(grid, search, np.asarray(visited))
+    if bound:
+        check_bounded(grid, search)
+    objective = Objective.alone(grid, belief, model, search)
+    best = Plan.along(finder.candidates(objective)[0].path, belief, model)
+    if not bound:
+        return best
+    value = best.information - search.loss_cost * (1.0 - best.survival)
+    above = max(value, upper_bound(grid, objective, search, best.path))
+    return replace(best, upper_bound=above, gap=above - value)
+
+
+def check_bounded(grid: Grid, options: SearchOptions) -> None:
+    """
+    Check that plans can have a bound.
+
+    Raises
+    ------
+    ValueError
+        If the objective or the planner has none, or, with an estimate, if it takes more memory
+        than is allowed.
+
+    """
+    if options.objective != 'information':
+        raise ValueError(
+            f'objective is {options.objective}, for which there is no bound: choose the objective '
+            'information, or plan without bound'
+        )
+    if options.planner in BASELINES:
+        raise ValueError(
+            f'planner is {options.planner}, which seeks no information, so its plans have no '
+            'bound: choose the planner beam or relaxed, or plan without bound'
+        )
+    check_memory(reach_of(grid, options.max_steps), options)

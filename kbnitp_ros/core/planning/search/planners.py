@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The planners: how each looks for the path of the next deployment.
+
+A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
+one is one file and one line here, or an entry point of another package; a label search has another
+line among `LABELS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.planning.objective.behavioral import powers_of
+from kbnitp_ros.core.planning.objective.candidate import Candidate
+from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
+from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.options import SearchOptions
+from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
+from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
+from kbnitp_ros.core.planning.search.random_walk import (
+    check_walk_memory,
+    generator_of,
+    random_walk,
+)
+from kbnitp_ros.core.planning.search.reach import reach_of
+from kbnitp_ros.core.planning.search.tour import boustrophedon, nearest, Order, tour
+from kbnitp_ros.plugins import Registry, takes
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class PathFinder:
+    """
+    A planner on a grid.
+
+    Attributes
+    ----------
+    grid : Grid
+        The field.
+    options : SearchOptions
+        The planner, the limits of its paths, and what they are sought for.
+    visited : ndarray of int, shape (cells,)
+        How often the paths of earlier deployments entered each cell; never unless given.
+
+    Raises
+    ------
+    ValueError
+        If the planner is unknown or does not seek the objective, or `visited` fits another grid.
+
+    """
+
+    grid: Grid
+    options: SearchOptions
+    visited: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    def __post_init__(self) -> None:
+        planner, objective = self.options.planner, self.options.objective
+        PLANNERS.find(planner)
+        if objective != 'information' and planner in BASELINES:
+            raise ValueError(
+                f'objective is {objective}, and the planner {planner} seeks none: choose the '
+                'planner beam or relaxed, or leave the objective at information'
+            )
+        object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
+
+    def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
+        """Return the finder once robots have left on these paths, each of shape (steps + 1,)."""
+        return replace(self, visited=self.visited + count_visits(self.grid, paths))
+
+    def candidates(self, objective: Objective) -> list[Candidate]:
+        """
+        Return closed paths by their value for an objective, at least one, the best first.
+
+        Raises
+        ------
+        PluginError
+            If a planner of another package breaks its rules.
+
+        """
+        planner = self.options.planner
+        with PLANNERS.blamed(planner):
+            candidates = PLANNERS[planner](self, objective)
+            if planner not in PLANNERS.own:
+                self._check(candidates)
+        return candidates
+
+    def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
+        """
+        Return a path as an array of cells, shape (steps + 1,), if it keeps to the limits.
+
+        Raises
+        ------
+        ValueError
+            If a robot cannot take it, it is too long or visits a cell too often.
+
+        """
+        cells = self.grid.check_path(path, self.options.max_steps)
+        visits = count_visits(self.grid, [cells])
+        most = self.options.max_visits
+        if visits.max() > most:
+            raise ValueError(
+                f'path enters cell {visits.argmax()} {visits.max()} times: '
+                f'at most max_visits = {most} may be'
+            )
+        return cells
+
+    def _check(self, candidates: list[Candidate]) -> None:
+        """Refuse what another package's planner may not return."""
+        planner = self.options.planner
+        if not candidates:
+            raise PLANNERS.fault(planner, 'returns no path')
+        try:
+            for each in candidates:
+                self.check_path(each.path)
+        except ValueError as error:
+            raise PLANNERS.fault(planner, f'returns a path that is none: {error}') from error
+
+    def check_memory(self, robots: int, cameras: int = 1) -> None:
+        """
+        Check that paths can be searched for within the memory allowed, before any is.
+
+        Parameters
+        ----------
+        robots : int
+            How many leave together or are in flight, at least 1.
+        cameras : int
+            How many different ones they have.
+
+        Raises
+        ------
+        ValueError
+            With an estimate, if it takes more; or if the cameras are too many.
+
+        """
+        check_cameras(cameras)
+        options = self.options
+        if options.planner == 'random':
+            check_walk_memory(reach_of(self.grid, options.max_steps))
+        if width := LABELS.get(options.planner):
+            before = robots - 1
+            # As many as there can be, without powers of two that nobody can count.
+            outcomes = 2 ** min(before, MOST_OUTCOMES.bit_length() - 1)
+            visits = min(options.max_visits, options.max_steps)
+            counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
+            check_memory(
+                reach_of(self.grid, options.max_steps),
+                replace(options, width=width(options)),
+                outcomes,
+                earlier=counts**cameras,
+                further=counts ** (cameras - 1) * (counts + visits),
+                powers=powers_of(options.alpha, outcomes),
+            )
+
+
+def visits_before(grid: Grid, given: NDArray[np.intp]) -> NDArray[np.intp]:
+    """
+    Return how often earlier paths entered each cell, shape (cells,); nothing given: never.
+
+    Raises
+    ------
+    ValueError
+        If they are not whole numbers from 0, one for each cell.
+
+    """
+    if given.size == 0:
+        return np.zeros(grid.cells, dtype=np.intp)
+    if given.shape != (grid.cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
+        raise ValueError(
+            f'visited has shape {given.shape} and type {given.dtype}: it must have a whole number '
+            f'from 0 for each of the {grid.cells} cells'
+        )
+    return given.astype(np.intp)
+
+
+def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Return how often paths, each of shape (steps + 1,), enter each cell, shape (cells,)."""
+    entered = [path[1:] for path in paths] or [np.empty(0, dtype=np.intp)]
+    return np.bincount(np.concatenate(entered), minlength=grid.cells)
+
+
+def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Keep the single best label of each cell and step: the paper's planner."""
+    return best_paths(finder.grid, objective, replace(finder.options, width=1))
+
+
+def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Keep the best few labels of each cell and step."""
+    return best_paths(finder.grid, objective, finder.options)
+
+
+def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Draw a closed walk, the same again for the same belief and earlier visits."""
+    reach = reach_of(finder.grid, finder.options.max_steps)
+    check_walk_memory(reach)
+    rng = generator_of(objective.belief.joint, finder.visited)
+    return [Candidate.along(random_walk(reach, finder.options.max_visits, rng), objective)]
+
+
+def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Plough the field, where earlier paths left off."""
+    return toured(finder, objective, boustrophedon(finder.grid))
+
+
+def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Go to the nearest of the cells that were visited least, and on to the next."""
+    return toured(finder, objective, nearest)
+
+
+def toured(finder: PathFinder, objective: Objective, order: Order) -> list[Candidate]:
+    """Return the tour in an order."""
+    path = tour(finder.grid, finder.options, finder.visited, order)
+    return [Candidate.along(path, objective)]
+
+
+Planner = Callable[[PathFinder, Objective], list[Candidate]]
+
+
+def as_planner(given: object) -> Planner:
+    """
+    Return a planner that is to be registered.
+
+    Raises
+    ------
+    TypeError
+        If it is none.
+
+    """
+    takes(given, ('finder', 'objective'))
+    return cast(Planner, given)
+
+
+PLANNERS = Registry(
+    'planner',
+    as_planner,
+    {
+        'relaxed': relaxed,
+        'beam': beam,
+        'random': random,
+        'coverage': coverage,
+        'shortest_unvisited': shortest_unvisited,
+    },
+)
+
+# Those that seek no information.
+BASELINES = ('random', 'coverage', 'shortest_unvisited')
+
+
+# The width of the label searches among them.
+LABELS: dict[str, Callable[[SearchOptions], int]] = {
+    'relaxed': lambda _: 1,
+    'beam': lambda options: options.width,
+}

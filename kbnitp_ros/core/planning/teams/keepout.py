@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What robots keep off when plans are refused, so that the next are of another region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from kbnitp_ros.core.field import Grid
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
+    """
+    Return the region that a path is sent to, and smaller ones in its place.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    path : array_like of int, shape (steps + 1,)
+        Its cells.
+
+    Returns
+    -------
+    list of ndarray of int
+        Its far half, those cells of it that are more than half as many steps from the base as its
+        farthest one, with the cells around them that are so, too; its far half alone; its farthest
+        cell with those around it; that cell alone. Each ascending.
+
+    """
+    steps = grid.steps_to_base
+    cells = np.unique(np.asarray(path, dtype=np.intp))
+    farthest = cells[[np.argmax(steps[cells])]]
+
+    def far(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        kept: NDArray[np.intp] = cells[2 * steps[cells] > steps[farthest]]
+        return kept
+
+    def around(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        neighbors: list[NDArray[np.intp]] = [grid.neighbors(cell) for cell in cells]
+        together: NDArray[np.intp] = np.unique(np.concatenate([cells, *neighbors]))
+        return together
+
+    half = far(cells)
+    return [far(around(half)), half, far(around(farthest)), far(farthest)]
+
+
+def without(grid: Grid, cells: Iterable[int]) -> Grid:
+    """Return the grid on which robots keep off these cells as well."""
+    return replace(grid, blocked=tuple({*grid.blocked, *map(int, cells)}))
+
+
+def keepout_cells(
+    grid: Grid, max_steps: int, robots: int, rounds: Sequence[Sequence[ArrayLike]]
+) -> NDArray[np.intp]:
+    """
+    Return the cells that the next robots keep off after rounds of plans were refused.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    max_steps : int
+        The most steps of a path.
+    robots : int
+        How many leave next.
+    rounds : sequence of sequence of array_like of int
+        The paths that were refused, one round after another.
+
+    Returns
+    -------
+    ndarray of int
+        The regions of all of them. When these leave fewer cells in reach than there are robots, or
+        cut off half of those that are of no region, the last round has smaller ones; when that
+        does not help, the earlier rounds are forgotten.
+
+    """
+    in_reach = grid.in_reach(max_steps).sum()
+    kept: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+    for paths in rounds:
+        sizes = [
+            np.unique(np.concatenate(each))
+            for each in zip(*(regions_of(grid, path) for path in paths))
+        ]
+        for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
+            left = without(grid, cells).in_reach(max_steps).sum()
+            # The base is always in reach.
+            if left > robots and 2 * left > in_reach - cells.size:
+                break
+        kept = cells
+    return kept

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans of a round: several robots that leave together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from kbnitp_ros.core.field import Belief, Grid, of_each, RobotType, SensorModel, whole_number
+from kbnitp_ros.core.planning.objective import SearchOptions, team_information
+from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
+from kbnitp_ros.core.planning.objective.readings import Camera, check_cameras
+from kbnitp_ros.core.planning.search import PathFinder, Plan
+from kbnitp_ros.core.planning.teams.allocations import allocated, ALLOCATIONS
+from kbnitp_ros.core.planning.teams.keepout import without
+from kbnitp_ros.core.planning.teams.regions import Regions
+from kbnitp_ros.core.planning.teams.team_member import TeamMember
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Team:
+    """
+    Robots that leave together.
+
+    Parameters
+    ----------
+    agents : int
+        How many, at least 1.
+    allocation : str
+        One of `ALLOCATIONS`. 'independent': every robot takes the path it would take alone.
+        'voronoi': the field is divided into regions of about equal entropy, one a robot.
+        'greedy': robot after robot, for what each adds to what those before it are expected to
+        bring, returned or lost.
+    types : sequence of RobotType
+        The type of each robot; empty if all are alike.
+
+    Raises
+    ------
+    ValueError
+        If there is no robot, or not one type for each.
+
+    """
+
+    agents: int = 1
+    allocation: str = 'greedy'
+    types: tuple[RobotType, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'agents', whole_number('agents', self.agents, 1))
+        object.__setattr__(self, 'types', of_each(self.agents, self.types))
+
+    def first(self, robots: int) -> Team:
+        """Return the first so many of them, at least 1; all if they are fewer."""
+        types = self.types[:robots]
+        return replace(self, agents=len(types), types=types)
+
+
+@dataclass(frozen=True, eq=False)
+class TeamPlan:
+    """
+    Paths for robots that leave together and what is expected of them.
+
+    Attributes
+    ----------
+    plans : tuple of Plan
+        One a robot, in their order; each says what is expected of that robot alone.
+    information : float
+        What is expected of all together, beyond what robots in flight bring, nats.
+    regions : Regions, optional
+        How the field was divided among the robots; None where the allocation does not.
+
+    """
+
+    plans: tuple[Plan, ...]
+    information: float
+    regions: Regions | None
+
+
+def plan_team(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    team: Team,
+    options: SearchOptions,
+    *,
+    in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
+    visited: ArrayLike = (),
+    keepout: Sequence[int] | NDArray[np.intp] = (),
+) -> TeamPlan:
+    """
+    Plan a round: a closed path for each of several robots that leave together.
+
+    Parameters
+    ----------
+    grid, belief, visited
+        As for `plan`.
+    model : SensorModel
+        What robots that have nothing of their own are believed to be like.
+    team : Team
+        The robots.
+    options : SearchOptions
+        Of the search for the path of each robot that has nothing of its own.
+    in_flight : sequence of (array_like of int, RobotType)
+        The path, shape (steps + 1,), and the type of each robot that has left before and has not
+        reported. All allocations but 'independent' plan for what is added to them.
+    keepout : sequence of int
+        Cells that none of the robots enters, besides those that are blocked.
+
+    Returns
+    -------
+    TeamPlan
+        The same belief gives the same plans. A single robot's is that of `plan`.
+
+    Raises
+    ------
+    ValueError
+        As of `plan`; if the allocation is unknown, there are more robots than free cells, a robot
+        in flight could not have left that way, or they have too many different cameras.
+
+    """
+    ALLOCATIONS.find(team.allocation)
+    in_use = without(grid, keepout) if len(keepout) else grid
+    team_size(in_use, team.agents)
+    types = {*team.types, *(robot_type for _, robot_type in in_flight)}
+    check_cameras(len({Camera.of(robot_type.model(model)) for robot_type in types}))
+    finder = PathFinder(in_use, options, np.asarray(visited))
+    outcomes = nobody_deployed(belief)
+    for path, robot_type in in_flight:
+        outcomes = after_deployment(outcomes, robot_type.model(model), grid.check_path(path))
+    members = {
+        robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
+        for robot_type in team.types
+    }
+    paths, regions = allocated(team.allocation, [members[each] for each in team.types])
+    plans = tuple(
+        Plan.along(path, belief, robot_type.model(model))
+        for path, robot_type in zip(paths, team.types)
+    )
+    information = (
+        plans[0].information
+        if len(plans) == 1 and not in_flight
+        else team_information(belief, model, paths, outcomes, team.types)
+    )
+    return TeamPlan(plans, information, regions)
+
+
+def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
+    """
+    Check that paths for a team can be searched for within the memory allowed, before any is.
+
+    Parameters
+    ----------
+    finder : PathFinder
+        For robots that have no limit of their own.
+    types : sequence of RobotType
+        Of each robot that may leave or be in flight.
+
+    Raises
+    ------
+    ValueError
+        With an estimate, if it takes more; or if they have too many different cameras.
+
+    """
+    longest = max((finder.options.of_type(each) for each in types), key=lambda o: o.max_steps)
+    # Of those that have no camera of their own the model is all the same.
+    cameras = {(each.true_positive, each.false_positive) for each in types}
+    replace(finder, options=longest).check_memory(len(types), len(cameras))
+
+
+def team_size(grid: Grid, agents: int) -> int:
+    """
+    Return how many robots there are if the grid has a free cell for each.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or more than free cells.
+
+    """
+    free = int(grid.free.sum())
+    try:
+        return whole_number('agents', agents, 1, free)
+    except ValueError as error:
+        raise ValueError(f'{error}, one for each free cell at most') from error

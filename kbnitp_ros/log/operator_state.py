@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds by the actions of the operator of a mission, and which are on record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from kbnitp_ros.bag import LoggedMessage, read_log, same_types
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.messages.operator_action import Action, OperatorAction, read_operator_action
+import numpy as np
+from numpy.typing import NDArray
+
+OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
+
+Paths = Mapping[DeploymentKey, NDArray[np.intp]]
+
+
+class OperatorState:
+    """
+    What holds by the actions of the operator so far.
+
+    Attributes
+    ----------
+    actions : dict of int to OperatorAction
+        All actions by the times that name them, in order.
+    is_paused : bool
+        Whether no robot leaves for now.
+    is_ended : bool
+        Whether none leaves any more.
+    given_up : dict of DeploymentKey to int
+        The robots that were given up, and how many steps each is known to have survived.
+
+    """
+
+    def __init__(self) -> None:
+        self.actions: dict[int, OperatorAction] = {}
+        self.is_paused = False
+        self.is_ended = False
+        self.given_up: dict[DeploymentKey, int] = {}
+
+    def apply(self, action: OperatorAction) -> bool:
+        """Have an action hold; return whether it was not known."""
+        if action.stamp in self.actions:
+            return False
+        self.actions[action.stamp] = action
+        if action.action in (Action.PAUSE, Action.RESUME):
+            self.is_paused = action.action == Action.PAUSE
+        elif action.action == Action.GIVE_UP:
+            self.given_up |= dict.fromkeys(action.paths, action.steps_survived)
+        elif action.action == Action.END:
+            self.is_ended = True
+        return True
+
+    def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
+        """Return the rounds of paths that were refused since the last robot left."""
+        return [
+            list(each.paths.values())
+            for each in self.actions.values()
+            if each.action == Action.REFUSE and each.robots_left == robots_left
+        ]
+
+    def is_approved(self, robots_left: int, paths: Paths) -> bool:
+        """
+        Return whether paths were approved since the last robot left.
+
+        The times that name them may be others: an estimator that is restarted has another prior.
+        """
+        return any(
+            each.action == Action.APPROVE
+            and each.robots_left == robots_left
+            and are_same(each.paths, paths)
+            for each in self.actions.values()
+        )
+
+
+def are_same(ones: Paths, others: Paths) -> bool:
+    """Return whether robots of the same agents go the same paths."""
+    cells = [{key.agent: path.tolist() for key, path in paths.items()} for paths in (ones, others)]
+    return cells[0] == cells[1]
+
+
+def is_operator_action(logged: LoggedMessage) -> bool:
+    """Return whether a message on record is an action of the mission's operator."""
+    return logged.type_name == OPERATOR and logged.topic.endswith('/operator')
+
+
+def read_operator_actions(log: str | Path, grid: Grid) -> Iterator[tuple[OperatorAction, bytes]]:
+    """
+    Yield the actions of the operator, each with the message as it came off the wire.
+
+    Parameters
+    ----------
+    log : str or Path
+        The log of one mission, finished or not.
+    grid : Grid
+        The mission's.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read or is corrupt.
+
+    """
+    with same_types(log):
+        for logged in read_log(log, (OPERATOR,)):
+            if is_operator_action(logged):
+                # The planner takes no other, either.
+                with suppress(ValueError):
+                    yield read_operator_action(grid, logged.message), logged.data

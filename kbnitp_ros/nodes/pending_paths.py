@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The next deployment of a real robot, from the paths that it is sent."""
+
+from __future__ import annotations
+
+import time
+
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.messages.deployments import read_path
+from kbnitp_ros.messages.missions import check_mission, mission_of_path
+from kbnitp_ros.nodes.recorded_paths import ASK_FIRST, RecordedPaths
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.robot import Deployment, Journal
+from nav_msgs.msg import Path
+
+# Seconds without a new path after which what a publisher kept for those who join late has come.
+SETTLED = 0.3
+
+
+class PendingPaths:
+    """
+    The paths that a robot was sent and has not left on.
+
+    Paths come again when the robot or the base was restarted. Those in the journal were driven; of
+    the others the robot is sent on the newest only, since the base sends none while it waits for
+    an earlier one.
+
+    Parameters
+    ----------
+    node : FieldNode
+        Whose parameters and topics are used.
+    agent : str
+        Whose paths they are.
+    prefix : str
+        What the names of its topics begin with.
+    journal : Journal
+        What the robot did before.
+
+    Attributes
+    ----------
+    is_listening : bool
+        Whether paths are taken.
+
+    """
+
+    def __init__(self, node: FieldNode, agent: str, prefix: str, journal: Journal) -> None:
+        self.is_listening = False
+        self._node = node
+        self._agent = agent
+        self._journal = journal
+        self._max_steps = value_for(node.values, 'max_steps', agent)
+        self._pending: dict[int, Deployment] = {}
+        self._sent = RecordedPaths(node, agent, prefix, self._read_path, self._take_path)
+        self._last = 0.0
+
+    def listen(self) -> None:
+        """Take paths from now on."""
+        self.is_listening = True
+        self._sent.listen()
+
+    def _read_path(self, message: Path) -> Deployment | None:
+        key, cells = read_path(self._node.grid, self._agent, message)
+        path = self._node.grid.check_path(cells, self._max_steps)
+        deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
+        self._check_mission(deployment.mission)
+        known = self._known(deployment.stamp)
+        if known is not None and known.path != deployment.path:
+            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+        if known is not None:
+            return None
+        self._node.diagnostics.accept()
+        self._last = time.monotonic()
+        return deployment
+
+    def _take_path(self, deployment: Deployment) -> None:
+        self._last = time.monotonic()
+        self._pending[deployment.stamp] = deployment
+
+    def _check_mission(self, mission: int) -> None:
+        try:
+            check_mission(mission, self._journal.mission)
+        except ValueError as error:
+            raise ValueError(
+                f'{error}; journal {self._journal.path} is of that one: for a new mission move it '
+                'away, or name another file by the parameter journal'
+            ) from error
+
+    def _known(self, stamp: int) -> Deployment | None:
+        """Return the deployment of this name, driven or not, if it is known."""
+        driven = (
+            deployment for deployment in self._journal.deployments if deployment.stamp == stamp
+        )
+        return self._pending.get(stamp) or next(driven, None)
+
+    @property
+    def newest(self) -> Deployment | None:
+        """Return the deployment to leave on; None when there is none."""
+        return self._pending[max(self._pending)] if self._pending else None
+
+    @property
+    def pending(self) -> int:
+        """Return how many paths the robot has not left on."""
+        return len(self._pending) + self._sent.pending
+
+    @property
+    def awaited(self) -> str:
+        """Return what the robot must wait for before it leaves; empty when for nothing."""
+        if not self._pending:
+            return self._sent.awaited
+        # What the recorder said of later paths is asked for again if it came before them.
+        settled = 2 * ASK_FIRST if self._sent.pending else SETTLED
+        if time.monotonic() < self._last + settled:
+            return 'the last of the paths to come'
+        return ''
+
+    def superseded(self) -> list[Deployment]:
+        """
+        Return the deployments that this robot will not leave on, since a newer one came.
+
+        Of those that were sent before it left for the first time nothing is known: another robot
+        of its name may have.
+        """
+        driven = (
+            self._journal.deployments[-1].stamp
+            if self._journal.deployments
+            else max(self._pending)
+        )
+        return [self._pending[stamp] for stamp in sorted(self._pending)[:-1] if stamp > driven]
+
+    def close(self, deployment: Deployment) -> None:
+        """Take note that a deployment is in the journal, and leave out all before it."""
+        self._pending = {
+            stamp: each for stamp, each in self._pending.items() if stamp > deployment.stamp
+        }

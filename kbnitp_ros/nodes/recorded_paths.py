@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paths that an agent is sent, each as it is on record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Generic, TypeVar
+
+from kbnitp_msgs.msg import Recorded
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.headers import from_stamp, read_name
+from kbnitp_ros.messages.sizes import largest_path, RECORDED
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from nav_msgs.msg import Path
+from rclpy.subscription import Subscription
+
+P = TypeVar('P')
+
+# Seconds after which AGENT/recorded is asked for again, at first and at the most.
+ASK_FIRST, ASK_LAST = 1.0, 60.0
+
+
+class RecordedPaths(Generic[P]):
+    """
+    The paths that an agent is sent.
+
+    With the parameter `recorded` a path is taken when the recorder names it by stamp and content
+    on AGENT/recorded: of several paths of one stamp all nodes take the one on disk. An
+    acknowledgement may come before its path and is not kept, since anybody can send any number of
+    them. The recorder's publisher keeps them: they are asked for again as long as a path lacks its
+    own. Without the parameter a path is taken when it comes.
+
+    Parameters
+    ----------
+    node : FieldNode
+        Hears them.
+    agent : str
+        Whose they are.
+    prefix : str
+        What the names of the agent's topics begin with.
+    read : callable
+        Returns what a path says; None if it is known. Raises ValueError if it is to be refused.
+    take : callable
+        Called with what a path says that is on record. Raises ValueError if it is to be refused.
+
+    """
+
+    def __init__(
+        self,
+        node: FieldNode,
+        agent: str,
+        prefix: str,
+        read: Callable[[Path], P | None],
+        take: Callable[[P], None],
+    ) -> None:
+        self._node = node
+        self._agent = agent
+        self._prefix = prefix
+        self._read = read
+        self._take = take
+        # Paths that the recorder has not named, by stamp and content.
+        self._pending: dict[tuple[int, int], P] = {}
+        self._has_missed = False
+        self._interval = ASK_FIRST
+        self._ask_at = 0.0
+
+    def listen(self) -> None:
+        """Take paths from now on."""
+        largest = largest_path(value_for(self._node.values, 'max_steps', self._agent))
+        self._node.hear(Path, f'{self._prefix}path', self._on_path, qos.EVIDENCE, largest)
+        if self._node.values['recorded']:
+            self._recorded = self._hear_recorded()
+            self._node.create_poll(self._ask_again)
+
+    @property
+    def pending(self) -> int:
+        """How many paths the recorder has not named."""
+        return len(self._pending)
+
+    @property
+    def awaited(self) -> str:
+        """Return what the first of these waits for; empty when there is none."""
+        if not self._pending:
+            return ''
+        stamp, _ = next(iter(self._pending))
+        return (
+            f'the recorder to tell on {self._agent}/recorded that the path of '
+            f'{DeploymentKey(self._agent, stamp)} is on disk (parameter recorded)'
+        )
+
+    def _hear_recorded(self) -> Subscription:
+        self._has_missed = False
+        self._ask_at = time.monotonic() + self._interval
+        return self._node.hear(
+            Recorded, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, RECORDED
+        )
+
+    def _on_path(self, message: Path) -> None:
+        try:
+            path = self._read(message)
+            if path is None:
+                return
+            if not self._node.values['recorded']:
+                self._take(path)
+                return
+        except ValueError as error:
+            self._refuse(error)
+            return
+        if not self._pending:
+            self._ask_at = time.monotonic() + self._interval
+        self._pending[from_stamp(message.header.stamp), content_hash(message)] = path
+        if len(self._pending) > qos.DEPTH:
+            stamp, content = next(iter(self._pending))
+            self._drop(stamp, content, f'{qos.DEPTH} later paths wait to be recorded as well')
+
+    def _on_recorded(self, message: Recorded) -> None:
+        try:
+            stamp = read_name('stamp', message.stamp)
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{self._agent}/recorded', error)
+            return
+        path = self._pending.pop((stamp, message.content), None)
+        if path is None:
+            self._has_missed = True
+            return
+        self._interval = ASK_FIRST
+        for other in [content for each, content in self._pending if each == stamp]:
+            self._drop(stamp, other, 'another path with the same stamp was recorded first')
+        try:
+            self._take(path)
+        except ValueError as error:
+            self._refuse(error)
+
+    def _drop(self, stamp: int, content: int, why: str) -> None:
+        del self._pending[stamp, content]
+        self._refuse(ValueError(f'deployment {DeploymentKey(self._agent, stamp)}: {why}'))
+
+    def _refuse(self, error: ValueError) -> None:
+        self._node.diagnostics.refuse(f'{self._agent}/path', error)
+
+    def _ask_again(self) -> None:
+        """Have the recorder say again what it said before a path came."""
+        if self._pending and self._has_missed and time.monotonic() > self._ask_at:
+            self._interval = min(2 * self._interval, ASK_LAST)
+            self._node.destroy_subscription(self._recorded)
+            self._recorded = self._hear_recorded()

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands and nodes say of themselves on a command line."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import metadata
+from inspect import cleandoc
+from pathlib import Path
+from textwrap import fill
+
+from kbnitp_ros.configuration import parameters_of
+
+WIDTH = 90
+INDENT = ' ' * 6
+
+# A parameter of each node that a user would give.
+EXAMPLES = {
+    'planner': 'robots:=20',
+    'agent': 'seed:=3',
+    'robot': 'agent:=scout_1',
+    'estimator': 'method:=kappa_bnitp_smoothed',
+    'recorder': 'file:=mission.mcap',
+}
+
+
+def command_parser(name: str, description: str, *examples: str) -> argparse.ArgumentParser:
+    """
+    Return a parser that knows --help and --version.
+
+    Parameters
+    ----------
+    name : str
+        The command's.
+    description : str
+        What it does, such as a docstring.
+    *examples : str
+        Lines to type.
+
+    """
+    paragraphs = cleandoc(description).split('\n\n')
+    parser = argparse.ArgumentParser(
+        prog=name,
+        description='\n\n'.join(fill(each, WIDTH) for each in paragraphs),
+        epilog='\n  '.join(['examples:', *examples]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    version = f'{name} of kbnitp_ros {metadata.version("kbnitp_ros")}'
+    parser.add_argument('--version', action='version', version=version)
+    return parser
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """Have a command take the log of a mission."""
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        help="the log of one mission: its first file, or its folder if it is the only one's",
+    )
+
+
+def node_parser(name: str, description: str) -> argparse.ArgumentParser:
+    """Return the parser of a node, whose help tells of its parameters."""
+    table = parameters_of(name).values()
+    parser = command_parser(
+        name,
+        description,
+        f'ros2 run kbnitp_ros {name} --ros-args --params-file config/mission.yaml',
+        f'ros2 run kbnitp_ros {name} --ros-args -p {EXAMPLES[name]}',
+    )
+    parser.usage = '%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE]]'
+    parameters = [
+        f'  {each.name}\n'
+        + fill(
+            each.summary + each.changeable,
+            WIDTH,
+            initial_indent=INDENT,
+            subsequent_indent=INDENT,
+        )
+        for each in table
+    ]
+    parser.epilog = '\n'.join(
+        ['parameters, given with --ros-args -p NAME:=VALUE:', *parameters, '', str(parser.epilog)]
+    )
+    return parser

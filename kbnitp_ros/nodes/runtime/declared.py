@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a node declares its parameters and keeps their values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kbnitp_ros.configuration import (
+    check_known,
+    check_own,
+    NODES,
+    Parameter,
+    parameter_of,
+    parameters_of,
+)
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+import rclpy.parameter
+
+
+def declare(node: Node, name: str) -> dict[str, Any]:
+    """
+    Declare the parameters of the node called `name` and return their values.
+
+    The values are kept up to date while the node runs.
+
+    Raises
+    ------
+    ValueError
+        If a value given at start-up has the wrong type, is not allowed, or is for no parameter of
+        any node. Those of other nodes are passed over, since nodes often share a section of a
+        file.
+
+    """
+    mine = parameters_of(name)
+    values = {parameter.name: parameter.default for parameter in mine.values()}
+    # rclpy has no other way to see what was given for names that are not declared.
+    for given, override in node._parameter_overrides.items():
+        if parameter := parameter_of(name, given):
+            mine[given] = parameter
+            values[given] = parameter.check(override.value)
+        else:
+            check_known(given, NODES)
+    # A real robot knows of no other agents.
+    if 'agents' in values:
+        check_own(values)
+    for parameter in mine.values():
+        value = values[parameter.name]
+        node.declare_parameter(
+            parameter.name,
+            value if parameter.element is None else list(value),
+            descriptor_of(parameter),
+            ignore_override=True,
+        )
+
+    def check(changes: list[rclpy.parameter.Parameter]) -> SetParametersResult:
+        try:
+            for change in changes:
+                if change.name in mine:
+                    mine[change.name].check(change.value)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def keep(changes: list[rclpy.parameter.Parameter]) -> None:
+        values.update({change.name: change.value for change in changes if change.name in mine})
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(keep)
+    return values
+
+
+def descriptor_of(parameter: Parameter) -> ParameterDescriptor:
+    """Return what `ros2 param describe` tells of a parameter."""
+    is_in_range = parameter.limits is not None and parameter.off is None
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        read_only=parameter.read_only,
+        additional_constraints='' if is_in_range else parameter.allowed,
+        # rclpy takes an empty list for a list of bytes, whatever it was declared as.
+        dynamic_typing=parameter.element is not None,
+    )
+    if parameter.limits is not None:
+        low, high = parameter.limits
+        low = low if parameter.off is None else parameter.off
+        if isinstance(parameter.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return descriptor

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node has accepted, refused and waits for, on the topic /diagnostics."""
+
+from __future__ import annotations
+
+from enum import auto, Enum
+import time
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from kbnitp_ros.files import in_words
+from kbnitp_ros.nodes.runtime import qos
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+TOPIC = '/diagnostics'
+
+PERIOD = 1.0  # seconds
+
+# How many refusals are told at once in such a period, and how many characters are shown of each.
+# Those beyond are only counted: whoever floods a node with messages must not have it flood others.
+TOLD_AT_ONCE = 10
+SHOWN = 1000
+
+# How long a node that cannot go on stays for its last words: until somebody listens, and until
+# they have arrived, each in seconds.
+LAST_WORDS = 1.0
+
+
+class Activity(Enum):
+    """What a node does."""
+
+    WORKING = auto()
+    WAITING = auto()
+    DONE = auto()
+
+
+class State(NamedTuple):
+    """
+    What a node does, and of what.
+
+    Attributes
+    ----------
+    activity : Activity
+        What it does.
+    sentence : str
+        The same with what it is about, as diagnostics and the console show it.
+
+    """
+
+    activity: Activity
+    sentence: str
+
+
+def working(sentence: str) -> State:
+    """Return the state of a node that does what the sentence says."""
+    return State(Activity.WORKING, sentence)
+
+
+def waiting_for(what: str) -> State:
+    """Return the state of a node that waits for somebody or something, and why."""
+    return State(Activity.WAITING, f'waiting for {what}')
+
+
+def done(how: str) -> State:
+    """Return the state of a node whose work is done."""
+    return State(Activity.DONE, f'done: {how}')
+
+
+class Diagnostics:
+    """
+    Counts what comes in and shows it every second, and at once when something is refused.
+
+    Attributes
+    ----------
+    accepted, refused : int
+        Messages so far.
+    waiting : int
+        Messages held until what they belong to has come.
+    state : State
+        What the node does.
+    warning : str
+        What is not as it should be for now; empty when nothing.
+    values : dict of str to str
+        What else is to be told.
+
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.accepted = 0
+        self.refused = 0
+        self.waiting = 0
+        self.state = working('running')
+        self.warning = ''
+        self.values: dict[str, str] = {}
+        self._last_refusal = ''
+        self._failure = ''
+        self._told = 0
+        self._node = node
+        # Its name is fixed, wherever the node is: tools know no other.
+        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
+        # Diagnostics go on when simulated time stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(PERIOD, self._publish_all, clock=steady)
+
+    def accept(self) -> None:
+        """Count one message as accepted."""
+        self.accepted += 1
+
+    def refuse(self, what: str, why: object) -> None:
+        """Count one message as refused and say so, unless very many were refused just now."""
+        self.refused += 1
+        self._told += 1
+        text = f'{what} refused: {why}'
+        self._last_refusal = text if len(text) <= SHOWN else f'{text[:SHOWN]}...'
+        if self._told <= TOLD_AT_ONCE:
+            self._node.get_logger().warning(self._last_refusal)
+            self.publish()
+
+    def _publish_all(self) -> None:
+        """Show the counts, and say how many refusals were not told."""
+        untold, self._told = self._told - TOLD_AT_ONCE, 0
+        if untold > 0:
+            self._node.get_logger().warning(f'{untold} more messages were refused')
+        self.publish()
+
+    def fail(self, why: Exception) -> None:
+        """Say why the node cannot go on, and stay until that has arrived if anybody listens."""
+        self._failure = in_words(why)
+        deadline = time.monotonic() + LAST_WORDS
+        while not self._is_heard() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        self.publish()
+        self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
+
+    def _is_heard(self) -> bool:
+        """Say whether anybody but this node listens; the recorder listens to everything."""
+        topic = self._publisher.topic_name
+        own: int = sum(each.topic_name == topic for each in self._node.subscriptions)
+        listeners: int = self._publisher.get_subscription_count()
+        return listeners > own
+
+    def publish(self) -> None:
+        """Show the counts now."""
+        values = {
+            'state': self.state.sentence,
+            'accepted': self.accepted,
+            'refused': self.refused,
+            'waiting': self.waiting,
+            **self.values,
+        }
+        status = DiagnosticStatus(
+            level=self._level(),
+            name=self._node.get_fully_qualified_name(),
+            message=self._failure or self.warning or self._last_refusal or self.state.sentence,
+            hardware_id='kbnitp_ros',
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+    def _level(self) -> bytes:
+        level: bytes = DiagnosticStatus.OK
+        if self._failure:
+            level = DiagnosticStatus.ERROR
+        elif self.refused or self.warning:
+            level = DiagnosticStatus.WARN
+        return level

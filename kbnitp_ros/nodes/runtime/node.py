@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes of a mission have in common, besides how their process starts and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+import time
+from typing import Any, TypeVar
+
+from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.core import Grid
+from kbnitp_ros.maps import Map, MOST_PIXELS
+from kbnitp_ros.messages.grids import read_map_message
+from kbnitp_ros.messages.headers import LATEST
+from kbnitp_ros.messages.sizes import check_size, largest_map
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.declared import declare
+from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
+from kbnitp_ros.nodes.runtime.executor import frames_of_callback, OneByOne
+from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
+from kbnitp_ros.nodes.runtime.signals import (
+    stop_on_signal,
+)
+from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+# In seconds: how long a signal may have to wait, and how often a node looks at the graph.
+SPIN = 0.2
+POLL = 0.05
+
+# How long a node waits for the readers of its last messages, in seconds: they may have died.
+FAREWELL = 0.3
+
+# In seconds: how long a node waits, or reads, before it says so, since all do for a moment when a
+# mission begins, and how often it says so again.
+SAY_FIRST = 3.0
+SAY_AGAIN = 10.0
+
+# The logger, below that of its node, which has a line for each deployment.
+DEPLOYMENTS = 'deployments'
+
+# How many of many topics, or robots, a line on the console names.
+NAMED = 3
+
+T = TypeVar('T')
+
+PACKAGE = __name__.partition('.')[0]
+
+
+class MissionNode(GraphNode):
+    """
+    A node of the mission: its parameters and its diagnostics.
+
+    Attributes
+    ----------
+    values : dict
+        The parameters by name, kept up to date.
+    diagnostics : Diagnostics
+        What it has accepted and refused.
+    deployment_logger : RcutilsLogger
+        For a line about each deployment; it can be silenced alone.
+    is_over : bool
+        Whether its work is done, so that its process ends.
+
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.values = declare(self, name)
+        self.diagnostics = Diagnostics(self)
+        self.is_over = False
+        self._refused_once: set[str] = set()
+        self._publisher_counts: dict[str, int] = {}
+        self._author_counts: dict[str, int] = {}
+        self.deployment_logger = self.get_logger().get_child(DEPLOYMENTS)
+        self._awaited = ''
+        self._say_at = 0.0
+        self.create_poll(self._say_what_is_awaited)
+
+    def now(self) -> int:
+        """
+        Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started.
+
+        It is never later than the last time that a message may tell.
+        """
+        return min(self.get_clock().now().nanoseconds, LATEST)
+
+    def hear(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile,
+        largest: int,
+    ) -> Subscription:
+        """
+        Subscribe to messages of which anybody may send any.
+
+        One that is too large, or not of the type, is refused here. None that waits to be read is
+        given up for another, however many are sent: publishers are told to send it again.
+
+        Parameters
+        ----------
+        kind : type
+            Of the messages.
+        topic : str
+            Its name.
+        callback : callable
+            Called with each message.
+        profile : QoSProfile
+            Of the publisher.
+        largest : int
+            The most bytes that a message can have.
+
+        """
+        return self.hear_newest(kind, topic, callback, qos.unread_kept(profile), largest)
+
+    def hear_newest(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile,
+        largest: int,
+    ) -> Subscription:
+        """
+        Subscribe as `hear` does, but to as many unread messages as the profile says.
+
+        Of what comes all the time, such as poses, the newest count.
+        """
+
+        def read(data: bytes) -> None:
+            try:
+                check_size(data, largest)
+                message = deserialize_message(data, kind)
+            except (ValueError, RuntimeError) as error:
+                self.diagnostics.refuse(topic, error)
+            else:
+                callback(message)
+
+        return self.create_subscription(kind, topic, read, profile, raw=True)
+
+    def refuse_once(self, what: str, why: object) -> None:
+        """Refuse something that is in the graph, however often it is found there."""
+        text = f'{what}: {why}'
+        if text not in self._refused_once:
+            self._refused_once.add(text)
+            self.diagnostics.refuse(what, why)
+
+    def count_authors(self, topic: str, type_name: str) -> int:
+        """Return how many publish messages of this type on a topic; others do not count."""
+        # To ask who they are takes a hundred times as long, and they seldom change.
+        publishers = self.count_publishers(topic)
+        if self._publisher_counts.get(topic) != publishers:
+            self._publisher_counts[topic] = publishers
+            known = self.get_publishers_info_by_topic(topic)
+            self._author_counts[topic] = sum(each.topic_type == type_name for each in known)
+        return self._author_counts[topic]
+
+    def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
+        """
+        Return which of the parameter `await_nodes` do not listen yet; empty when all do.
+
+        It names nodes, or the roles that they serve.
+        """
+        listeners = Listeners(self)
+        deaf: dict[str, list[str]] = {}
+        for topic in (publisher.topic_name for publisher in publishers):
+            listening = listeners.roles(topic)
+            for awaited in self.values['await_nodes']:
+                if awaited not in listening:
+                    deaf.setdefault(awaited, []).append(topic)
+        missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in deaf.items()]
+        return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
+
+    def _say_what_is_awaited(self) -> None:
+        """Say on the console what the node waits for, when it has for a while and again later."""
+        activity, sentence = self.diagnostics.state
+        awaited = sentence if activity is Activity.WAITING else ''
+        now = time.monotonic()
+        if awaited != self._awaited:
+            self._awaited, self._say_at = awaited, now + SAY_FIRST
+        elif awaited and now > self._say_at:
+            self._say_at = now + SAY_AGAIN
+            self.get_logger().info(awaited)
+
+    def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
+        """
+        Pass items on, and say on the console how many, as long as it takes.
+
+        Parameters
+        ----------
+        items : iterable
+            Such as the messages of a log.
+        doing : str
+            What is done with them: 'taking in FILE'.
+
+        Yields
+        ------
+        object
+            Each of the items.
+
+        Raises
+        ------
+        StoppedError
+            If a signal comes before the last.
+
+        """
+        say_at = time.monotonic() + SAY_FIRST
+        for number, item in enumerate(items):
+            stop_on_signal()
+            if time.monotonic() > say_at:
+                say_at = time.monotonic() + SAY_AGAIN
+                self.get_logger().info(f'{doing}: {number} messages so far')
+            yield item
+
+    def create_poll(self, callback: Callable[[], None]) -> Timer:
+        """Call back every `POLL` seconds, also when simulated time stands still."""
+        return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def spin_until(self, condition: Callable[[], bool]) -> None:
+        """
+        Take messages until something holds that the node cannot be made without.
+
+        Raises
+        ------
+        StoppedError
+            If a signal comes before.
+
+        """
+        executor = OneByOne()
+        executor.add_node(self)
+        try:
+            while not condition():
+                stop_on_signal()
+                spin_once(self, executor, SPIN)
+        finally:
+            executor.remove_node(self)
+            executor.shutdown()
+
+    def end(self) -> None:
+        """End the process, with exit code 0, once it is known why."""
+        self.is_over = True
+        self.diagnostics.publish()
+
+    def finish(self) -> None:
+        """Do what is left to do, before the node is closed."""
+
+    def close(self) -> None:
+        """Stay until what was published last has arrived: DDS drops it with the publisher."""
+        if self.is_over:
+            # Nobody tells when the answer of a service has arrived.
+            time.sleep(FAREWELL)
+        end = time.monotonic() + FAREWELL
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
+
+
+class FieldNode(MissionNode):
+    """
+    A node of the mission that knows the field.
+
+    With the parameter `map_topic` it is not made before a map has come: nothing of it can be done
+    without. A map that comes later and is another one changes nothing.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._grid: Grid | None = None
+        if self.values['map_topic']:
+            self._await_map(self.resolve_topic_name(self.values['map_topic']))
+        else:
+            self._grid = grid_of(self.values)
+
+    @property
+    def grid(self) -> Grid:
+        """Return the field, the same for all nodes of a mission."""
+        assert self._grid is not None
+        return self._grid
+
+    def _await_map(self, topic: str) -> None:
+        self._topic = topic
+        self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED, largest_map(MOST_PIXELS))
+        self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
+        self.spin_until(lambda: self._grid is not None)
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        try:
+            grid = grid_of(self.values, Map(*read_map_message(message)))
+            if self._grid not in (None, grid):
+                raise ValueError(
+                    'the map has changed: this mission goes on with the one that it began with; '
+                    'begin another mission for the new one'
+                )
+        except ValueError as error:
+            self.diagnostics.refuse(self._topic, error)
+        else:
+            self._grid = grid
+
+
+def spin_once(node: MissionNode, executor: Executor, seconds: float) -> None:
+    """Wait for a callback and make it; what rclpy cannot handle of others is refused."""
+    try:
+        executor.spin_once(timeout_sec=seconds)
+    except Exception as error:
+        if not _is_of_rclpy_alone(error):
+            raise
+        node.diagnostics.refuse('what rclpy was sent, a clock or a request,', error)
+
+
+def _is_of_rclpy_alone(error: Exception) -> bool:
+    """
+    Say whether an error comes of what rclpy itself was sent, and not of this package.
+
+    rclpy reads the clock and what is asked of parameters, and raises what comes of values that it
+    does not know: then a callback was made, and none of this package is on the way to the error.
+    """
+    frames = frames_of_callback(error)
+    return bool(frames) and not any(
+        frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in frames
+    )
+
+
+def some(items: Iterable[object]) -> str:
+    """Return the first few of some items in words, and how many more there are."""
+    first = [str(each) for each in items]
+    more = len(first) - NAMED
+    return ', '.join(first[:NAMED]) + (f' and {more} more' if more > 0 else '')

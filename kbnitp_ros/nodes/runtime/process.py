@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the process of a node starts, runs and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+import sys
+import time
+import traceback
+
+from kbnitp_ros.configuration.given import check_given, names_given
+from kbnitp_ros.core import while_compiling
+from kbnitp_ros.files import in_words
+from kbnitp_ros.nodes.runtime.command_line import node_parser
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
+from kbnitp_ros.nodes.runtime.executor import OneByOne
+from kbnitp_ros.nodes.runtime.exit_timer import exit_at_the_latest
+from kbnitp_ros.nodes.runtime.node import MissionNode, SPIN, spin_once
+from kbnitp_ros.nodes.runtime.signals import (
+    ignore_signals,
+    note_signals,
+    SIGNALS,
+    stop_on_signal,
+    StoppedError,
+)
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
+
+# How long a node may take to leave the graph, in seconds.
+TEARDOWN = 3.0
+
+# What a user can cause: rclpy reports bad arguments as RuntimeError.
+START_ERRORS = (
+    ValueError,
+    OSError,
+    RuntimeError,
+    ParameterException,
+    NameValidationException,
+)
+
+
+def run(
+    name: str, make: Callable[[], MissionNode], args: Sequence[str] | None, linger: float = 0.0
+) -> int:
+    """
+    Run a node until SIGINT or SIGTERM, or its end, and return the exit code of its process.
+
+    Parameters
+    ----------
+    name : str
+        The executable, which its messages on stderr begin with.
+    make : callable
+        Makes the node, once ROS is up; its docstring is the executable's help.
+    args : sequence of str, optional
+        The command line without the program; that of the process when None.
+    linger : float
+        How long the node still listens after the signal, in seconds: what was sent before is still
+        on its way, and nodes that end one after another do not get in each other's way.
+
+    Returns
+    -------
+    int
+        0 after a signal or when its work is done; 2 if the node could not start, 1 if it could not
+        go on: then one line on stderr says why, and so does diagnostics.
+
+    """
+    note_signals()
+    while_compiling(stop_on_signal)
+    try:
+        return _run(name, make, list(sys.argv[1:] if args is None else args), linger)
+    finally:
+        ignore_signals()
+
+
+def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linger: float) -> int:
+    """Run a node, and return the exit code of its process."""
+    parser = node_parser(name, str(make.__doc__))
+    try:
+        # ROS has worse words for a file that is not there.
+        check_given(name, arguments)
+        parser.parse_args(remove_ros_args(arguments))
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = make()
+    except StoppedError:
+        _leave(0)
+        return 0
+    except START_ERRORS as error:
+        _complain(name, error)
+        _say_why_not_started(name, arguments, error)
+        _leave(2)
+        return 2
+    executor = OneByOne()
+    executor.add_node(node)
+    code = 1
+    try:
+        broken = _live(node, executor, linger)
+        if broken:
+            if not isinstance(broken, OSError):
+                # No message and no user may cause it: a fault of this package.
+                traceback.print_exception(broken)
+            _complain(name, broken)
+            node.diagnostics.fail(broken)
+        else:
+            code = 0
+    finally:
+        _leave(code, executor, node)
+    return code
+
+
+def _live(node: MissionNode, executor: Executor, linger: float) -> Exception | None:
+    """Run a node until a signal comes, and close it; return what broke, if anything did."""
+    broken: Exception | None = None
+    try:
+        with suppress(StoppedError):
+            while not (SIGNALS or node.is_over):
+                spin_once(node, executor, SPIN)
+            end = time.monotonic() + linger
+            while time.monotonic() < end:
+                spin_once(node, executor, linger)
+        node.finish()
+    except Exception as error:
+        broken = error
+    try:
+        node.close()
+    except Exception as error:
+        # What breaks after something else did, breaks because of it.
+        broken = broken or error
+    return broken
+
+
+def _complain(name: str, error: Exception) -> None:
+    print(f'{name}: {in_words(error)}', file=sys.stderr, flush=True)
+
+
+def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) -> None:
+    """Show an error on diagnostics, from a node made for that: there may be none yet."""
+    # What is wrong with the arguments may be wrong with this node, too.
+    with suppress(*START_ERRORS):
+        if not ok():
+            # Parameters that were refused are not for ROS to read.
+            names = names_given(arguments)
+            rclpy.init(args=names, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node(name, enable_rosout=False, start_parameter_services=False)
+        Diagnostics(node).fail(error)
+
+
+def _leave(code: int, executor: Executor | None = None, node: MissionNode | None = None) -> None:
+    """
+    Leave the graph; should that not end, the process does, with its exit code.
+
+    Everything that matters is closed by now. When several processes leave at once, Fast DDS 2.14
+    may wait here for good, about once in a thousand times: `set_listener` for a callback, and
+    that for its lock.
+    """
+    with exit_at_the_latest(TEARDOWN, code):
+        if executor:
+            executor.shutdown()
+        if node:
+            node.destroy_node()
+        try_shutdown()

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One deployment as its robot remembers it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from kbnitp_ros.core import Observation
+from kbnitp_ros.robot.way import steps_within
+import numpy as np
+
+NOT_LOOKED = -1
+
+
+@dataclass
+class Step:
+    """
+    A cell that the robot came to, or stayed in.
+
+    Attributes
+    ----------
+    cell : int
+        Which one.
+    time : int
+        When it came, in nanoseconds of ROS time.
+    reading : int
+        1 if the target detector saw something there, 0 if it looked and saw nothing, -1 if it was
+        not heard.
+
+    """
+
+    cell: int
+    time: int
+    reading: int = NOT_LOOKED
+
+
+@dataclass
+class Deployment:
+    """
+    A deployment: what was ordered and what became of it.
+
+    Attributes
+    ----------
+    stamp : int
+        That of its path, in nanoseconds, which names it.
+    mission : int
+        When its mission began, in nanoseconds.
+    path : tuple of int
+        The cells of its path.
+    steps : list of Step
+        Those made so far.
+    is_home : bool
+        Whether the robot is back at its base, so that no step follows.
+
+    """
+
+    stamp: int
+    mission: int
+    path: tuple[int, ...]
+    steps: list[Step] = field(default_factory=list)
+    is_home: bool = False
+
+    @property
+    def base(self) -> int:
+        """Return the cell that it started in."""
+        return self.path[0]
+
+    @property
+    def cells(self) -> list[int]:
+        """Return the cells of the walk so far, the base first."""
+        return [self.base, *(step.cell for step in self.steps)]
+
+    def observation(self, most: int) -> Observation:
+        """
+        Return what the robot that is home tells of its field.
+
+        One that never left the cell of its base has stayed there for a step, in which it looked
+        for nothing.
+
+        Parameters
+        ----------
+        most : int
+            How many steps it may tell of: of a longer walk loops are left out, see `steps_within`.
+
+        """
+        told = steps_within(self.cells, most)
+        steps = [self.steps[number - 1] for number in told] or [Step(self.base, 0)]
+        walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)
+        readings = np.array([step.reading for step in steps], dtype=np.int8)
+        return Observation(walk, True, readings)

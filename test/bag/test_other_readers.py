@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log is read by the tools that its users have: all of it, field by field."""
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose
+from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.reader import read_log, read_recorded
+from kbnitp_ros.bag.repair import repair
+from kbnitp_ros.bag.schema import qos_profiles_yaml
+from kbnitp_ros.bag.writer import LogWriter
+from mcap.reader import make_reader
+from mission_log import mission, record, record_to, same, START
+from other_readers import check_all_read, check_same, with_mcap, with_node, with_rosbags
+import pytest
+from rclpy.qos import QoSProfile
+from rosbags.rosbag2 import Reader
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker
+import yaml
+
+
+@pytest.fixture(scope='module')
+def sent():
+    """Return a mission's messages, with those that are only for people."""
+    whole = mission(robots=5)
+    whole.publish(
+        'scout_1/readings',
+        Marker(
+            ns='readings',
+            type=Marker.SPHERE_LIST,
+            pose=Pose(position=Point(x=0.5, y=-0.0, z=float('nan'))),
+            points=[Point(x=1.5, y=2.5), Point(z=float('inf'))],
+            colors=[ColorRGBA(r=0.25, a=1.0), ColorRGBA(g=0.1)],
+            text='ünïcode',
+        ),
+    )
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.WARN, name='estimator', values=[KeyValue(key='held', value='5')]
+    )
+    whole.publish('diagnostics', DiagnosticArray(status=[status, DiagnosticStatus()]))
+    return whole.sent
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / 'mission.mcap'
+
+
+def check(log, sent):
+    """Check that all libraries read what was sent."""
+    assert [each.data for each in read_log(log)] == [each.data for each in sent]
+    check_all_read(log)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('library', [with_mcap, with_node, with_rosbags])
+def test_the_comparison_can_fail(path, sent, library):
+    """A message that is missing, changed or of other QoS is found."""
+    record(path, sent)
+    read = list(library(path))
+    written = list(read_recorded(path))
+    check_same(read, written)
+    changed = read[0]._replace(message=read[1].message)
+    for wrong in (read[1:], [changed, *read[1:]], [read[0]._replace(qos=[]), *read[1:]]):
+        with pytest.raises((AssertionError, AttributeError)):
+            check_same(wrong, written)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_a_finished_log(path, sent, compression):
+    with LogWriter(path, compression=compression) as log:
+        record_to(log, sent, synced=True)
+    check(path, sent)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_a_split_log(path, sent, compression):
+    with LogWriter(path, compression=compression, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    assert len(parts_of(path)) > 3
+    check(path, sent)
+
+
+@pytest.mark.processes
+def test_a_log_that_was_gone_on_with(path, sent):
+    log = LogWriter(path)
+    record_to(log, sent[:20], synced=True)
+    unfinished = path.read_bytes()
+    log.close()
+    path.write_bytes(unfinished)
+    with LogWriter(path, resume=True) as log:
+        record_to(log, sent[20:])
+    check(path, sent)
+
+
+@pytest.mark.processes
+def test_a_repaired_log(path, sent, tmp_path):
+    log = LogWriter(path)
+    record_to(log, sent, synced=True)
+    target = tmp_path / 'repaired' / 'mission.mcap'
+    target.parent.mkdir()
+    repair(path, target)
+    check(target, sent)
+
+
+@pytest.mark.processes
+def test_a_log_with_a_topic_whose_qos_changed(path, sent):
+    """In one file, and from file to file."""
+    with LogWriter(path) as log:
+        for depth, each in enumerate(sent[:1] * 3, 1):
+            log.add_topic(
+                each.topic, each.type_name, qos_profiles_yaml([QoSProfile(depth=depth % 2 + 1)])
+            )
+            log.write(each.topic, each.data, each.time + depth, each.time)
+    with LogWriter(path, resume=True) as log:
+        record_to(log, sent)
+    check(path, [*sent[:1] * 3, *sent])
+
+
+@pytest.mark.processes
+def test_a_log_without_messages(path):
+    record(path, [])
+    check(path, [])
+
+
+def test_same_can_tell(sent):
+    """The comparison that these tests rest on finds a difference."""
+    reports = [each.message for each in sent if each.topic.endswith('report')]
+    assert same(reports[0], reports[0])
+    assert not same(reports[0], reports[1])
+
+
+def test_the_bag_says_what_is_in_it(path, sent):
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    with Reader(path.parent) as reader:
+        assert reader.message_count == len(sent)
+        assert reader.start_time == sent[0].time + 500
+        assert reader.end_time == sent[-1].time + 500 + 1
+        assert reader.ros_distro == 'jazzy'
+        counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+        files = [(file['path'], file['message_count']) for file in reader.storage.files]
+    assert counts == {
+        topic: sum(each.topic == topic for each in sent) for topic in {each.topic for each in sent}
+    }
+    assert [name for name, _ in files] == [part.name for part in parts_of(path)]
+    assert sum(messages for _, messages in files) == len(sent)
+
+
+def test_each_file_says_what_is_in_it(path, sent):
+    """The record that ros2 bag info reads when it is given a file."""
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    for part in parts_of(path):
+        with part.open('rb') as file:
+            reader = make_reader(file)
+            count = reader.get_summary().statistics.message_count
+            records = {record.name: record.metadata for record in reader.iter_metadata()}
+        described = yaml.safe_load(records['rosbag2']['serialized_metadata'])
+        assert described['relative_file_paths'] == [part.name]
+        assert described['message_count'] == count
+        assert described['version'] == 9
+
+
+def test_the_file_is_indexed(path, sent):
+    record(path, sent)
+    with path.open('rb') as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        last = list(reader.iter_messages(starting_at=sent[-1].time + 500))
+    assert summary.statistics.message_count == len(sent)
+    assert summary.statistics.message_start_time == sent[0].time + 500 > START
+    assert summary.statistics.message_end_time == sent[-1].time + 500
+    assert summary.chunk_indexes
+    assert all(index.message_index_length for index in summary.chunk_indexes)
+    assert [index.name for index in summary.metadata_indexes] == ['rosbag2']
+    assert len(last) == 1
+
+
+def test_one_schema_for_all_topics_of_a_type(path, sent):
+    record(path, sent)
+    with path.open('rb') as file:
+        names = [schema.name for schema in make_reader(file).get_summary().schemas.values()]
+    assert len(set(names)) == len(names)
+
+
+def test_messages_are_numbered_by_topic_through_all_files(path, sent):
+    with LogWriter(path, max_file_duration=7e-6) as log:
+        record_to(log, sent)
+    numbers = [
+        each.sequence
+        for part in parts_of(path)
+        for each in with_mcap(part)
+        if each.topic == '/belief'
+    ]
+    assert numbers == list(range(1, sum(each.topic == '/belief' for each in sent) + 1))

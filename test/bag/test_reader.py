@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reader takes what there is, and has one kind of error."""
+
+import struct
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
+from kbnitp_ros.bag.schema import qos_profiles_yaml
+from kbnitp_ros.bag.writer import LogWriter
+from mcap.writer import Writer
+from mission_log import on, QOS, record, record_to, same
+import pytest
+
+
+@pytest.fixture(scope='module')
+def files(whole_mission, tmp_path_factory):
+    """Return finished logs, with one message a chunk and with one chunk, and an unfinished one."""
+    folder = tmp_path_factory.mktemp('log')
+    with LogWriter(folder / 'finished.mcap') as log:
+        record_to(log, whole_mission.sent, synced=True)
+    record(folder / 'one_chunk.mcap', whole_mission.sent)
+    log = LogWriter(folder / 'open.mcap')
+    record_to(log, whole_mission.sent, synced=True)
+    (folder / 'unfinished.mcap').write_bytes(log.path.read_bytes())
+    log.close()
+    return folder
+
+
+def messages(path):
+    """Return what is read before the end or an error, and the error."""
+    read = []
+    try:
+        read.extend(read_log(path))  # keeps what came before an error
+    except LogError as error:
+        return read, error
+    return read, None
+
+
+def is_start_of(read, sent):
+    """Return whether these are the first messages that were sent."""
+    return len(read) <= len(sent) and all(
+        (one.topic, one.type_name, one.publish_time, one.log_time)
+        == (each.topic, each.type_name, each.time, each.time + 500)
+        and same(one.message, each.message)
+        for one, each in zip(read, sent)
+    )
+
+
+@pytest.mark.parametrize('name', ['finished.mcap', 'one_chunk.mcap', 'unfinished.mcap'])
+def test_everything_is_read_in_order(files, whole_mission, name):
+    read, error = messages(files / name)
+    assert error is None
+    assert len(read) == len(whole_mission.sent)
+    assert is_start_of(read, whole_mission.sent)
+    assert is_finished(files / name) == (name != 'unfinished.mcap')
+
+
+def test_types_can_be_chosen(files, whole_mission):
+    wanted = 'kbnitp_msgs/msg/DeploymentReport'
+    read = list(read_log(files / 'finished.mcap', [wanted]))
+    assert is_start_of(read, on(whole_mission.sent, '/scout_1/report'))
+    assert len(read) == 8
+
+
+def test_positions_grow_to_the_size_of_the_file(files):
+    path = files / 'finished.mcap'
+    positions = [each.position for each in read_log(path)]
+    assert positions == sorted(positions)
+    assert 0 < positions[0] < positions[-1] <= path.stat().st_size
+
+
+def records(content):
+    """Yield (start, end) of the records of an MCAP file, the last one perhaps not all there."""
+    start = 8
+    while start + 9 <= len(content):
+        (length,) = struct.unpack_from('<Q', content, start + 1)
+        yield start, start + 9 + length
+        start += 9 + length
+
+
+def chunks(content):
+    """Return (start, end) of the chunks that lie whole in the first bytes of an MCAP file."""
+    whole = ((start, end) for start, end in records(content) if end <= len(content))
+    return [(start, end) for start, end in whole if content[start] == 6]
+
+
+@pytest.mark.parametrize('content', [b'no log at all', b'SQLite format 2', b'GIF89a'])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r'mission.mcap is no MCAP file'):
+        list(read_log(path))
+    with pytest.raises(LogError, match=r'mission.mcap is no MCAP file'):
+        is_finished(path)
+
+
+def test_no_file_is_refused(tmp_path):
+    with pytest.raises(LogError, match=r'gone.mcap cannot be read: No such file'):
+        list(read_log(tmp_path / 'gone.mcap'))
+    with pytest.raises(LogError, match=r'gone.mcap cannot be read: No such file'):
+        is_finished(tmp_path / 'gone.mcap')
+
+
+def test_what_rosbag2_compressed_is_refused(tmp_path):
+    path = tmp_path / 'bag_0.mcap'
+    path.write_bytes(b'\x28\xb5\x2f\xfd and so on')
+    with pytest.raises(LogError, match=r'bag_0.mcap is compressed: decompress it with zstd -d'):
+        list(read_log(path))
+
+
+@pytest.mark.parametrize('size', [0, 1, 7, 8])
+def test_nothing_but_the_first_bytes_is_an_empty_log(files, tmp_path, size):
+    """A writer may be killed before it wrote more."""
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes((files / 'finished.mcap').read_bytes()[:size])
+    assert list(read_log(path)) == []
+    assert not is_finished(path)
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_a_corrupt_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_factory, data):
+    """Nothing is lost or changed in silence, and no other error is raised."""
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    start, end = data.draw(st.sampled_from(list(records(content[:-8]))))
+    # Lengths and kinds of records are rare among the bytes and matter most.
+    place = start + data.draw(st.integers(0, 60) | st.integers(0, end - start - 1))
+    content[min(place, end - 1)] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.getbasetemp() / 'corrupt.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    if error is None:
+        assert len(read) == len(whole_mission.sent)
+        assert is_start_of(read, whole_mission.sent)
+
+
+def test_a_chunk_that_is_not_taken_for_one_is_missed(files, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    written = len(chunks(content))
+    content[chunks(content)[20][0]] = 0x86
+    path = tmp_path / 'corrupt.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert 'the checksum is' in str(error)
+    assert len(read) == written - 1
+
+
+def test_a_chunk_that_is_missing_is_missed(files, tmp_path):
+    """Also where there are no checksums, as in bags by rosbag2."""
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    (data_end,) = (start for start, _ in records(content[:-8]) if content[start] == 15)
+    start, end = data_end + 9, data_end + 13
+    content[start:end] = bytes(4)
+    written = len(chunks(content))
+    start, end = chunks(content)[20]
+    del content[start:end]
+    path = tmp_path / 'corrupt.mcap'
+    path.write_bytes(content)
+    _, error = messages(path)
+    assert f'{written - 1} messages found, {written} were written' in str(error)
+
+
+def test_a_corrupt_record_of_values_is_noticed(tmp_path):
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        log.add_metadata('run', {'seed': '1234567'})
+    path.write_bytes(path.read_bytes().replace(b'1234567', b'1234568', 1))
+    with pytest.raises(LogError, match='the checksum is'):
+        read_metadata(path)
+
+
+def test_a_corrupt_length_of_the_last_chunk_does_not_pass_for_a_cut(files, tmp_path):
+    content = bytearray((files / 'unfinished.mcap').read_bytes())
+    start, _ = chunks(content)[20]
+    content[start + 4] ^= 1
+    path = tmp_path / 'corrupt.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert len(read) == 20
+    assert 'has content of' in str(error)
+
+
+def test_a_corrupt_message_is_an_error_after_those_before(files, whole_mission, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    _, end = chunks(content)[20]
+    content[end - 5] ^= 1
+    path = tmp_path / 'corrupt.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert f'corrupt.mcap is corrupt near byte {end}' in str(error)
+    assert len(read) == 20
+    assert is_start_of(read, whole_mission.sent)
+
+
+def test_a_corrupt_length_does_not_pass_for_the_end(files, tmp_path):
+    content = bytearray((files / 'finished.mcap').read_bytes())
+    start, _ = chunks(content)[20]
+    content[start + 4] ^= 1
+    path = tmp_path / 'corrupt.mcap'
+    path.write_bytes(content)
+    read, error = messages(path)
+    assert len(read) == 20
+    assert 'is corrupt' in str(error)
+
+
+def test_a_tail_of_zeros_is_none_of_the_log(files, whole_mission, tmp_path):
+    """A file system may have made room for what it never got to write."""
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes((files / 'unfinished.mcap').read_bytes() + bytes(5000))
+    read, error = messages(path)
+    assert error is None
+    assert len(read) == len(whole_mission.sent)
+
+
+def test_a_log_that_grows_meanwhile_is_read_as_it_was(files, whole_mission, tmp_path):
+    content = (files / 'one_chunk.mcap').read_bytes()
+    # No record begins with a zero.
+    end = content.index(0, len(content) // 2)
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(content[:end])
+    read = read_log(path)
+    first = next(read)
+    with path.open('ab') as file:
+        file.write(content[end:])
+    both = [first, *read]
+    assert is_start_of(both, whole_mission.sent)
+    assert 1 < len(both) < len(whole_mission.sent)
+
+
+def test_bytes_that_are_no_message_are_an_error(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_topic('/scout_1/path', 'nav_msgs/msg/Path', qos_profiles_yaml([QOS]))
+        log.write('/scout_1/path', b'\0\1\0\0abc', 1, 1)
+    with pytest.raises(LogError, match='mission.mcap: a message of topic /scout_1/path is no'):
+        list(read_log(log.path))
+    assert list(read_log(log.path, ['kbnitp_msgs/msg/BeliefMaps'])) == []
+
+
+@pytest.mark.parametrize('schema', [0, 1])
+def test_what_is_no_ros_message_is_an_error_only_when_asked_for(tmp_path, schema):
+    path = tmp_path / 'mission.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file)
+        writer.start()
+        writer.register_schema('Temperature', 'jsonschema', b'{}')
+        channel = writer.register_channel('/temperature', 'json', schema)
+        writer.add_message(channel, 1, b'{}', 1)
+        writer.finish()
+    with pytest.raises(LogError, match=r"topic /temperature is 'json'.* must be 'cdr'"):
+        list(read_log(path))
+    assert list(read_log(path, ['nav_msgs/msg/Path'])) == []

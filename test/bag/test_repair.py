@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is intact of a log becomes a finished file."""
+
+from disk import room_for
+from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.mcap_file import read_mcap
+from kbnitp_ros.bag.metadata import BagFile, write_metadata
+from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
+from kbnitp_ros.bag.records import RecordedMessage
+from kbnitp_ros.bag.repair import repair
+from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.cli.replay import main
+from mission_log import record, record_to
+from other_readers import check_all_read
+import pytest
+
+
+@pytest.fixture
+def folder(whole_mission, tmp_path):
+    """Return a folder with a log in three parts, the second of which was never finished."""
+    folder = tmp_path / 'run'
+    folder.mkdir()
+    sent = whole_mission.sent
+    log = LogWriter(folder / 'mission.mcap', max_file_size=18_000)
+    log.add_metadata('run', {'seed': '7'})
+    record_to(log, sent[:30], synced=True)
+    unfinished = log.current_path.read_bytes()
+    log.close()
+    assert log.current_path.name == 'mission_1.mcap'
+    with LogWriter(folder, resume=True) as resumed:
+        resumed.add_metadata('run', {'seed': '8'})
+        record_to(resumed, sent[30:], synced=True)
+    log.current_path.write_bytes(unfinished)
+    return folder
+
+
+def content(*files):
+    """Return all that is said of the messages of some files, but where they stand."""
+    recorded = (each for file in files for each in read_mcap(file))
+    messages = [each for each in recorded if isinstance(each, RecordedMessage)]
+    return [
+        (each.channel.topic, each.channel.metadata, each.schema.name, each.schema.data, *each[2:6])
+        for each in messages
+    ]
+
+
+@pytest.mark.processes
+def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
+    target = tmp_path / 'repaired' / 'mission.mcap'
+    target.parent.mkdir()
+    repaired = repair(folder, target)
+    assert repaired.messages == len(whole_mission.sent)
+    assert repaired.lost == [f'{folder / "mission_1.mcap"} is unfinished']
+    assert is_finished(target)
+    assert content(target) == content(*parts_of(folder))
+    assert read_metadata(target)['run'] == {'seed': '8'}
+    check_all_read(target)
+
+
+def test_a_disk_that_has_no_room_is_left_without_the_file(folder, tmp_path):
+    target = tmp_path / 'repaired' / 'mission.mcap'
+    target.parent.mkdir()
+    with room_for(10_000), pytest.raises(OSError, match=f'File too large: {str(target)!r}'):
+        repair(folder, target)
+    assert list(target.parent.iterdir()) == []
+
+
+def test_a_disk_that_has_no_room_for_the_description_keeps_the_old_one(folder):
+    before = folder.joinpath('metadata.yaml').read_text()
+    names = sorted(folder.iterdir())
+    with room_for(100), pytest.raises(OSError, match=r'File too large: .*metadata\.yaml\.new'):
+        write_metadata(folder, [BagFile('mission.mcap')])
+    assert folder.joinpath('metadata.yaml').read_text() == before
+    assert sorted(folder.iterdir()) == names
+
+
+def test_the_command_repairs_and_replays(folder, whole_mission, tmp_path, capsys):
+    target = tmp_path / 'repaired.mcap'
+    assert main([str(folder), '--repair', str(target)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == [
+        f'{len(whole_mission.sent)} messages of {folder} are saved in {target}',
+        f'lost: {folder / "mission_1.mcap"} is unfinished',
+    ]
+    assert '/belief: 9 of 9 reproduced' in said
+    assert not any('the log is unfinished' in line for line in said)
+
+
+def test_an_existing_target_is_kept(folder, tmp_path, capsys):
+    target = tmp_path / 'repaired.mcap'
+    target.write_text('something else')
+    assert main([str(folder), '--repair', str(target)]) == 2
+    assert 'repaired.mcap' in capsys.readouterr().err
+    assert target.read_text() == 'something else'
+
+
+def test_a_log_that_is_named_by_its_folder_is_repaired_into_it(folder, whole_mission):
+    parts = content(*parts_of(folder))
+    assert repair(folder, folder / 'whole.mcap').messages == len(whole_mission.sent)
+    assert content(folder / 'whole.mcap') == parts
+
+
+def test_a_target_that_is_not_named_as_a_log_is_refused(folder, tmp_path, capsys):
+    assert main([str(folder), '--repair', str(tmp_path / 'x.db3')]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"replay: '{tmp_path / 'x.db3'}' is no name for a log: it must end in .mcap"
+    assert not (tmp_path / 'x.db3').exists()
+
+
+def test_a_target_that_would_become_a_part_is_refused(folder):
+    with pytest.raises(FileExistsError, match='would be taken for a part'):
+        repair(folder, folder / 'mission_3.mcap')
+
+
+def test_a_corrupt_chunk_costs_its_messages_only(whole_mission, tmp_path):
+    """Even the one that has the definitions: they are in the file once more."""
+    sent = whole_mission.sent
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        record_to(log, sent, synced=True)
+    corrupt = bytearray(path.read_bytes())
+    for lost in (0, 20):
+        corrupt[corrupt.index(sent[lost].data) + 20] ^= 1
+    path.write_bytes(corrupt)
+    with pytest.raises(LogError, match='is corrupt near byte .*replay --repair'):
+        list(read_log(path))
+    target = tmp_path / 'repaired.mcap'
+    repaired = repair(path, target)
+    left = [each for number, each in enumerate(sent) if number not in (0, 20)]
+    assert repaired.messages == len(left)
+    assert [each.data for each in read_log(target)] == [each.data for each in left]
+    assert is_finished(target)
+    assert len(repaired.lost) == 2
+    assert all(loss.startswith(f'{path} is corrupt near byte') for loss in repaired.lost)
+
+
+@pytest.mark.parametrize('cut', [0, 5, 8, 100])
+def test_nothing_is_made_of_nothing(whole_mission, tmp_path, cut, capsys):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    path.write_bytes(path.read_bytes()[:cut])
+    assert main([str(path), '--repair', str(tmp_path / 'repaired.mcap')]) == 2
+    assert 'mission.mcap has no message that could be saved' in capsys.readouterr().err
+    assert not (tmp_path / 'repaired.mcap').exists()

@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the writer promises of the file, as far as its own project can tell."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from disk import room_for
+from kbnitp_ros.bag.file_writer import MESSAGE_HEAD
+from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.mcap_file import read_mcap
+from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata, read_recorded
+from kbnitp_ros.bag.records import LARGEST_MESSAGE, RecordedMessage
+from kbnitp_ros.bag.writer import LogWriter
+from mcap.reader import make_reader
+from mission_log import QOS, record, record_to
+from nav_msgs.msg import OccupancyGrid
+import numpy as np
+import pytest
+import rclpy.serialization
+
+TOPIC = '/belief/hazard'
+TYPE = 'nav_msgs/msg/OccupancyGrid'
+
+EMPTY_MAP = rclpy.serialization.serialize_message(OccupancyGrid())
+
+
+def test_an_existing_file_is_refused_and_kept(tmp_path, whole_mission):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    content = path.read_bytes()
+    with pytest.raises(FileExistsError, match='mission.mcap'):
+        LogWriter(path)
+    assert path.read_bytes() == content
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match='nowhere'):
+        LogWriter(tmp_path / 'nowhere' / 'mission.mcap')
+
+
+@pytest.mark.parametrize('name', ['mission', 'mission.db3', 'mission.mcap.1'])
+def test_a_name_that_does_not_end_as_that_of_a_log_is_refused(tmp_path, name):
+    with pytest.raises(LogError, match=f"{name}' is no name for a log: it must end in .mcap"):
+        LogWriter(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        with pytest.raises(LookupError, match='no_such_msgs'):
+            log.add_topic('/other', 'no_such_msgs/msg/Path', '[]')
+        log.add_topic(TOPIC, TYPE, '[]')
+        log.write(TOPIC, EMPTY_MAP, 2, 1)
+    assert [each.topic for each in read_log(log.path)] == [TOPIC]
+
+
+def test_what_is_synced_can_be_read_by_others(tmp_path, whole_mission):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        for count in (0, 1, 5, 0):
+            before = len(list(read_log(log.path)))
+            record_to(log, whole_mission.sent[:count])
+            log.sync()
+            assert len(list(read_log(log.path))) == before + count
+            assert not is_finished(log.path)
+    assert is_finished(log.path)
+    assert len(list(read_log(log.path))) == 6
+
+
+def test_a_sync_reaches_the_disk(tmp_path, whole_mission, monkeypatch):
+    """Everything is in the file when the system is asked to put it onto the disk."""
+    synced = []
+
+    def keep(descriptor):
+        target = Path(f'/proc/self/fd/{descriptor}').readlink()
+        synced.append((target, target.stat().st_size))
+
+    for name in ('fsync', 'fdatasync'):
+        monkeypatch.setattr(os, name, keep)
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        assert [target for target, _ in synced] == [path, tmp_path]
+        record_to(log, whole_mission.sent[:3])
+        assert len(synced) == 2
+        log.sync()
+        assert synced[-1] == (path, path.stat().st_size)
+        assert synced[-1][1] > synced[0][1]
+    assert (path, path.stat().st_size) in synced
+
+
+WRITE_UNTIL_KILLED = """
+import sys
+from mission_log import mission, record_to
+from kbnitp_ros.bag import LogWriter
+
+sent = mission(robots=3).sent
+log = LogWriter(sys.argv[1])
+written = 0
+while True:
+    for each in sent:
+        if written < len(sent):
+            record_to(log, [each])
+        else:
+            log.write(each.topic, each.data, each.time, each.time)
+        log.sync()
+        written += 1
+        print(written, flush=True)
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('count', [1, 17, 200])
+def test_a_kill_loses_nothing_that_was_synced(tmp_path, count):
+    path = tmp_path / 'mission.mcap'
+    writer = subprocess.Popen(
+        [sys.executable, '-c', WRITE_UNTIL_KILLED, path],
+        cwd=Path(__file__).parents[1] / 'log',
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    for line in writer.stdout:
+        if int(line) >= count:
+            break
+    writer.send_signal(signal.SIGKILL)
+    told = count + sum(1 for _ in writer.stdout)
+    assert writer.wait() == -signal.SIGKILL
+    assert not is_finished(path)
+    assert len(list(read_log(path))) in (told, told + 1)
+
+
+def test_the_file_is_finished_after_an_error(tmp_path):
+    log = LogWriter(tmp_path / 'mission.mcap')
+
+    def node():
+        with log:
+            log.add_topic(TOPIC, TYPE, '[]')
+            log.write(TOPIC, EMPTY_MAP, 2, 1)
+            raise RuntimeError('of the node')
+
+    with pytest.raises(RuntimeError, match='of the node'):
+        node()
+    assert is_finished(log.path)
+    assert len(list(read_log(log.path))) == 1
+
+
+def test_a_log_without_messages_is_one(tmp_path):
+    path = record(tmp_path / 'mission.mcap', [])
+    assert is_finished(path)
+    assert list(read_log(path)) == []
+
+
+def test_a_message_larger_than_a_chunk_is_written(tmp_path):
+    message = OccupancyGrid(data=[7] * 3_000_000)
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        log.write(TOPIC, EMPTY_MAP, 1, 1)
+        log.write(TOPIC, rclpy.serialization.serialize_message(message), 2, 2)
+        log.write(TOPIC, EMPTY_MAP, 3, 3)
+    assert [len(each.message.data) for each in read_log(log.path)] == [0, 3_000_000, 0]
+
+
+def test_a_topic_may_be_added_again_with_other_qos(tmp_path):
+    """A publisher was restarted."""
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        for time in (1, 2):
+            log.add_topic(TOPIC, TYPE, f'[{{depth: {time}}}]')
+            log.write(TOPIC, EMPTY_MAP, time, time)
+    with log.path.open('rb') as file:
+        channels = make_reader(file).get_summary().channels.values()
+    assert [channel.metadata['offered_qos_profiles'] for channel in channels] == [
+        '[{depth: 1}]',
+        '[{depth: 2}]',
+    ]
+    assert [each.log_time for each in read_log(log.path)] == [1, 2]
+
+
+def test_a_topic_added_again_as_it_was_is_one_channel(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        for time in (1, 2):
+            log.add_topic(TOPIC, TYPE, '[]')
+            log.write(TOPIC, EMPTY_MAP, time, time)
+    with log.path.open('rb') as file:
+        reader = make_reader(file)
+        assert len(reader.get_summary().channels) == 1
+        assert [message.sequence for _, _, message in reader.iter_messages()] == [1, 2]
+
+
+def test_a_time_that_a_file_cannot_hold_loses_no_message(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        log.write(TOPIC, EMPTY_MAP, 5, -1)
+    assert [(each.log_time, each.publish_time) for each in read_log(log.path)] == [(5, 0)]
+
+
+def test_how_the_run_was_configured_is_kept(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_metadata('configuration', {'seed': '7', 'planner': 'beam'})
+    with log.path.open('rb') as file:
+        records = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert records['configuration'] == {'seed': '7', 'planner': 'beam'}
+
+
+def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent, QOS)
+    with path.open('rb') as file:
+        header = make_reader(file).get_header()
+    assert header.profile == 'ros2'
+    assert header.library.startswith('kbnitp_ros')
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+@pytest.mark.parametrize('limit', [{'max_file_size': 4_000}, {'max_file_duration': 20e-6}])
+def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compression):
+    sent = whole_mission.sent
+    with LogWriter(tmp_path / 'mission.mcap', compression=compression, **limit) as log:
+        log.add_metadata('run', {'seed': '7'})
+        record_to(log, sent, synced=True)
+        last = log.current_path
+    parts = parts_of(log.path)
+    assert [part.name for part in parts[:2]] == ['mission.mcap', 'mission_1.mcap']
+    assert parts[-1] == last
+    assert parts_of(tmp_path) == parts
+    read = list(read_log(log.path))
+    assert [each.data for each in read] == [each.data for each in sent]
+    assert is_finished(log.path)
+    for part in parts:
+        alone = [each for each in read_mcap(part) if isinstance(each, RecordedMessage)]
+        if 'max_file_duration' in limit:
+            assert alone[-1].log_time - alone[0].log_time < 20_000
+        elif compression == 'none':
+            assert sum(len(each.data) for each in alone) < 25_000
+    for part in parts[1:]:
+        assert list(read_log(part))
+        assert read_metadata(part)['run'] == {'seed': '7'}
+
+
+def test_a_limit_smaller_than_a_message_gives_each_its_file(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap', max_file_size=1) as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        for time in (1, 2, 3):
+            log.write(TOPIC, EMPTY_MAP, time, time)
+    assert len(parts_of(log.path)) == 3
+    assert [each.log_time for each in read_log(log.path)] == [1, 2, 3]
+
+
+def test_what_a_file_begins_with_does_not_count(tmp_path):
+    """Types that take more than the limit give no message a file of its own."""
+    with LogWriter(tmp_path / 'mission.mcap', max_file_size=4000) as log:
+        log.add_metadata('run', {'parameters': 'x' * 100_000})
+        log.add_topic(TOPIC, TYPE, '[]')
+        for time in range(1, 400):
+            log.write(TOPIC, EMPTY_MAP, time, time)
+    assert 1 < len(parts_of(log.path)) <= 399 * (len(EMPTY_MAP) + MESSAGE_HEAD) // 4000 + 1
+    assert len(list(read_log(log.path))) == 399
+
+
+def test_a_message_too_large_to_be_read_again_is_refused(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap') as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        with pytest.raises(ValueError, match=f'at most {LARGEST_MESSAGE} are written'):
+            log.write(TOPIC, bytes(LARGEST_MESSAGE + 1), 1, 1)
+        log.write(TOPIC, EMPTY_MAP, 2, 2)
+    assert [each.log_time for each in read_log(log.path)] == [2]
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_the_largest_message_is_read_again(tmp_path, compression):
+    noise = np.random.default_rng(1).bytes(LARGEST_MESSAGE)
+    with LogWriter(tmp_path / 'mission.mcap', compression=compression) as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        log.write(TOPIC, bytes(2**20 - 100), 1, 1)
+        log.write(TOPIC, noise, 2, 2)
+    assert [each.data for each in read_recorded(log.path) if isinstance(each, RecordedMessage)][
+        1
+    ] == noise
+
+
+@pytest.mark.parametrize('share', [0.0, 0.3, 0.8, 1.0])
+def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
+    """What was written before is kept as it was, wherever the writer was killed."""
+    path = tmp_path / 'mission.mcap'
+    half = len(whole_mission.sent) // 2
+    with LogWriter(path) as log:
+        log.add_metadata('run', {'seed': '7'})
+        record_to(log, whole_mission.sent[:half], synced=True)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    before = [each for each in read_recorded(path) if isinstance(each, RecordedMessage)]
+    with LogWriter(tmp_path if share else path, resume=True) as log:
+        assert log.path == path
+        assert log.current_path == tmp_path / 'mission_1.mcap'
+        record_to(log, whole_mission.sent[half:])
+    assert is_finished(path)
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        'metadata.yaml',
+        'mission.mcap',
+        'mission_1.mcap',
+    ]
+    after = [each for each in read_recorded(path) if isinstance(each, RecordedMessage)]
+    told = [(each.channel.topic, each.sequence, each.log_time, each.data) for each in after]
+    assert told[: len(before)] == [
+        (each.channel.topic, each.sequence, each.log_time, each.data) for each in before
+    ]
+    gone_on_with = [each.data for each in after]
+    del gone_on_with[: len(before)]
+    assert gone_on_with == [each.data for each in whole_mission.sent[half:]]
+    if share == 1.0:
+        assert read_metadata(path)['run'] == {'seed': '7'}
+
+
+def test_a_corrupt_log_is_not_gone_on_with(tmp_path, whole_mission):
+    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
+    (tmp_path / 'metadata.yaml').unlink()
+    content = bytearray(path.read_bytes()[:-1])
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r'is corrupt near byte .* replay --repair'):
+        LogWriter(path, resume=True)
+    assert path.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_log_cannot_be_gone_on_with(tmp_path):
+    with pytest.raises(LogError, match='holds no log'):
+        LogWriter(tmp_path, resume=True)
+    with pytest.raises(LogError, match='cannot be gone on with: No such file'):
+        LogWriter(tmp_path / 'mission.mcap', resume=True)
+
+
+def test_a_part_is_no_log_to_go_on_with(tmp_path):
+    with LogWriter(tmp_path / 'mission.mcap', max_file_size=1) as log:
+        log.add_topic(TOPIC, TYPE, '[]')
+        for time in (1, 2):
+            log.write(TOPIC, EMPTY_MAP, time, time)
+    with pytest.raises(LogError, match='mission_1.mcap is a part of the log beside it'):
+        LogWriter(log.current_path, resume=True)
+
+
+@pytest.mark.parametrize('names', [('run.mcap', 'run_1.mcap'), ('run_1.mcap', 'run.mcap')])
+def test_a_name_that_makes_it_a_part_of_another_log_is_refused(tmp_path, names):
+    first, second = names
+    record(tmp_path / first, [])
+    with pytest.raises(FileExistsError, match=r'run_1.mcap would be taken for a part'):
+        LogWriter(tmp_path / second)
+
+
+def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission):
+    record(tmp_path / 'first.mcap', whole_mission.sent[:3])
+    described = (tmp_path / 'metadata.yaml').read_text()
+    with LogWriter(tmp_path / 'second.mcap') as log:
+        assert log.shares_folder
+    assert (tmp_path / 'metadata.yaml').read_text() == described
+    with LogWriter(tmp_path / 'first.mcap', resume=True) as log:
+        assert not log.shares_folder
+    assert (tmp_path / 'metadata.yaml').read_text() != described
+
+
+def test_an_unknown_compression_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="'lz5': it must be none or zstd"):
+        LogWriter(tmp_path / 'mission.mcap', compression='lz5')
+
+
+@pytest.mark.parametrize('compression, room', [('none', 30_000), ('zstd', 10_000)])
+@pytest.mark.parametrize('batch', [1, 7])
+def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, compression, room):
+    path = tmp_path / 'mission.mcap'
+    log = LogWriter(path, compression=compression)
+    synced = 0
+
+    def fill_the_disk():
+        nonlocal synced
+        for start in range(0, len(whole_mission.sent), batch):
+            end = start + batch
+            record_to(log, whole_mission.sent[start:end])
+            log.sync()
+            synced = end
+
+    with room_for(room):
+        with pytest.raises(OSError, match=f'File too large: {str(path)!r}'):
+            fill_the_disk()
+        left = path.read_bytes()
+        log.close()
+    assert path.read_bytes() == left
+    with pytest.raises(ValueError, match=r'mission.mcap is closed'):
+        log.sync()
+    read = [each.data for each in read_log(path)]
+    assert read == [each.data for each in whole_mission.sent[:synced]]
+    assert synced
+    assert not is_finished(path)
+    with LogWriter(path, resume=True) as log:
+        record_to(log, whole_mission.sent[synced:])
+    assert [each.data for each in read_log(path)] == [each.data for each in whole_mission.sent]
+
+
+def test_a_disk_that_has_no_room_for_the_start_of_a_file_is_left_without_it(tmp_path):
+    log = tmp_path / 'mission.mcap'
+    with room_for(10), pytest.raises(OSError, match=f'File too large: {str(log)!r}'):
+        LogWriter(log)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(tmp_path, whole_mission):
+    log = LogWriter(tmp_path / 'mission.mcap')
+    record_to(log, whole_mission.sent, synced=True)
+    with room_for(log.path.stat().st_size + 10):
+        with pytest.raises(OSError, match=f'File too large: {str(log.path)!r}'):
+            log.close()
+        log.close()
+    assert [each.data for each in read_log(log.path)] == [each.data for each in whole_mission.sent]
+    assert not is_finished(log.path)
+
+
+def test_a_folder_that_vanishes_stops_the_log_at_the_next_file(tmp_path, whole_mission):
+    folder = tmp_path / 'runs'
+    folder.mkdir()
+    log = LogWriter(folder / 'mission.mcap', max_file_size=40_000)
+    record_to(log, whole_mission.sent[:5], synced=True)
+    folder.rename(tmp_path / 'moved')
+    with pytest.raises(FileNotFoundError):
+        record_to(log, whole_mission.sent[5:], synced=True)
+    log.close()
+    read = [each.data for each in read_log(tmp_path / 'moved' / 'mission.mcap')]
+    assert read == [each.data for each in whole_mission.sent[: len(read)]]
+    assert len(read) > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_corruption_anywhere_is_noticed_before_a_log_is_gone_on_with(
+    whole_mission, compression, tmp_path
+):
+    """Wherever it is, in what was finished: in chunks, between them or in the summary."""
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path, compression=compression) as log:
+        log.add_metadata('run', {'seed': '7'})
+        record_to(log, whole_mission.sent[:6])
+        log.sync()
+        record_to(log, whole_mission.sent[6:9])
+    content = path.read_bytes()
+    for at in [*range(0, len(content), 97), *range(len(content) - 40, len(content))]:
+        flipped, after = bytes([content[at] ^ 0x10]), at + 1
+        path.write_bytes(content[:at] + flipped + content[after:])
+        with pytest.raises(LogError, match=r'is corrupt near byte|is no MCAP file'):
+            LogWriter(path, resume=True)
+        assert [file.name for file in sorted(tmp_path.iterdir())] == [
+            'metadata.yaml',
+            'mission.mcap',
+        ]
+    path.write_bytes(content)
+    LogWriter(path, resume=True).close()
+
+
+def test_a_corrupt_later_part_is_not_gone_on_with(whole_mission, tmp_path):
+    path = tmp_path / 'mission.mcap'
+    record(path, whole_mission.sent[:6])
+    with LogWriter(path, resume=True) as log:
+        record_to(log, whole_mission.sent[6:9])
+    part = tmp_path / 'mission_1.mcap'
+    content = bytearray(part.read_bytes())
+    content[len(content) // 3] ^= 1
+    part.write_bytes(content)
+    with pytest.raises(LogError, match=r'mission_1\.mcap is corrupt near byte'):
+        LogWriter(path, resume=True)

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The belief after one deployment, against enumeration and against the paper's equations."""
+
+import brute_force
+from kbnitp_ros.core import Belief, Estimator, METHODS, Observation, SensorModel, update
+from kbnitp_ros.core.inference.filtering.one_pass import OnePass
+from known_methods import LEARN_FROM_LOSSES
+from laws import for_each
+import numpy as np
+import pytest
+
+CASES = range(400)
+ONE_PASS = [name for name, each in METHODS.items() if isinstance(each, OnePass)]
+
+
+def deployments(seed, most_cells, most_steps):
+    """Draw a belief, a model and a return, or every second time a loss if one is possible."""
+    rng = np.random.default_rng(seed)
+    joint, sensors, path = brute_force.random_case(rng, most_cells, most_steps)
+    model = SensorModel(**sensors)
+    readings = rng.random(len(path) - 1) < 0.5
+    can_be_lost = brute_force.evidence_probability(joint, model, path, None) > 0
+    if seed % 2 and can_be_lost:
+        return joint, model, Observation(path, False)
+    return joint, model, Observation(path, True, readings)
+
+
+@for_each('seed', CASES)
+def test_exact_update_is_the_enumeration_of_all_states(seed):
+    joint, model, observation = deployments(seed, most_cells=6, most_steps=10)
+    expected = brute_force.posterior(
+        joint, model, (observation.path.tolist(), observation.readings)
+    )
+    after = update(Belief(joint), model, observation)
+    np.testing.assert_allclose(after.joint, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize('method', ONE_PASS)
+@for_each('seed', range(40))
+def test_cells_off_the_path_keep_their_bits(seed, method):
+    joint, model, observation = deployments(seed, most_cells=4, most_steps=6)
+    after = update(Belief(joint), model, observation, method)
+    elsewhere = np.setdiff1d(np.arange(len(joint)), observation.path)
+    assert after.joint[elsewhere].tobytes() == joint[elsewhere].tobytes()
+
+
+def test_the_cases_cover_what_they_claim():
+    drawn = [deployments(seed, 6, 10) for seed in CASES]
+    paths = [observation.path for _, _, observation in drawn]
+    steps = [path[1:] for path in paths]
+    losses = sum(not observation.survived for _, _, observation in drawn)
+    assert 100 < losses < 300
+    assert sum(len(set(step)) < len(step) for step in steps) > 100  # repeated cells
+    assert sum((np.diff(path) == 0).any() for path in paths) > 100  # stays
+    assert sum(len(set(path)) >= 5 for path in paths) > 20
+    for value in (0.01, 1.0):
+        assert sum(model.lethality == value for _, model, _ in drawn) > 50
+    assert sum(model.malfunction == 0 for _, model, _ in drawn) > 50
+
+
+@for_each('seed', CASES)
+def test_published_update_is_the_paper_equations_summed_out(seed):
+    joint, model, observation = deployments(seed, most_cells=6, most_steps=7)
+    path = observation.path.tolist()
+    if observation.survived:
+        expected = brute_force.published_return(joint, model, path, observation.readings)
+    else:
+        expected = brute_force.published_loss(joint, model, path)
+    after = update(Belief(joint), model, observation, 'kappa_bnitp_published')
+    for cell, (hazard, target, kappa) in expected.items():
+        assert after.hazard[cell] == pytest.approx(hazard, abs=1e-12)
+        assert after.target[cell] == pytest.approx(target, abs=1e-12)
+        if hazard > 1e-12:  # kappa of a cell without hazard cannot be told
+            assert after.kappa[cell] == pytest.approx(kappa, abs=1e-12 + 1e-15 / hazard)
+
+
+def test_published_loss_by_hand():
+    """Path base, a, base: the two losses e_1, e_2, cell a's own marginal entering twice."""
+    model = SensorModel(lethality=0.5, malfunction=0.1, false_negative=0.0)
+    belief = Belief.from_maps([0.0, 0.4], [0.3, 0.5], [0.3, 0.8])
+    d0, d1 = 0.1, 0.55  # P(destroyed | Z)
+    d = 0.6 * d0 + 0.4 * d1  # of cell a; of the base: d0
+    w1, w2 = d, (1 - d) * d0
+    p1 = 0.4 * (w1 * d1 + w2 * (1 - d1))
+    p0 = 0.6 * (w1 * d0 + w2 * (1 - d0))
+    after = update(belief, model, Observation([0, 1, 0], False), 'kappa_bnitp_published')
+    assert after.hazard[1] == pytest.approx(p1 / (p0 + p1), abs=1e-14)
+    assert after.kappa[1] == pytest.approx(0.8, abs=1e-14)
+    assert after.hazard[0] == 0
+
+
+def test_published_loss_of_a_repeated_cell_by_hand():
+    """Path base, a, a, base: each of a's two instances is a term of its sum."""
+    model = SensorModel(lethality=0.5, malfunction=0.1, false_negative=0.0)
+    belief = Belief.from_maps([0.0, 0.4], [0.3, 0.5], [0.3, 0.8])
+    d0, d1 = 0.1, 0.55
+    d = 0.6 * d0 + 0.4 * d1
+    w = [d, (1 - d) * d, (1 - d) ** 2 * d0]
+    first = [w[0] * p + (w[1] + w[2]) * (1 - p) for p in (d0, d1)]
+    second = [w[1] * p + (w[0] + w[2]) * (1 - p) for p in (d0, d1)]
+    p0, p1 = 0.6 * (first[0] + second[0]), 0.4 * (first[1] + second[1])
+    after = update(belief, model, Observation([0, 1, 1, 0], False), 'kappa_bnitp_published')
+    assert after.hazard[1] == pytest.approx(p1 / (p0 + p1), abs=1e-14)
+
+
+def test_published_loss_differs_from_the_exact_one():
+    belief = Belief.from_maps([0.0, 0.4, 0.4], [0.5] * 3, [0.5] * 3)
+    lost = Observation([0, 1, 2, 0], False)
+    exact, published = (
+        update(belief, SensorModel(0.5), lost, method)
+        for method in ('kappa_bnitp', 'kappa_bnitp_published')
+    )
+    assert abs(exact.hazard - published.hazard).max() > 0.01
+
+
+def without_kappa(joint):
+    """Hazard and target as they are, kappa := target."""
+    hazard, target = joint.sum(axis=2), joint.sum(axis=1)
+    return hazard[:, :, None] * target[:, None, :]
+
+
+@pytest.mark.parametrize('method', ['kappa_bnitp', 'relaxed_itp'])
+@for_each('seed', range(100))
+def test_multi_universe_averaging_gives_the_exact_hazard(seed, method):
+    joint, model, observation = deployments(2 * seed + 1, most_cells=6, most_steps=10)
+    after = update(Belief(joint), model, observation, method)
+    if not observation.survived:
+        hazard = joint[:, 1].sum(axis=1)
+        expected = brute_force.multi_universe_hazard(hazard, model, observation.path)
+        np.testing.assert_allclose(after.hazard, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    'relaxed, correlated',
+    [
+        ('relaxed_itp', 'kappa_bnitp'),
+        ('relaxed_bnitp', 'kappa_bnitp_published'),
+    ],
+)
+@pytest.mark.parametrize('seed', range(60))
+def test_methods_without_kappa_start_from_kappa_equal_to_target(seed, relaxed, correlated):
+    joint, model, observation = deployments(seed, most_cells=6, most_steps=10)
+    estimator = Estimator(Belief(joint), model, relaxed)
+    np.testing.assert_allclose(estimator.belief.joint, without_kappa(joint), rtol=0, atol=1e-15)
+    estimator.assimilate(observation)
+    expected = update(Belief(without_kappa(joint)), model, observation, correlated)
+    np.testing.assert_allclose(estimator.belief.joint, expected.joint, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        estimator.belief.joint, without_kappa(estimator.belief.joint), rtol=0, atol=1e-12
+    )
+
+
+@for_each('seed', range(60))
+def test_the_belief_expected_after_a_deployment_is_the_belief_before(seed):
+    joint, model, observation = deployments(seed, most_cells=4, most_steps=4)
+    path, steps = observation.path, len(observation.path) - 1
+    outcomes = [None] + [[bool(bits >> k & 1) for k in range(steps)] for bits in range(2**steps)]
+    expected = 0.0
+    for readings in outcomes:
+        weight = brute_force.evidence_probability(joint, model, path.tolist(), readings)
+        if weight > 0:
+            outcome = Observation(path, readings is not None, readings)
+            expected = expected + weight * update(Belief(joint), model, outcome).joint
+    np.testing.assert_allclose(expected, joint, rtol=0, atol=1e-12)
+
+
+@for_each('hazard', [1e-3, 1e-6, 1e-9, 1e-12])
+def test_rare_hazards_of_a_perfect_robot_are_told_apart(hazard):
+    """Two cells can have destroyed it, each as likely; nothing is lost to 1 - (1 - tiny)."""
+    belief = Belief.from_maps([0.0, hazard, 2 * hazard], [0.5] * 3, [0.5] * 3)
+    model = SensorModel(0.9, malfunction=0.0)
+    after = update(belief, model, Observation([0, 1, 2, 0], False))
+    expected = brute_force.posterior(belief.joint, model, ([0, 1, 2, 0], None))
+    np.testing.assert_allclose(after.hazard, expected[:, 1].sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(after.hazard, [0, 1 / 3, 2 / 3], atol=2 * hazard)
+
+
+def test_long_paths_neither_underflow_nor_overflow():
+    rng = np.random.default_rng(0)
+    belief = Belief(brute_force.random_joint(rng, 9, 4))
+    path = brute_force.random_path(rng, 3, 3, 4, 5000)
+    model = SensorModel(0.5)
+    for observation in (Observation(path, False), Observation(path, True, rng.random(5000) < 0.5)):
+        for method in ONE_PASS:
+            after = update(belief, model, observation, method).joint
+            np.testing.assert_allclose(after.sum(axis=(1, 2)), 1, atol=1e-12)
+
+
+IMPOSSIBLE_LOSSES = [
+    # no malfunction and no hazard anywhere: nothing can have destroyed the robot
+    ({'malfunction': 0.0}, [0.0, 0.0], Observation([0, 1, 0], False)),
+    # a hazard that harms nothing
+    ({'malfunction': 0.0, 'lethality': 0.0}, [0.0, 0.5], Observation([0, 1, 0], False)),
+]
+IMPOSSIBLE_RETURNS = [
+    # a robot that never survives a step
+    ({'malfunction': 1.0}, [0.0, 0.5], Observation([0, 1, 0], True, [True, True])),
+    # a certain, always deadly hazard
+    (
+        {'false_negative': 0.0, 'lethality': 1.0},
+        [0.0, 1.0],
+        Observation([0, 1, 0], True, [True, True]),
+    ),
+    # a sensor that never errs, contradicting itself
+    (
+        {'true_positive': 1.0, 'false_positive': 0.0},
+        [0.0, 0.5],
+        Observation([0, 1, 1, 0], True, [True, False, True]),
+    ),
+]
+
+
+@pytest.mark.parametrize('method', METHODS)
+@for_each('sensors, hazard, observation', IMPOSSIBLE_RETURNS)
+def test_an_impossible_return_is_refused_and_changes_nothing(sensors, hazard, observation, method):
+    assert_is_refused_and_changes_nothing(sensors, hazard, observation, method)
+
+
+@pytest.mark.parametrize('method', LEARN_FROM_LOSSES)
+@for_each('sensors, hazard, observation', IMPOSSIBLE_LOSSES)
+def test_an_impossible_loss_is_refused_and_changes_nothing(sensors, hazard, observation, method):
+    assert_is_refused_and_changes_nothing(sensors, hazard, observation, method)
+
+
+def assert_is_refused_and_changes_nothing(sensors, hazard, observation, method):
+    model = SensorModel(**{'lethality': 0.5, **sensors})
+    belief = Belief.from_maps(hazard, [0.5, 0.5], [0.5, 0.5])
+    before = belief.joint.tobytes()
+    if method in ONE_PASS:
+        with pytest.raises(ValueError, match='impossible'):
+            update(belief, model, observation, method)
+    estimator = Estimator(belief, model, method)
+    with pytest.raises(ValueError, match='impossible'):
+        estimator.assimilate(observation)
+    assert estimator.belief.joint.tobytes() == belief.joint.tobytes() == before
+
+
+def test_a_path_outside_the_belief_is_refused():
+    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
+    with pytest.raises(ValueError, match='path.*7.*0 to 1'):
+        update(belief, SensorModel(0.5), Observation([0, 7, 0], False))
+
+
+def test_an_unknown_method_is_refused_with_the_known_ones():
+    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
+    everyone = '(?=.*' + ')(?=.*'.join(METHODS) + ')'
+    with pytest.raises(ValueError, match=f'method.*kappa_magic{everyone}'):
+        update(belief, SensorModel(0.5), Observation([0, 1, 0], False), 'kappa_magic')
+    with pytest.raises(ValueError, match=f'method.*kappa_magic{everyone}'):
+        Estimator(belief, SensorModel(0.5), 'kappa_magic')
+
+
+@pytest.mark.parametrize('method', ONE_PASS)
+def test_the_estimator_folds_update(method):
+    rng = np.random.default_rng(3)
+    estimator = Estimator(Belief(brute_force.random_joint(rng, 9, 4)), SensorModel(0.5), method)
+    belief = estimator.belief
+    for k in range(10):
+        path = brute_force.random_path(rng, 3, 3, 4, 6)
+        readings = rng.random(6) < 0.5 if k % 2 else None
+        observation = Observation(path, readings is not None, readings)
+        belief = update(belief, SensorModel(0.5), observation, method)
+        estimator.assimilate(observation)
+        assert estimator.belief.joint.tobytes() == belief.joint.tobytes()
+
+
+def test_update_leaves_its_arguments_alone():
+    joint, model, observation = deployments(1, 6, 8)
+    belief = Belief(joint)
+    update(belief, model, observation)
+    assert belief.joint.tobytes() == joint.tobytes()

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots of several types: each deployment is taken in with the sensor model of its own robot."""
+
+import brute_force
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    METHODS,
+    Observation,
+    ORDINARY,
+    RobotType,
+    SensorModel,
+    Unknowns,
+    update,
+)
+from laws import for_each
+import numpy as np
+import pytest
+
+BLIND = RobotType(lethality=0.9, true_positive=0.5, false_positive=0.5, malfunction=0.2)
+KEEN = RobotType(true_positive=0.99, false_positive=0.01)
+
+
+def random_robot_type(rng):
+    """Draw which numbers of the sensor model a robot type has of its own, and what they are."""
+    own = {name: p for name, p in brute_force.random_sensors(rng).items() if rng.random() < 0.6}
+    return RobotType(**own)
+
+
+def random_robots(seed, robots, most_steps=6, independent=False):
+    """
+    Draw a belief of four cells, a model, and the types and outcomes of robots that met one world.
+
+    Returns
+    -------
+    tuple
+        The joint, the model, and of each robot its type, path, readings and steps survived.
+
+    """
+    rng = np.random.default_rng(seed)
+    joint = brute_force.random_joint(rng, 4, 0)
+    if independent:
+        joint = Belief(joint).independent().joint
+    model = SensorModel(**brute_force.random_sensors(rng))
+    world = np.array([rng.choice(4, p=cell.ravel()) for cell in joint])
+    seen = []
+    for _ in range(robots):
+        robot_type = random_robot_type(rng)
+        own = robot_type.model(model)
+        path = brute_force.random_path(rng, 2, 2, 0, int(rng.integers(1, most_steps)))
+        survive, detect = brute_force.step_survival(own), brute_force.detection(own)
+        alive = [rng.random() < survive[world[cell] // 2] for cell in path[1:]]
+        readings, known = None, 0
+        if all(alive):
+            readings = [
+                -1 if rng.random() < 0.2 else int(rng.random() < detect[world[cell] % 2])
+                for cell in path[1:]
+            ]
+        else:
+            known = int(rng.integers(alive.index(False) + 1))
+        seen.append((robot_type, path, readings, known))
+    return joint, model, seen
+
+
+def assimilated(joint, model, seen, method, **options):
+    """Return an estimator that took in what robots of several types met."""
+    estimator = Estimator(Belief(joint), model, method, **options)
+    for robot_type, path, readings, known in seen:
+        estimator.assimilate(Observation(path, readings is not None, readings, known), robot_type)
+    return estimator
+
+
+def enumerated(joint, model, seen):
+    """Return the posterior by enumeration of all states, each robot with its own model."""
+    cells, states, weight = brute_force.enumerate_states(joint, range(len(joint)))
+    for robot_type, path, *outcome in seen:
+        weight = weight * brute_force.evidence_likelihood(
+            robot_type.model(model), cells, states, path, *outcome
+        )
+    weight /= weight.sum()
+    after = np.zeros_like(joint)
+    for state, share in zip(states, weight):
+        after[range(len(joint)), state[:, 0], state[:, 1]] += share
+    return after
+
+
+@pytest.mark.parametrize('method', METHODS)
+@for_each('seed', range(5))
+def test_a_robot_type_is_its_model(seed, method):
+    """A mission of one type is, bit for bit, that of robots all like it."""
+    joint, model, seen = random_robots(seed, 6)
+    robot_type = random_robot_type(np.random.default_rng(seed))
+    of_type = assimilated(joint, model, [(robot_type, *each) for _, *each in seen], method)
+    alike = [(ORDINARY, *each) for _, *each in seen]
+    assert (
+        of_type.belief.joint.tobytes()
+        == assimilated(joint, robot_type.model(model), alike, method).belief.joint.tobytes()
+    )
+
+
+@for_each('seed', range(300))
+def test_one_robot_of_a_type_is_assimilated_exactly(seed):
+    joint, model, seen = random_robots(seed, 1)
+    expected = enumerated(joint, model, seen)
+    for method in ('kappa_bnitp', 'kappa_bnitp_smoothed'):
+        found = assimilated(joint, model, seen, method).belief.joint
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    [(robot_type, path, readings, known)] = seen
+    observation = Observation(path, readings is not None, readings, known)
+    found = update(Belief(joint), robot_type.model(model), observation).joint
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+@for_each('seed', range(300))
+def test_robots_of_several_types_are_smoothed_exactly(seed):
+    """Of four cells the smoother fixes all that losses tie together."""
+    joint, model, seen = random_robots(seed, 6)
+    found = assimilated(joint, model, seen, 'kappa_bnitp_smoothed').belief.joint
+    np.testing.assert_allclose(found, enumerated(joint, model, seen), rtol=0, atol=1e-9)
+
+
+@for_each('seed', range(100))
+def test_multi_universe_averaging_knows_robot_types(seed):
+    joint, model, seen = random_robots(seed, 1, independent=True)
+    expected = enumerated(joint, model, seen)
+    found = assimilated(joint, model, seen, 'relaxed_itp').belief.hazard
+    np.testing.assert_allclose(found, expected[:, 1].sum(axis=1), rtol=1e-9, atol=1e-9)
+
+
+@for_each('seed', range(20))
+def test_robots_of_several_types_are_sampled_closely(seed):
+    joint, model, seen = random_robots(seed, 6)
+    exact = enumerated(joint, model, seen)
+    found = assimilated(joint, model, seen, 'kappa_bnitp_sampled').belief.joint
+    possible = exact > 0.0
+    apart = (exact[possible] * np.log(exact[possible] / found[possible])).sum()
+    assert apart < 5e-3
+    np.testing.assert_allclose(found, exact, rtol=0, atol=0.05)
+
+
+# What is learnt of robots that differ
+
+LETHALITIES = (np.arange(200) + 0.5) / 200
+
+
+@for_each('seed', range(6))
+def test_a_lethality_is_learnt_of_the_robots_that_share_it(seed):
+    """By enumeration: a robot with a lethality of its own tells of hazards, not of the number."""
+    rng = np.random.default_rng(seed)
+    joint, _, seen = random_robots(seed, 8)
+    own = [
+        RobotType(),
+        RobotType(lethality=0.2),
+        RobotType(false_negative=0.4),
+        RobotType(malfunction=0.15),
+    ]
+    seen = [(own[rng.integers(4)], *each) for _, *each in seen]
+    model = SensorModel(0.5)
+    sampled = assimilated(
+        joint, model, seen, 'kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))
+    )
+    cells, states, prior = brute_force.enumerate_states(joint, range(len(joint)))
+    weight = np.tile(prior, (LETHALITIES.size, 1))
+    for row, lethality in enumerate(LETHALITIES):
+        for robot_type, path, *outcome in seen:
+            weight[row] *= brute_force.evidence_likelihood(
+                robot_type.model(SensorModel(lethality)), cells, states, path, *outcome
+            )
+    weight /= weight.sum()
+    mean = (weight.sum(axis=1) * LETHALITIES).sum()
+    hazard = weight.sum(axis=0) @ states[:, :, 0]
+    assert sampled.parameters['lethality'].mean == pytest.approx(mean, abs=0.03)
+    assert sampled.model.lethality == pytest.approx(mean, abs=0.03)
+    np.testing.assert_allclose(sampled.belief.hazard, hazard, rtol=0, atol=0.05)
+
+
+@for_each('name', ['lethality', 'malfunction', 'true_positive', 'false_positive'])
+def test_nothing_is_learnt_of_robots_that_all_have_a_number_of_their_own(name):
+    joint, _, seen = random_robots(3, 8)
+    model, seen = SensorModel(0.5), [(RobotType(**{name: 0.4}), *each) for _, *each in seen]
+    unknowns = Unknowns(**{name: (0.0, 1.0)})
+    after = assimilated(joint, model, seen, 'kappa_bnitp_sampled', unknowns=unknowns)
+    assert after.parameters[name].mean == pytest.approx(0.5, abs=0.03)
+
+
+def test_equal_walks_of_different_kinds_are_no_copies_of_one_loss():
+    joint = Belief.from_maps([0.0, 0.4, 0.4], [0.5] * 3, [0.5] * 3).joint
+    seen = [(robot_type, [0, 1, 2, 0], None, 0) for robot_type in (BLIND, KEEN, BLIND)]
+    after = assimilated(joint, SensorModel(0.3), seen, 'kappa_bnitp_smoothed')
+    assert after._inference._losses.graph.copies.tolist() == [2, 1]
+    expected = enumerated(joint, SensorModel(0.3), seen)
+    np.testing.assert_allclose(after.belief.joint, expected, rtol=0, atol=1e-9)
+
+
+def test_what_one_kind_cannot_have_met_is_refused():
+    """A robot without malfunctions is lost to a hazard only; another may be lost anywhere."""
+    safe = Belief.from_maps([0.0, 0.0], [0.5, 0.5], [0.5, 0.5])
+    lost = Observation([0, 1, 0], False)
+    for method in METHODS:
+        estimator = Estimator(safe, SensorModel(0.5), method)
+        estimator.assimilate(lost)
+        before = estimator.belief.joint.tobytes()
+        with pytest.raises(ValueError, match='impossible'):
+            estimator.assimilate(lost, RobotType(malfunction=0.0))
+        assert estimator.belief.joint.tobytes() == before
+
+
+@for_each(
+    'own, message',
+    [
+        ({'lethality': 1.5}, 'lethality is 1.5.*probability'),
+        ({'false_positive': float('nan')}, 'false_positive is nan.*probability'),
+        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+        ({'max_steps': 2.5}, 'max_steps is 2.5.*whole'),
+        ({'loss_cost': -1.0}, 'loss_cost is -1.0.*at least 0'),
+    ],
+)
+def test_what_no_robot_type_can_have_is_refused(own, message):
+    with pytest.raises(ValueError, match=message):
+        RobotType(**own)

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bound beside a plan, against the value of every path and of many missions."""
+
+from functools import cache
+import os
+import subprocess
+import sys
+
+import brute_force
+from extent import FULL, some
+from kbnitp_ros.core import (
+    Belief,
+    Grid,
+    plan,
+    plan_team,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.core.planning.search.bound_maximum_kernels import parabola
+import numpy as np
+import pytest
+
+PER_CHUNK = 20
+CHUNKS = 250
+
+
+@cache
+def every_path(grid, most_steps, max_visits):
+    """Count the visits per cell of every path that a search may return, each result once."""
+    ends, closed = {(grid.base, (0,) * grid.cells)}, set()
+    for _ in range(most_steps):
+        ends = {
+            (int(cell), tuple(n + (each == cell) for each, n in enumerate(visits)))
+            for end, visits in ends
+            for cell in grid.neighbors(end)
+            if visits[cell] < max_visits
+        }
+        closed |= {visits for end, visits in ends if end == grid.base}
+    return np.array(sorted(closed))
+
+
+GRIDS = [
+    (Grid(3, 3, base=0), 6, 2),
+    (Grid(3, 3, base=4), 5, 1),
+    (Grid(3, 3, base=5, blocked=(4,)), 7, 2),
+    (Grid(3, 3, base=8, connectivity=4), 7, 3),
+    (Grid(3, 3, base=1, blocked=(3, 7)), 6, 3),
+    (Grid(4, 3, base=0, blocked=(5,)), 6, 2),
+    (Grid(4, 3, base=6, connectivity=4), 6, 2),
+    (Grid(4, 3, base=11, connectivity=4, blocked=(6,)), 8, 1),
+    (Grid(4, 3, base=7), 4, 3),
+    (Grid(4, 3, base=2, blocked=(1, 3, 5, 6, 7)), 3, 3),
+]
+
+
+def random_problem(seed):
+    """Draw a grid with its limits, a belief, sensors and a loss cost: extremes now and then."""
+    rng = np.random.default_rng(seed)
+    grid, most_steps, max_visits = GRIDS[seed % len(GRIDS)]
+    joint = brute_force.random_joint(rng, grid.cells, grid.base)
+    for z in range(2):
+        certain = rng.random(grid.cells) < rng.choice([0.0, 0.3])
+        certain[grid.base] = False
+        joint[certain, z] += joint[certain, 1 - z]
+        joint[certain, 1 - z] = 0.0
+    low = 10 ** rng.uniform(-3, 0)
+    model = SensorModel(
+        lethality=float(rng.choice([0.0, 1.0, low, rng.random()])),
+        malfunction=float(rng.choice([0.0, 1.0, 0.05, 0.05, rng.random(), low])),
+        false_negative=float(rng.choice([0.0, 0.05, rng.random()])),
+        true_positive=float(rng.choice([1.0, 0.95, rng.uniform(0.5, 1)])),
+        false_positive=float(rng.choice([0.0, 0.05, rng.uniform(0, 0.5)])),
+    )
+    loss_cost = float(rng.choice([0.0, 0.0, rng.random(), 10 * rng.random(), 1e6]))
+    return grid, most_steps, max_visits, Belief(joint), model, loss_cost
+
+
+def values(belief, model, visits, loss_cost):
+    """Return the value of many paths given their visits per cell, shape (paths,)."""
+    returns = brute_force.survival_of_visits(belief.joint, model, visits)
+    with np.errstate(invalid='ignore'):
+        information = brute_force.information_of_visits(belief.joint, model, visits)
+    # Nothing is learnt of a path that nobody survives.
+    return np.where(returns > 0.0, information, 0.0) - loss_cost * (1.0 - returns)
+
+
+@pytest.mark.parametrize('chunk', some(range(CHUNKS), 25))
+def test_no_path_has_a_higher_value_than_the_bound(chunk):
+    for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
+        grid, most_steps, max_visits, belief, model, loss_cost = random_problem(seed)
+        best = values(belief, model, every_path(grid, most_steps, max_visits), loss_cost).max()
+        found = plan(
+            grid,
+            belief,
+            model,
+            most_steps,
+            max_visits=max_visits,
+            loss_cost=loss_cost,
+            planner='relaxed' if seed % 3 else 'beam',
+            bound=True,
+        )
+        assert found.upper_bound >= best - 1e-12 * loss_cost, seed
+        assert found.gap >= 0.0
+
+
+def test_the_problems_cover_what_they_claim():
+    problems = [random_problem(seed) for seed in range(PER_CHUNK * CHUNKS)]
+    models = [problem[4] for problem in problems]
+    for extreme in (0.0, 1.0):
+        assert sum(model.lethality == extreme for model in models) > 500
+        assert sum(model.malfunction == extreme for model in models) > 500
+    assert sum(problem[5] > 0.0 for problem in problems) > 1000
+    assert sum((every_path(*problem[:3]) > 1).any() for problem in problems[:10]) > 5
+    assert sum((problem[3].hazard == 1.0).any() for problem in problems) > 500
+
+
+def test_the_parabola_touches_from_above():
+    rng = np.random.default_rng(0)
+    for _ in range(1000):
+        q = float(rng.choice([1.0, rng.random(), 10 ** rng.uniform(-12, -2)]))
+        p0 = 0.0 if q < 0.01 else float(rng.choice([0.0, rng.uniform(0.0, 0.98)])) * q
+        p = np.append(np.linspace(0.0, q, 200), p0)
+        f = (1.0 - p) * np.log1p(-p, where=p < 1.0, out=np.zeros_like(p))
+        above = np.polynomial.polynomial.polyval(p, parabola(q, p0)) - f
+        assert above.min() >= -1e-14
+        assert above[-1] == pytest.approx(0.0, abs=1e-14)
+        # The curvature of a small q is that of a series.
+        assert above[-2] == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.parametrize('malfunction', [0.05, 0.5, 1.0])
+def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
+    grid = Grid(2, 2, blocked=(1, 2, 3))
+    belief = Belief.from_maps([0.0, 0.5, 0.5, 0.5], [0.5] * 4, [0.5] * 4)
+    model = SensorModel(0.5, malfunction)
+    found = plan(grid, belief, model, 1, bound=True)
+    assert found.upper_bound == pytest.approx(found.information, abs=3e-4)
+    assert found.gap == found.upper_bound - found.information
+
+
+def test_the_median_gap_on_beliefs_of_missions_is_3_percent_at_most(record_property):
+    """On 9x9 cells with 18 steps, after no to 60 robots, at lethality 0.1 to 0.9."""
+    grid, options, gaps = Grid(9, 9), SearchOptions('relaxed', 18), []
+    for seed in range(30 if FULL else 5):
+        model = SensorModel((0.1, 0.3, 0.5, 0.7, 0.9)[seed % 5])
+        rng = np.random.default_rng(seed)
+        world = World.random(grid, rng, 0.15, 0.8, 0.1)
+        prior = Belief.prior(grid, 0.15, 0.2, 0.8)
+        mission = run_mission(grid, prior, model, world, 60, rng, options=options)
+        for belief in [prior, *(each.belief for each in mission[9::10])]:
+            found = plan(grid, belief, model, 18, bound=True)
+            gaps.append(found.gap / found.information)
+    record_property('gaps', np.percentile(gaps, [0, 25, 50, 75, 100]).tolist())
+    assert np.median(gaps) <= 0.03
+
+
+def test_a_bound_changes_nothing_of_a_plan():
+    grid, most_steps, max_visits, belief, _, _ = random_problem(0)
+    alone, bounded = (
+        plan(grid, belief, SensorModel(0.5), most_steps, max_visits=max_visits, bound=bound)
+        for bound in (False, True)
+    )
+    assert alone.path.tolist() == bounded.path.tolist()
+    assert (alone.information, alone.survival) == (bounded.information, bounded.survival)
+    assert alone.upper_bound is None
+    assert alone.gap is None
+
+
+BOUNDS = """
+import brute_force
+from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+import numpy as np
+
+for seed, lethality in enumerate((0.5, 1.0)):
+    belief = Belief(brute_force.random_joint(np.random.default_rng(seed), 9, 4))
+    found = plan(Grid(3, 3, base=4), belief, SensorModel(lethality), 3, loss_cost=0.2, bound=True)
+    print(found.upper_bound.hex(), found.gap.hex())
+"""
+
+
+@pytest.mark.processes
+def test_bounds_have_the_same_bits_compiled_and_interpreted():
+    printed = [
+        subprocess.run(
+            [sys.executable, '-W', 'ignore', '-c', BOUNDS],
+            env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)} | environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for environment in ({}, {'NUMBA_DISABLE_JIT': '1'})
+    ]
+    assert len(printed[0].splitlines()) == 2
+    assert printed[0] == printed[1]
+
+
+@pytest.mark.parametrize(
+    'options, message',
+    [
+        ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),
+        ({'planner': 'random'}, 'planner is random.*no bound.*beam or relaxed'),
+        ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
+        ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
+    ],
+)
+def test_what_has_no_bound_is_refused(options, message):
+    grid = Grid(3, 3)
+    with pytest.raises(ValueError, match=message):
+        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, bound=True, **options)
+
+
+def test_teams_have_no_bound():
+    grid = Grid(3, 3)
+    with pytest.raises(TypeError, match='bound'):
+        plan_team(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, 2, bound=True)
+
+
+def test_a_bound_beyond_memory_is_refused_with_an_estimate():
+    grid = Grid(1000, 1000)
+    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
+    with pytest.raises(ValueError, match=r'a bound for max_steps = 2000.*takes about \d+\.\d GB'):
+        plan(grid, belief, SensorModel(0.5), 2000, 'relaxed', bound=True)

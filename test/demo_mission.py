@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission of a demo, computed without nodes."""
+
+from __future__ import annotations
+
+from kbnitp_ros.cli.demo import chosen_parameters, parse, true_numbers
+from kbnitp_ros.configuration import estimator_of, grid_of, prior_of, sensor_model_of, unknowns_of
+from kbnitp_ros.core import Belief, Learning, run_mission, Truth, World
+from kbnitp_ros.core.mission import Deployment
+import numpy as np
+
+
+def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[str, float]]:
+    """
+    Return first belief, deployments, hidden world and true numbers of a demo with these options.
+
+    The nodes of a demo come to the same beliefs, bit for bit. Of its search and its agents the
+    options say nothing.
+    """
+    parameters = chosen_parameters(parse(options))
+    agent, estimator = parameters['agent'], parameters['estimator']
+    grid, seed = grid_of(agent), agent['seed']
+    rng = np.random.default_rng(seed)
+    numbers = [agent[f'world.{name}'] for name in ('hazard_density', 'kappa', 'target_background')]
+    world = World.random(grid, rng, *numbers)
+    deployments = run_mission(
+        grid, prior_of(estimator, grid), sensor_model_of(estimator), world,
+        parameters['planner']['robots'], rng, estimator['method'],
+        truth=Truth(sensor_model_of(agent)), learning=Learning(unknowns_of(estimator), seed),
+    )  # fmt: skip
+    return estimator_of(estimator, grid).belief, deployments, world, true_numbers(parameters)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A program on the network of a mission that is no ROS node: Cyclone DDS alone."""
+
+# Without annotations from the future: Cyclone DDS reads them.
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic
+
+# As config/loopback.xml has Fast DDS: this machine only, and no multicast.
+LOOPBACK = """
+<CycloneDDS><Domain>
+  <General>
+    <Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>
+    <AllowMulticast>false</AllowMulticast>
+  </General>
+  <Discovery>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>31</MaxAutoParticipantIndex>
+    <Peers><Peer address="127.0.0.1"/></Peers>
+  </Discovery>
+</Domain></CycloneDDS>
+"""
+
+LATCHED = Qos(Policy.Durability.TransientLocal, Policy.Reliability.Reliable(0))
+
+# Names of types that are no message's, as they go over the wire.
+HOSTILE = (
+    'unittest::__main__::dds_::X_',
+    'planted::msg::dds_::X_',
+    'planted::x::dds_::Y_',
+    'planted::srv::dds_::X_',
+    'this::msg::dds_::X_',
+    'antigravity::x::dds_::X_',
+    'os::path::dds_::join_',
+    'planted.msg::msg::dds_::X_',
+    'std_msgs.msg::msg::dds_::String_',
+    '..::msg::dds_::X_',
+    '..::..::dds_::X_',
+    '::msg::dds_::X_',
+    '/etc/passwd',
+    'std_msgs::msg::dds_::__builtins___',
+    'std_msgs::msg::dds_::String.__init___',
+    'std_msgs::..::dds_::String_',
+    'std_srvs::srv::dds_::Empty_Request_',
+    'ünïcode::msg::dds_::X_',
+    '::::',
+    'x' * 200 + '::msg::dds_::' + 'Y' * 30 + '_',
+)
+
+
+class BareParticipant:
+    """
+    Announces writers under any names, which rclpy would not.
+
+    Parameters
+    ----------
+    domain : int
+        Of ROS.
+
+    """
+
+    def __init__(self, domain):
+        # It has a domain of DDS for itself in this process, with the same number.
+        self._domain = Domain(domain, LOOPBACK)
+        self._participant = DomainParticipant(domain)
+        self._writers = []
+
+    def announce(self, topic, type_name):
+        """
+        Be one who publishes a topic, and publish a text on it.
+
+        Parameters
+        ----------
+        topic, type_name : str
+            As they go over the wire: 'rt/m/chatter' and 'std_msgs::msg::dds_::String_'.
+
+        """
+        text = text_type(type_name)
+        writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
+        writer.write(text(data='x'))
+        self._writers.append(writer)
+
+
+@cache
+def text_type(type_name):
+    """Return a type of this name that holds a text."""
+
+    @dataclass
+    class Text(IdlStruct, typename=type_name):
+        data: str
+
+    return Text
+
+
+def not_utf8(text):
+    """Return a text that ends in é; what Python hands to C ends in two bytes FF instead."""
+    size = ctypes.c_ssize_t()
+    utf8 = ctypes.pythonapi.PyUnicode_AsUTF8AndSize
+    utf8.restype, utf8.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_void_p]
+    start = utf8(text, ctypes.byref(size))
+    ctypes.memset(start + size.value - 2, 0xFF, 2)
+    return text

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many cases of one law in one test, of which the one that fails is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+import functools
+import inspect
+import shlex
+from typing import Any
+
+import pytest
+
+# The case that alone is run, as its failure names it; see `pytest --case`.
+alone: str | None = None
+
+
+def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any], Any]:
+    """
+    Run a test for all cases one after another, as one item.
+
+    In contrast to ``pytest.mark.parametrize`` the cases share one collected item and its fixtures,
+    and the first case that fails ends the test. Where the test takes `tmp_path`, each case has a
+    folder of its own below it.
+
+    Parameters
+    ----------
+    names : str
+        The arguments that a case sets, separated by commas.
+    cases : iterable
+        Their values, as a tuple where there are several names.
+    every : int
+        The first of every so many cases runs before every change, and the rest as an item marked
+        `full`.
+
+    Raises
+    ------
+    AssertionError
+        From the decorated test, with the values of the case that failed.
+
+    """
+    keys = [name.strip() for name in names.split(',')]
+    named = []
+    for case in cases:
+        arguments = dict(zip(keys, case if len(keys) > 1 else (case,), strict=True))
+        named.append((', '.join(f'{key}={value}' for key, value in arguments.items()), arguments))
+
+    def decorate(test: Any) -> Any:
+        @functools.wraps(test)
+        def law(rest: bool = False, **others: Any) -> None:
+            chosen = [each for number, each in enumerate(named) if bool(number % every) == rest]
+            if alone is not None:
+                chosen = [each for each in chosen if each[0] == alone]
+                if not chosen:
+                    pytest.skip(f'has no case {alone}')
+            for number, (name, arguments) in enumerate(chosen):
+                own = dict(others)
+                if 'tmp_path' in own:
+                    own['tmp_path'] /= str(number)
+                    own['tmp_path'].mkdir()
+                try:
+                    test(**arguments, **own)
+                except (Exception, pytest.fail.Exception) as error:
+                    message = f'case {name}: {error}\nalone: --case {shlex.quote(name)}'
+                    raise AssertionError(message) from error
+
+        signature = inspect.signature(test)
+        others = [each for name, each in signature.parameters.items() if name not in keys]
+        if every == 1:
+            law.__signature__ = signature.replace(parameters=others)
+            return law
+        rest = inspect.Parameter('rest', inspect.Parameter.KEYWORD_ONLY)
+        law.__signature__ = signature.replace(parameters=[*others, rest])
+        marked = [False, pytest.param(True, marks=pytest.mark.full)]
+        return pytest.mark.parametrize('rest', marked, ids=['some', 'rest'])(law)
+
+    return decorate

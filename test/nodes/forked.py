@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes as processes that are forked from one which has imported their modules, to save time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import ctypes
+import multiprocessing
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+from typing import Any, IO
+
+from kbnitp_ros.__main__ import main
+from kbnitp_ros.cli.processes import Processes
+
+CONTEXT = multiprocessing.get_context('forkserver')
+CONTEXT.set_forkserver_preload(['forked', 'ready'])
+
+PR_SET_PDEATHSIG = 1
+
+
+def _run(arguments: list[str], environment: Mapping[str, str], folder: Path, output: str) -> None:
+    """Become what a shell would start in a folder with this command line and environment."""
+    assert 'ready' in sys.modules, 'the server of forks did not import what nodes need'
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    written = os.open(output, os.O_WRONLY | os.O_APPEND)
+    os.dup2(written, sys.stdout.fileno())
+    os.dup2(written, sys.stderr.fileno())
+    sys.exit(main(arguments))
+
+
+class ForkedProcess:
+    """A forked process, with what the tests use of `subprocess.Popen`."""
+
+    def __init__(self, arguments: list[str], environment: Mapping[str, str], output: str) -> None:
+        self._process = CONTEXT.Process(
+            target=_run, args=(arguments, environment, Path.cwd(), output), daemon=True
+        )
+        self._process.start()
+        self.pid = self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Return the exit code; None while it runs, and negative where a signal ended it."""
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        """Return the exit code; None while it runs."""
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int | None:
+        """Wait for the end, and return the exit code."""
+        self._process.join(timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.returncode is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """End it without warning."""
+        self.send_signal(signal.SIGKILL)
+
+
+class ForkedProcesses(Processes):
+    """Nodes of this package in forked processes, which write to files."""
+
+    def launch(self, arguments: list[str], output: IO[Any] | None) -> Any:
+        """Fork a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
+        assert output is not None
+        return ForkedProcess(arguments, self._environment, output.name)

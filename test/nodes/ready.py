@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What forked nodes begin with: all modules, and kernels as they are after the first plan."""
+
+from importlib import import_module
+
+from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+from kbnitp_ros.starting import NODES
+
+for _module in NODES.values():
+    import_module(_module)
+
+_GRID = Grid(3, 3)
+plan(_GRID, Belief.prior(_GRID, 0.5, 0.45, 0.8), SensorModel(0.5), 4)

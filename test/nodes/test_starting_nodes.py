@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the nodes start, are seen and end."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+
+from extent import some
+from kbnitp_ros.bag.reader import is_finished
+from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration.given import check_given
+from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+from kbnitp_ros.nodes.runtime import signals
+from kbnitp_ros.nodes.runtime.node import MissionNode
+from laws import for_each
+from nav_msgs.msg import Path
+import pytest
+
+pytestmark = pytest.mark.interpreter
+
+
+def run(*arguments):
+    """Run a command of the package that ends by itself."""
+    return subprocess.run(
+        [sys.executable, '-m', 'kbnitp_ros', *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.processes
+@for_each(
+    'name, given, told',
+    [
+        ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
+        ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
+        ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
+        ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
+        (
+            'agent',
+            'sensor.lethality:=1.5',
+            'sensor.lethality is 1.5: it must be from 0.0 to 1.0',
+        ),
+        ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
+        ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
+        ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
+        ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
+        ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
+        ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
+        ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
+        (
+            'estimator',
+            'learn:=[lethalty]',
+            "learn is 'lethalty': did you mean lethality? it must",
+        ),
+        (
+            'estimator',
+            'learn:=[kappa]',
+            'kappa cannot be unknown to kappa_bnitp, which takes all',
+        ),
+        ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
+        ('recorder', 'file:=/', "'/'"),
+        ('recorder', 'file', "Couldn't parse parameter override rule"),
+        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+        (
+            'recorder',
+            'step_period:=1.0',
+            'step_period is unknown to the recorder: it is one of',
+        ),
+    ],
+    every=2,
+)
+def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
+    ended = run(name, '--ros-args', '--disable-rosout-logs', '-p', given)
+    assert ended.returncode == 2
+    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
+    assert len(complaint) == 1, ended.stderr
+    assert complaint[0].startswith(f'{name}: ')
+    assert told in complaint[0]
+
+
+@for_each('name', NODES)
+def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
+    field.start(name, {'max_steps': 0, 'compression': 'lzma', 'file': '/'}, '/m')
+    code, told = field.until_failed(f'/m/{name}')
+    assert code == 2
+    assert field.said(f'/m/{name}') == f'{name}: {told}\n'
+
+
+@pytest.mark.processes
+@for_each('name', NODES)
+def test_help_tells_what_a_node_does_and_what_can_be_given(name):
+    ended = run(name, '--help')
+    assert ended.returncode == 0
+    assert ended.stdout.startswith(f'usage: {name}')
+    assert '--ros-args -p NAME:=VALUE' in ended.stdout
+    told = ' '.join(ended.stdout.split())
+    for parameter in parameters_of(name).values():
+        assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
+    # The example can be typed.
+    check_given(name, shlex.split(ended.stdout.splitlines()[-1])[4:])
+
+
+@pytest.mark.processes
+@for_each('name', NODES)
+def test_a_file_that_is_not_there_is_no_errno(tmp_path, name):
+    ended = run(name, '--ros-args', '--params-file', 'nothere.yaml')
+    assert ended.returncode == 2
+    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
+    assert complaint == [f'{name}: parameter file nothere.yaml: No such file or directory']
+
+
+@pytest.mark.processes
+@for_each('name', ['planner', 'agent', 'recorder'])
+def test_a_log_that_is_not_there_is_no_errno(name):
+    ended = run(name, '--ros-args', '-p', 'resume:=nothere.mcap')
+    assert ended.returncode == 2
+    assert re.search(rf'(?m)^{name}: nothere.mcap.*: No such file or directory$', ended.stderr)
+    assert 'Errno' not in ended.stderr
+
+
+@pytest.mark.processes
+def test_arguments_that_are_not_for_ros_are_refused():
+    ended = run('planner', '--robots', '3')
+    assert ended.returncode == 2
+    assert 'unrecognized arguments: --robots 3' in ended.stderr
+
+
+def complaints(said):
+    """Return the lines of a node that tell of no wait and of no deployment."""
+    return [line for line in said.splitlines() if not line.startswith('[INFO]')]
+
+
+@pytest.mark.parametrize('number', some([signal.SIGTERM, signal.SIGINT], 2), ids=lambda s: s.name)
+def test_a_signal_ends_every_node_well(field, number):
+    log = field.folder / 'mission.mcap'
+    # A robot would answer for the agent as well.
+    names = [name for name in NODES if name != 'robot']
+    nodes = {name: field.start(name, {'file': str(log)}) for name in names}
+    for name in names:
+        field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
+    for process in nodes.values():
+        process.send_signal(number)
+    for name, process in nodes.items():
+        assert process.wait(timeout=60) == 0, name
+        assert complaints(field.said(f'/{name}')) == []
+    assert is_finished(log)
+
+
+@pytest.mark.parametrize('number', some([signal.SIGINT, signal.SIGTERM], 2), ids=lambda s: s.name)
+def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
+    log = field.folder / 'mission.mcap'
+    # Kernels that are compiled for the first time are told of on the terminal.
+    grid = Grid(4, 4)
+    plan(grid, Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5), 6)
+    field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6}, '/', log)
+    field.until(lambda: field.count('/estimator', 'accepted') > 5, 'third deployment')
+    nodes = field.processes.started
+    for process in nodes.values():
+        process.send_signal(number)
+    for name, process in nodes.items():
+        assert process.wait(timeout=60) == 0, name
+        assert complaints(field.said(name)) == []
+    assert is_finished(log)
+
+
+@pytest.fixture
+def nothing_compiled(tmp_path, monkeypatch):
+    """Have the nodes that are started next compile their kernels, for the first time."""
+    pytest.importorskip('numba')
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
+
+
+def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
+    paths = field.listen(Path, '/scout_1/path')
+    field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6})
+    field.until(lambda: 'kernels are compiled' in field.said('/planner'), 'compiling planner')
+    planner = field.processes.started['/planner']
+    planner.send_signal(signal.SIGINT)
+    field.until(lambda: planner.poll() is not None, 'end of the planner', may_end=True)
+    assert planner.returncode == 0
+    assert len(complaints(field.said('/planner'))) == 1
+    # It did not complete what it was compiling for.
+    field.until(lambda: field.node.count_publishers('/scout_1/path') == 0, 'silence')
+    assert paths == []
+
+
+def test_the_second_signal_changes_nothing(field):
+    recorder = field.start('recorder', {'file': str(field.folder / 'mission.mcap')})
+    field.until(lambda: field.diagnosed('/recorder').values, 'diagnostics')
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+        os.kill(recorder.pid, number)
+    assert recorder.wait(timeout=60) == 0
+    assert is_finished(field.folder / 'mission.mcap')
+
+
+@pytest.mark.parametrize('gap', some([0.0, 0.3, 0.6, 0.9], 2))
+def test_interrupts_do_not_kill_what_ends_well(field, gap):
+    agent = field.start('agent')
+    field.until(lambda: field.diagnosed('/agent').values, 'diagnostics')
+    agent.send_signal(signal.SIGINT)
+    with suppress(subprocess.TimeoutExpired):
+        agent.wait(timeout=gap)
+    while agent.poll() is None:
+        agent.send_signal(signal.SIGINT)
+    assert agent.returncode == 0
+
+
+def test_a_node_that_waits_to_be_made_ends_well_however_often_it_is_told(field):
+    planner = field.start('planner', {'map_topic': '/map'})
+    field.until(lambda: 'waiting for a map' in field.state('/planner'), 'waiting planner')
+    while planner.poll() is None:
+        planner.send_signal(signal.SIGINT)
+    assert planner.returncode == 0
+
+
+def test_a_node_that_takes_in_a_log_ends_before_it_is_through(monkeypatch):
+    monkeypatch.setattr(signals, 'SIGNALS', [])
+    items = MissionNode.tell_progress(None, range(9), 'taking in a log')
+    assert next(items) == 0
+    signals.SIGNALS.append(signal.SIGINT)
+    with pytest.raises(signals.StoppedError):
+        next(items)

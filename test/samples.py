@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths and reports on a small grid, sound ones and others."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+from kbnitp_msgs.msg import Recorded
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    Observation,
+    Report,
+    SensorModel,
+)
+from kbnitp_ros.messages.beliefs import belief_maps
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.deployments import path_message, report_message
+
+GRID = Grid(4, 3, blocked=[5])
+FIELD = {'grid.width': 4, 'grid.height': 3, 'grid.blocked': [5], 'max_steps': 6}
+HOME = [0, 1, 2, 1, 0]
+
+
+def key(number, agent='scout_1'):
+    """Return the name of a deployment."""
+    return DeploymentKey(agent, number * 10**9)
+
+
+def path(number, cells=HOME):
+    """Return the path of a deployment."""
+    return path_message(GRID, cells, key(number).stamp)
+
+
+def on_disk(message):
+    """Return what the recorder says of a path that it has on disk."""
+    return Recorded(stamp=message.header.stamp, content=content_hash(message))
+
+
+def prior(mission=0):
+    """Return the first belief of a mission."""
+    estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
+    return belief_maps(Ledger(GRID, 6, estimator), 1, mission)
+
+
+def after_loss(mission=0):
+    """Return the belief after the first robot was lost."""
+    estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
+    ledger = Ledger(GRID, 6, estimator)
+    ledger.record_path(key(1), HOME)
+    ledger.record_report(key(1), Report(False))
+    return belief_maps(ledger, 2, mission)
+
+
+def returned(number, cells=HOME, agent='scout_1'):
+    """Return the report of a robot that came back with a target in every second reading."""
+    readings = [step % 2 == 0 for step in range(len(cells) - 1)]
+    return report_message(key(number, agent), Observation(cells, True, readings), 0)
+
+
+def lost(number):
+    """Return the report of a robot that was lost."""
+    return report_message(key(number), Observation(HOME, False), 0)
+
+
+def changed(message, **fields):
+    """Return a copy of a message with other values in some fields."""
+    copy = deepcopy(message)
+    for name, value in fields.items():
+        setattr(copy, name, value)
+    return copy
+
+
+def in_frame(message, frame):
+    """Return a copy of a message in another frame."""
+    copy = deepcopy(message)
+    copy.header.frame_id = frame
+    return copy
+
+
+def with_pose(message, index, **fields):
+    """Return a copy of a path with another position in one pose."""
+    copy = deepcopy(message)
+    for name, value in fields.items():
+        setattr(copy.poses[index].pose.position, name, value)
+    return copy
+
+
+BAD_PATHS = [
+    (in_frame(path(2), 'odom'), "header.frame_id is 'odom': it must be 'map'"),
+    (changed(path(2), poses=[]), 'poses is empty'),
+    (with_pose(path(2), 1, x=99.0), 'outside the grid'),
+    (with_pose(path(2), 1, x=-0.1), 'outside the grid'),
+    (with_pose(path(2), 1, y=float('nan')), 'poses[1].pose.position'),
+    (path(2, [0, 2, 1, 0]), 'jump'),
+    (path(2, [1, 0, 1]), 'base'),
+    (path(2, [0, 1, 1]), 'base'),
+    (path(2, [0]), 'at least two cells'),
+    (path(2, [0, 4, 5, 1, 0]), 'blocked'),
+    (path(2, [0, 1, 0, 1, 0, 1, 0, 0]), 'max_steps = 6'),
+    (changed(path(1), poses=path(1, [0, 1, 0]).poses), 'is known and differs'),
+]

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pages of docs/ as a site: they need no network, and their equations are typeset."""
+
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
+# `make docs` fails on warnings by itself.
+pytestmark = [pytest.mark.full, pytest.mark.processes]
+
+LOADED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)="([^"]*)"')
+
+
+@pytest.fixture(scope='module')
+def site(tmp_path_factory):
+    """Return the folder of the site, as `make docs` builds it."""
+    pytest.importorskip('sphinx', reason='make docs installs what the site needs')
+    html = tmp_path_factory.mktemp('site')
+    options = ['--fail-on-warning', '--keep-going', '--quiet', '-d', html / '.doctrees']
+    sphinx = [sys.executable, '-m', 'sphinx', *options, '-b', 'html', ROOT / 'docs', html]
+    made = subprocess.run(sphinx, capture_output=True, text=True, timeout=600)
+    assert made.returncode == 0, made.stderr
+    return html
+
+
+def missing(site):
+    """Yield what the pages load that is no file of the site."""
+    for page in site.rglob('*.html'):
+        for source in LOADED.findall(page.read_text()):
+            path = page.parent / source.partition('?')[0].partition('#')[0]
+            if not source.startswith(('data:', '#')) and not path.is_file():
+                yield f'{page.name}: {source}'
+
+
+def test_pages_load_only_files_of_the_site(site):
+    assert list(missing(site)) == []
+
+
+def test_what_is_not_in_the_site_is_found(tmp_path):
+    sources = ('https://example.org/a.js', '//example.org/b.js', 'c.js?v=1', 'gone.js')
+    page = ''.join(f'<script async src="{source}"></script>' for source in sources)
+    (tmp_path / 'page.html').write_text(page)
+    (tmp_path / 'c.js').touch()
+    assert list(missing(tmp_path)) == [
+        f'page.html: {source}' for source in sources if source != 'c.js?v=1'
+    ]
+
+
+@pytest.mark.skipif(BROWSER is None, reason=f'no browser is installed: apt install {BROWSERS[0]}')
+def test_every_equation_is_typeset_without_a_network(site):
+    sync_api = pytest.importorskip('playwright.sync_api')
+    labels = re.findall(r'^ *:label: (\S+)$', (ROOT / 'docs/mathematics.md').read_text(), re.M)
+    with sync_api.sync_playwright() as playwright:
+        # Root has no sandbox, as in most containers.
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
+        page = browser.new_context(offline=True).new_page()
+        failed = []
+        page.on('requestfailed', lambda request: failed.append(request.url))
+        page.goto((site / 'mathematics.html').as_uri())
+        page.evaluate('MathJax.startup.promise')
+        typeset = {
+            label: page.locator(f'[id="equation-{label}"] mjx-container[display="true"]').count()
+            for label in labels
+        }
+        wrong = page.locator('mjx-merror, [data-mjx-error]').all_inner_texts()
+        browser.close()
+    assert len(labels) > 40
+    assert typeset == dict.fromkeys(labels, 1)
+    assert wrong == []
+    assert failed == []
