@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The notebooks show what comes out when they are executed."""
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -31,16 +32,25 @@ def executed(tmp_path_factory):
 def shown(path):
     """Return the cells of a notebook, and the texts and pictures that stand below each."""
     return [
-        (cell['source'], cell.get('execution_count'), [output(each) for each in cell['outputs']])
+        (cell['source'], cell.get('execution_count'), list(merged(cell['outputs'])))
         for cell in json.loads(path.read_text())['cells']
         if cell['cell_type'] == 'code'
     ]
 
 
-def output(told):
-    """Return an output's text, and its kinds; pictures differ with the fonts of a machine."""
-    data = told.get('data', {})
-    return told.get('text', data.get('text/plain')), sorted(data)
+def merged(outputs):
+    """
+    Yield what a cell puts out: its text and its kinds; pictures differ with a machine's fonts.
+
+    A kernel sends what a cell prints in as many pieces as its timer happens to find.
+    """
+    for stream, group in itertools.groupby(outputs, lambda each: each.get('name')):
+        if stream:
+            yield ''.join(''.join(each['text']) for each in group), []
+            continue
+        for each in group:
+            data = each.get('data', {})
+            yield data.get('text/plain'), sorted(data)
 
 
 @pytest.mark.processes
@@ -56,3 +66,15 @@ def test_a_notebook_shows_texts_and_pictures(name):
     ]
     assert any('image/png' in kinds for _, kinds in outputs)
     assert any(text and not kinds for text, kinds in outputs)
+
+
+def test_what_a_cell_prints_is_one_text_in_however_many_pieces():
+    def stream(text, name='stdout'):
+        return {'output_type': 'stream', 'name': name, 'text': text}
+
+    picture = {'output_type': 'display_data', 'data': {'image/png': '', 'text/plain': ['one']}}
+    pieces = [stream(['a\n', 'b\n']), stream(['c\n']), picture, stream(['d\n'])]
+    whole = [stream(['a\n', 'b\n', 'c\n']), picture, stream(['d\n'])]
+    assert list(merged(pieces)) == list(merged(whole))
+    assert len(list(merged(whole))) == 3
+    assert list(merged([stream('a'), stream('a', 'stderr')])) == [('a', []), ('a', [])]
