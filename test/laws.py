@@ -21,7 +21,7 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
 
     In contrast to ``pytest.mark.parametrize`` the cases share one collected item and its fixtures,
     and the first case that fails ends the test. Where the test takes `tmp_path`, each case has a
-    folder of its own below it.
+    folder of its own below it; what a case sets by `monkeypatch` is undone after it.
 
     Parameters
     ----------
@@ -59,7 +59,10 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
                     own['tmp_path'] /= str(number)
                     own['tmp_path'].mkdir()
                 try:
-                    test(**arguments, **own)
+                    with pytest.MonkeyPatch.context() as patch:
+                        if 'monkeypatch' in own:
+                            own['monkeypatch'] = patch
+                        test(**arguments, **own)
                 except (Exception, pytest.fail.Exception) as error:
                     message = f'case {name}: {error}\nalone: --case {shlex.quote(name)}'
                     raise AssertionError(message) from error

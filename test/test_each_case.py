@@ -2,6 +2,7 @@
 """A law runs for all of its cases, names the one that fails, and runs it alone."""
 
 import inspect
+import os
 
 import laws
 from laws import for_each
@@ -53,6 +54,15 @@ def test_each_case_has_a_folder_of_its_own(tmp_path):
         tmp_path=tmp_path
     )
     assert len(list(tmp_path.glob('*/file'))) == 3
+
+
+def test_what_a_case_sets_is_undone_after_it(monkeypatch):
+    def law(seed, monkeypatch):
+        assert 'KBNITP_CASE' not in os.environ
+        monkeypatch.setenv('KBNITP_CASE', str(seed))
+
+    for_each('seed', range(2))(law)(monkeypatch=monkeypatch)
+    assert 'KBNITP_CASE' not in os.environ
 
 
 def test_the_first_of_every_so_many_cases_run_always_and_the_rest_as_full():

@@ -6,6 +6,7 @@ from itertools import pairwise, product
 from kbnitp_ros.core import Belief, count_visits, Grid, plan, SensorModel
 from kbnitp_ros.core.planning.search.random_walk import random_walk
 from kbnitp_ros.core.planning.search.reach import reach_of
+from laws import for_each
 import numpy as np
 import pytest
 from rounds import plan_round
@@ -54,7 +55,7 @@ def test_random_walks_are_uniform():
     assert ((counts - 100) ** 2 / 100).sum() < freedom + 4 * np.sqrt(2 * freedom)
 
 
-@pytest.mark.parametrize('max_visits', [1, 2])
+@for_each('max_visits', [1, 2])
 def test_random_walks_enter_no_cell_too_often(max_visits):
     reach = reach_of(WALLED, 12)
     rng = np.random.default_rng(2)
@@ -76,9 +77,10 @@ def test_the_random_planner_draws_the_same_for_the_same_belief_and_visits():
     assert paths == {tuple(path.tolist()) for path in sent(grid, 'random', 5, 18)}
 
 
-@pytest.mark.parametrize('planner', TOURS)
-@pytest.mark.parametrize('max_visits', [1, 3])
-@pytest.mark.parametrize('grid', [Grid(7, 7), Grid(9, 4, base=20, connectivity=4), WALLED])
+@for_each(
+    'planner, max_visits, grid',
+    product(TOURS, [1, 3], [Grid(7, 7), Grid(9, 4, base=20, connectivity=4), WALLED]),
+)
 def test_tours_come_to_every_cell_in_reach_before_they_begin_anew(grid, planner, max_visits):
     paths = sent(grid, planner, 40, 14, max_visits)
     for path in paths:
@@ -120,7 +122,7 @@ def test_the_nearest_cell_comes_next():
     assert made + steps[here, 0] == path.size - 1
 
 
-@pytest.mark.parametrize('planner', TOURS)
+@for_each('planner', TOURS)
 def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
     grid = Grid(7, 7)
     team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
@@ -128,7 +130,7 @@ def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
     assert [each.path.tolist() for each in team.plans] == [path.tolist() for path in alone]
 
 
-@pytest.mark.parametrize('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])
+@for_each('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])
 def test_visits_that_fit_no_cells_are_refused(visited):
     grid = Grid(3, 3)
     with pytest.raises(ValueError, match='visited has shape .*for each of the 9 cells'):
@@ -141,7 +143,7 @@ def test_walks_beyond_memory_are_refused():
         plan(grid, prior(grid), MODEL, 1000, 'random')
 
 
-@pytest.mark.parametrize('planner', ['coverage', 'shortest_unvisited'])
+@for_each('planner', ['coverage', 'shortest_unvisited'])
 def test_a_tour_with_more_steps_than_cells_ends(planner):
     """A cell that cannot be entered again is not taken for one that is as far as the field."""
     grid = Grid(3, 2, base=0, blocked=(4,))

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import brute_force
-from extent import FULL, some
+from extent import FULL
 from kbnitp_ros.core import (
     Belief,
     Grid,
@@ -19,6 +19,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.planning.search.bound_maximum_kernels import parabola
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -86,7 +87,7 @@ def values(belief, model, visits, loss_cost):
     return np.where(returns > 0.0, information, 0.0) - loss_cost * (1.0 - returns)
 
 
-@pytest.mark.parametrize('chunk', some(range(CHUNKS), 25))
+@for_each('chunk', range(CHUNKS), every=25)
 def test_no_path_has_a_higher_value_than_the_bound(chunk):
     for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
         grid, most_steps, max_visits, belief, model, loss_cost = random_problem(seed)
@@ -130,7 +131,7 @@ def test_the_parabola_touches_from_above():
         assert above[-2] == pytest.approx(0.0, abs=1e-14)
 
 
-@pytest.mark.parametrize('malfunction', [0.05, 0.5, 1.0])
+@for_each('malfunction', [0.05, 0.5, 1.0])
 def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
     grid = Grid(2, 2, blocked=(1, 2, 3))
     belief = Belief.from_maps([0.0, 0.5, 0.5, 0.5], [0.5] * 4, [0.5] * 4)
@@ -196,7 +197,7 @@ def test_bounds_have_the_same_bits_compiled_and_interpreted():
     assert printed[0] == printed[1]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'options, message',
     [
         ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),

@@ -5,6 +5,7 @@ from math import log
 
 import brute_force
 from kbnitp_ros.core import Belief, path_information, SensorModel
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ def random_case(seed):
     return joint, SensorModel(**sensors), path
 
 
-@pytest.mark.parametrize('seed', range(400))
+@for_each('seed', range(400))
 def test_path_information_is_the_joint_information(seed):
     joint, model, path = random_case(seed)
     expected = brute_force.information(joint, model, path)
@@ -29,7 +30,7 @@ def test_the_cases_cover_what_they_claim():
     assert sum(len(path) == 8 for path in paths) > 20
 
 
-@pytest.mark.parametrize('seed', range(50))
+@for_each('seed', range(50))
 def test_the_count_of_exposures_tells_all_there_is(seed):
     """The fast search used in the planning tests is right too."""
     joint, model, path = random_case(seed)
@@ -54,7 +55,7 @@ def test_nothing_to_learn():
     assert path_information(unsure, useless, [0, 1, 1, 0]) == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize('seed', range(20))
+@for_each('seed', range(20))
 def test_order_of_the_cells_does_not_matter(seed):
     rng = np.random.default_rng(seed)
     belief = Belief(brute_force.random_joint(rng, 5, 0))
@@ -66,7 +67,7 @@ def test_order_of_the_cells_does_not_matter(seed):
     )
 
 
-@pytest.mark.parametrize(
+@for_each(
     'path, message',
     [
         ([], 'path.*at least two'),

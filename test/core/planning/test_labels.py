@@ -20,6 +20,7 @@ from kbnitp_ros.core.planning.objective.moments import ERROR
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.search import labels, planners
 from kbnitp_ros.core.planning.search.label_kernels import label_value, no_labels, take
+from laws import for_each
 import numpy as np
 import pytest
 from rounds import plan_round
@@ -73,7 +74,7 @@ def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_m
     assert plans("sys.modules['numba'] = None") == (printed, False)
 
 
-@pytest.mark.parametrize('seed', range(60))
+@for_each('seed', range(60))
 def test_labels_are_worth_what_their_paths_are(seed):
     """By moments to within their error, and ranked at the base by the exact information."""
     rng = np.random.default_rng(seed)
@@ -109,7 +110,7 @@ def test_a_plan_is_the_same_in_a_larger_field():
     assert far.information == near.information
 
 
-@pytest.mark.parametrize(
+@for_each(
     'size, arguments',
     [
         (600, {'max_steps': 1200}),
@@ -125,7 +126,7 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
         plan(grid, belief, SensorModel(0.5), **arguments)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'planner, side, max_steps, width, max_visits, robots',
     [
         ('beam', 600, 1200, 16, 3, 1),
@@ -142,7 +143,7 @@ def test_memory_can_be_asked_for_before_there_is_a_belief(
         finder.check_memory(robots)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'planner, side, max_steps, width, max_visits, robots',
     [
         ('beam', 9, 18, 10_000, 10_000, 1),
@@ -159,7 +160,7 @@ def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
     ).check_memory(robots)
 
 
-@pytest.mark.parametrize('allocation', ['independent', 'voronoi', 'greedy'])
+@for_each('allocation', ['independent', 'voronoi', 'greedy'])
 def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, allocation):
     """Whatever became of the robots before: a mission that has begun is not refused later."""
     grid, model, robots = Grid(5, 5), SensorModel(0.5), 7

@@ -8,7 +8,7 @@ from documented import ROOT
 from kbnitp_ros.configuration import parameters_of, search_options
 from kbnitp_ros.configuration.search import NAMES
 from kbnitp_ros.core import OBJECTIVES, PLANNERS, RobotType, SearchOptions
-import pytest
+from laws import for_each
 
 OPTIONS = {field.name: field for field in fields(SearchOptions)}
 ROWS = {name: parameters_of('planner')[NAMES.get(name, name)] for name in OPTIONS}
@@ -33,7 +33,7 @@ def test_the_table_has_each_option_with_its_default():
     assert search_options(values) == SearchOptions()
 
 
-@pytest.mark.parametrize('name', OPTIONS)
+@for_each('name', OPTIONS)
 def test_the_planner_reads_each_parameter(name):
     others = {'planner': 'relaxed', 'objective': 'behavioral', 'alpha': 2.0}
     other = others[name] if name in others else getattr(SearchOptions(), name) + 1

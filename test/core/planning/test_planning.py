@@ -3,10 +3,11 @@
 
 from functools import cache
 from hashlib import sha256
-from itertools import pairwise
+from itertools import pairwise, product
 
 import brute_force
 from kbnitp_ros.core import Belief, Grid, path_information, plan, PLANNERS, SensorModel
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -38,7 +39,7 @@ def test_the_search_sees_all_closed_paths():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', range(50))
+@for_each('seed', range(50))
 def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
     grid, belief, model = random_problem(seed)
     best = optimum(grid, belief, model)
@@ -61,8 +62,7 @@ def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
     assert min(ratios) > 0.5
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
-@pytest.mark.parametrize('seed', range(24))
+@for_each('planner, seed', product(PLANNERS, range(24)))
 def test_plans_are_legal_and_say_what_they_are_worth(seed, planner):
     rng = np.random.default_rng(seed)
     width, height = rng.integers(2, 7, 2)
@@ -85,7 +85,7 @@ def test_plans_are_legal_and_say_what_they_are_worth(seed, planner):
     )
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@for_each('planner', ['beam', 'relaxed'])
 def test_the_most_visits_bind(planner):
     """One interesting cell: the plan would look again and again, and is held to max_visits."""
     belief = Belief.from_maps([0, 0, 0], [0, 0.5, 0], [0, 0.5, 0])
@@ -99,7 +99,7 @@ def test_the_most_visits_bind(planner):
     assert looks() == 3
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
+@for_each('planner', ['beam', 'relaxed'])
 def test_the_steps_are_used_up_to_the_last(planner):
     """A promising cell max_steps there and back is reached; with one step less it is not."""
     belief = Belief.from_maps(np.zeros(5), [0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.5])
@@ -109,7 +109,7 @@ def test_the_steps_are_used_up_to_the_last(planner):
     assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
+@for_each('planner', PLANNERS)
 def test_ties_are_broken_the_same_way_every_time(planner):
     grid = Grid(6, 6, base=14)
     belief, model = Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5)
@@ -119,8 +119,7 @@ def test_ties_are_broken_the_same_way_every_time(planner):
     assert first.information == again.information
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
-@pytest.mark.parametrize('base', range(9))
+@for_each('planner, base', product(['beam', 'relaxed'], range(9)))
 def test_any_cell_can_be_the_base(base, planner):
     grid = Grid(3, 3, base=base)
     found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 5, planner=planner)
@@ -128,15 +127,14 @@ def test_any_cell_can_be_the_base(base, planner):
     assert len(set(found.path)) > 1
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
-@pytest.mark.parametrize('grid', [Grid(1, 1), Grid(3, 1, base=1, blocked=(0, 2))])
+@for_each('planner, grid', product(PLANNERS, [Grid(1, 1), Grid(3, 1, base=1, blocked=(0, 2))]))
 def test_a_robot_with_nowhere_to_go_stays(grid, planner):
     found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, planner=planner)
     assert set(found.path) == {grid.base}
     assert 2 <= len(found.path) <= 4
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
+@for_each('planner', PLANNERS)
 def test_a_single_step_is_a_stay_at_the_base(planner):
     grid = Grid(3, 3, base=4)
     found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 1, planner=planner)
@@ -158,8 +156,7 @@ def test_plans_are_what_they_were_before_losses_had_a_cost():
     assert sha256(str(paths).encode()).hexdigest()[:16] == 'd44beeb1e2ba1c7f'
 
 
-@pytest.mark.parametrize('loss_cost', [0.1, 0.5, 2.0])
-@pytest.mark.parametrize('seed', range(12))
+@for_each('loss_cost, seed', product([0.1, 0.5, 2.0], range(12)))
 def test_beam_comes_close_to_the_best_of_all_paths_when_losses_have_a_cost(seed, loss_cost):
     grid, belief, model = random_problem(seed)
     visits = every_path(grid.base)
@@ -170,8 +167,7 @@ def test_beam_comes_close_to_the_best_of_all_paths_when_losses_have_a_cost(seed,
     assert worth.max() - 0.01 <= reached <= worth.max() + 1e-9
 
 
-@pytest.mark.parametrize('planner', ['beam', 'relaxed'])
-@pytest.mark.parametrize('seed', range(12))
+@for_each('planner, seed', product(['beam', 'relaxed'], range(12)))
 def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner):
     grid, belief, model = random_problem(seed)
     plans = [plan(grid, belief, model, 7, planner, loss_cost=c) for c in (0, 0.2, 0.5, 1, 2, 99)]
@@ -180,7 +176,7 @@ def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner):
     assert len(plans[-1].path) == 2  # the shortest, at the base
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, message',
     [
         ({'planner': 'oracle'}, 'planner.*oracle(?=.*beam)(?=.*relaxed)'),

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,8 +15,8 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning.teams.keepout import regions_of, without
+from laws import for_each
 import numpy as np
-import pytest
 from rounds import plan_round
 
 GRID = Grid(9, 9)
@@ -59,8 +59,7 @@ def plans(refused, prior=FAR, agents=1, **options):
     return plan_round(GRID, prior, MODEL, 18, agents, keepout=cells, **options).plans, cells
 
 
-@pytest.mark.parametrize('allocation', ['greedy', 'voronoi', 'independent'])
-@pytest.mark.parametrize('prior', [FAR, NEAR], ids=['far', 'near'])
+@for_each('allocation, prior', product(['greedy', 'voronoi', 'independent'], [FAR, NEAR]))
 def test_what_is_planned_instead_is_of_another_region_and_no_better(prior, allocation):
     refused, best = [], np.inf
     for number in range(3):
@@ -96,7 +95,7 @@ def test_each_robot_of_a_round_has_a_cell_to_go_to():
     assert keepout_cells(grid, 4, 1, [paths[:1]]).tolist() == [1]
 
 
-@pytest.mark.parametrize('size, max_steps', [(5, 8), (7, 10), (8, 12)])
+@for_each('size, max_steps', [(5, 8), (7, 10), (8, 12)])
 def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
     grid = Grid(size, size)
     prior, refused = Belief.prior(grid, 0.1, 0.45, 0.8), []

@@ -2,7 +2,7 @@
 """Several robots at once, against the sum over every state and every outcome of all of them."""
 
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import brute_force
 from documented import rows, words
@@ -18,6 +18,7 @@ from kbnitp_ros.core import (
     team_information,
 )
 from kbnitp_ros.core.planning.objective import joint_outcomes
+from laws import for_each
 import numpy as np
 import pytest
 from rounds import plan_round
@@ -26,8 +27,6 @@ BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
-
-every_allocation = pytest.mark.parametrize('allocation', ALLOCATIONS)
 
 
 def visits_of(path, cells):
@@ -64,7 +63,7 @@ def random_belief(seed, grid=GRID):
 # What several paths are worth together
 
 
-@pytest.mark.parametrize('seed', range(60))
+@for_each('seed', range(60))
 def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
     joint, model, (one, other, *_) = few_paths(seed)
     visits = np.array([visits_of(path, 4) for path in (one, other)])
@@ -96,7 +95,7 @@ def test_team_information_is_the_joint_information_but_for_a_little():
     assert f'up to {100 * above.max():.0f} %' in page
 
 
-@pytest.mark.parametrize('seed', range(30))
+@for_each('seed', range(30))
 def test_team_information_is_exact_where_hazards_are_known(seed):
     """Then no loss ties cells together and no reading tells of a hazard."""
     joint, model, paths = few_paths(seed)
@@ -107,7 +106,7 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
     assert team_information(Belief(joint), model, paths) == pytest.approx(exact, abs=1e-9)
 
 
-@pytest.mark.parametrize('seed', range(20))
+@for_each('seed', range(20))
 def test_what_may_have_happened_averages_to_what_is_believed(seed):
     """Over all joint outcomes the hazards are the prior's, whether some are merged or not."""
     rng, belief = np.random.default_rng(seed), random_belief(seed)
@@ -123,7 +122,7 @@ def test_what_may_have_happened_averages_to_what_is_believed(seed):
     np.testing.assert_allclose(hazard, belief.hazard, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize('seed', range(5))
+@for_each('seed', range(5))
 def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
     belief = random_belief(seed)
     paths = [p.path for p in plan_round(GRID, belief, MODEL, 8, 7, 'voronoi', 'relaxed').plans]
@@ -159,7 +158,7 @@ def every_path(base, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('steps', [4, 5])
+@for_each('steps', [4, 5])
 def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
     shares = [shares_of_the_best(*random_problem(seed), steps) for seed in range(30)]
     page = rows('docs/mathematics.md', f'{steps} steps, least')
@@ -174,8 +173,7 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
     assert min(share['greedy'] for share in shares) >= 0.98
 
 
-@every_allocation
-@pytest.mark.parametrize('seed', range(8))
+@for_each('allocation, seed', product(ALLOCATIONS, range(8)))
 def test_a_robot_alone_is_planned_as_ever(seed, allocation):
     belief, cost = random_belief(seed), (0.0, 0.7)[seed % 2]
     team = plan_round(GRID, belief, MODEL, 9, 1, allocation, loss_cost=cost)
@@ -185,9 +183,7 @@ def test_a_robot_alone_is_planned_as_ever(seed, allocation):
     assert team.plans[0].survival == alone.survival
 
 
-@every_allocation
-@pytest.mark.parametrize('planner', PLANNERS)
-@pytest.mark.parametrize('agents', [2, 5])
+@for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))
 def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, allocation):
     belief = random_belief(agents)
     team = plan_round(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)
@@ -205,7 +201,7 @@ def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, 
     assert together <= sum(planned.information for planned in team.plans) + 1e-9
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_the_same_belief_is_the_same_team(allocation):
     one, same = (
         plan_round(GRID, Belief(PRIOR.joint.copy()), MODEL, 8, 4, allocation) for _ in range(2)
@@ -214,7 +210,7 @@ def test_the_same_belief_is_the_same_team(allocation):
     assert one.information == same.information
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_a_team_may_be_counted_in_floats(allocation):
     whole, same = (plan_round(GRID, PRIOR, MODEL, 8, agents, allocation) for agents in (2, 2.0))
     assert [p.path.tolist() for p in same.plans] == [p.path.tolist() for p in whole.plans]
@@ -226,7 +222,7 @@ def test_independent_robots_go_the_same_way():
     assert [planned.path.tolist() for planned in team.plans] == [alone] * 3
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_there_may_be_as_many_robots_as_free_cells(allocation):
     grid = Grid(3, 2, base=1, blocked=(5,))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
@@ -236,8 +232,7 @@ def test_there_may_be_as_many_robots_as_free_cells(allocation):
 # Regions
 
 
-@pytest.mark.parametrize('agents', [1, 2, 3, 8])
-@pytest.mark.parametrize('base', [0, 40])
+@for_each('agents, base', product([1, 2, 3, 8], [0, 40]))
 def test_regions_divide_the_free_cells_evenly(base, agents):
     grid = Grid(9, 9, base=base, blocked=(13, 14, 22))
     for belief in (Belief.prior(grid, 0.5, 0.45, 0.8), random_belief(agents, grid)):
@@ -299,35 +294,35 @@ def test_regions_cannot_be_changed():
 # Refusals
 
 
-@pytest.mark.parametrize(
-    'arguments, message',
-    [
-        ({'agents': 0}, 'agents is 0.*at least 1'),
-        ({'agents': -2}, 'agents is -2.*at least 1'),
-        ({'agents': 1.5}, 'agents is 1.5.*whole number'),
-        ({'agents': 28}, 'agents is 28.*27.*free cell'),
-        ({'allocation': 'auction'}, 'allocation.*auction(?=.*voronoi)(?=.*greedy)'),
-        ({'planner': 'oracle'}, 'planner.*oracle.*beam'),
-        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-        ({'loss_cost': -0.1}, 'loss_cost is -0.1.*at least 0'),
-        ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
-        ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
-        ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
-        ({'in_flight': [([8, 30, 8], ORDINARY)]}, 'path leaves the grid.*30'),
-        (
-            {'in_flight': [([8, 7, 8], ORDINARY), ([8, 22, 8], ORDINARY)]},
-            'path jumps.*from cell 8 to 22',
-        ),
-    ],
-)
-@every_allocation
-def test_bad_teams_are_refused(allocation, arguments, message):
+BAD_TEAMS = [
+    ({'agents': 0}, 'agents is 0.*at least 1'),
+    ({'agents': -2}, 'agents is -2.*at least 1'),
+    ({'agents': 1.5}, 'agents is 1.5.*whole number'),
+    ({'agents': 28}, 'agents is 28.*27.*free cell'),
+    ({'allocation': 'auction'}, 'allocation.*auction(?=.*voronoi)(?=.*greedy)'),
+    ({'planner': 'oracle'}, 'planner.*oracle.*beam'),
+    ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+    ({'loss_cost': -0.1}, 'loss_cost is -0.1.*at least 0'),
+    ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
+    ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
+    ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
+    ({'in_flight': [([8, 30, 8], ORDINARY)]}, 'path leaves the grid.*30'),
+    (
+        {'in_flight': [([8, 7, 8], ORDINARY), ([8, 22, 8], ORDINARY)]},
+        'path jumps.*from cell 8 to 22',
+    ),
+]
+
+
+@for_each('allocation, bad', product(ALLOCATIONS, BAD_TEAMS))
+def test_bad_teams_are_refused(allocation, bad):
+    arguments, message = bad
     request = {'max_steps': 4, 'agents': 2, 'allocation': allocation, **arguments}
     with pytest.raises(ValueError, match=message):
         plan_round(GRID, PRIOR, MODEL, **request)
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_a_belief_of_another_grid_is_refused(allocation):
     with pytest.raises(ValueError, match='belief.*30.*16'):
         plan_round(Grid(4, 4), PRIOR, MODEL, 4, 2, allocation)

@@ -20,6 +20,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.planning.objective import readings
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
+from laws import for_each
 import numpy as np
 import pytest
 from rounds import plan_round
@@ -29,8 +30,6 @@ MODEL = SensorModel(0.5)
 # Cheap and blind; dear and with a good camera.
 BLIND = RobotType(true_positive=0.5, false_positive=0.5, max_steps=6)
 KEEN = RobotType(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
-
-every_allocation = pytest.mark.parametrize('allocation', ALLOCATIONS)
 
 
 def random_belief(seed, grid=GRID):
@@ -81,7 +80,7 @@ def models_of(kinds, model):
 # What paths of robots that differ are worth together
 
 
-@pytest.mark.parametrize('seed', range(300))
+@for_each('seed', range(300))
 def test_team_information_is_exact_where_hazards_are_known(seed):
     """Then no loss ties cells together: what remains is how cameras add up."""
     joint, model, kinds, paths = few_robots(seed)
@@ -105,7 +104,7 @@ def test_team_information_is_the_joint_information_but_for_a_little():
     assert above.mean() < 0.003
 
 
-@pytest.mark.parametrize('seed', range(20))
+@for_each('seed', range(20))
 def test_one_camera_written_twice_is_one_camera(seed):
     """The two are told apart by a number that changes no reading to nine digits."""
     joint, model, _, paths = few_robots(seed)
@@ -133,7 +132,7 @@ def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
 # The allocations
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_each_robot_keeps_to_its_own_limits(allocation):
     kinds = [BLIND, RobotType(), KEEN, BLIND, RobotType(max_steps=12)]
     model = SensorModel(0.1, malfunction=0.001)
@@ -149,7 +148,7 @@ def test_each_robot_keeps_to_its_own_limits(allocation):
         assert team.information == team_information(belief, model, paths, robot_types=kinds)
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
     kind = RobotType(lethality=0.2, true_positive=0.8, max_steps=7, loss_cost=0.3)
     belief = random_belief(4)
@@ -159,7 +158,7 @@ def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
     assert team.information == alike.information
 
 
-@every_allocation
+@for_each('allocation', ALLOCATIONS)
 def test_a_robot_alone_is_planned_with_its_own_numbers(allocation):
     belief = random_belief(2)
     for kind in (BLIND, KEEN):
@@ -177,8 +176,7 @@ def two_wings():
     return grid, Belief.prior(grid, hazard, target, 0.0)
 
 
-@pytest.mark.parametrize('allocation', ['greedy', 'independent'])
-@pytest.mark.parametrize('order', [(BLIND, KEEN), (KEEN, BLIND)])
+@for_each('allocation, order', product(['greedy', 'independent'], [(BLIND, KEEN), (KEEN, BLIND)]))
 def test_each_goes_where_it_is_of_use(order, allocation):
     """The cheap blind one finds out where hazards are, the dear one what its camera sees."""
     grid, belief = two_wings()
@@ -200,7 +198,7 @@ def test_what_robots_are_out_for_is_left_to_them():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', range(8))
+@for_each('seed', range(8))
 def test_greedy_comes_close_to_the_best_of_all_pairs_of_kinds(seed):
     grid = Grid(3, 2, base=1)
     belief = random_belief(seed, grid)
@@ -253,7 +251,7 @@ def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
 # Refusals
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, message',
     [
         ({'types': [KEEN]}, 'has 1 values.*one for each of 2'),
