@@ -10,11 +10,13 @@ from kbnitp_ros.core.field import (
     ALL_KNOWN,
     AS_ORDERED,
     Belief,
+    Dynamics,
     Execution,
     Grid,
     Learnt,
     Observation,
     SensorModel,
+    STATIC,
     Unknowns,
     whole_number,
     World,
@@ -48,6 +50,8 @@ class Deployment:
         What robots like all others are planned with that know of these.
     parameters : mapping of str to Learnt
         What is known by then of each number that was not.
+    world : World
+        The field as it leaves it.
 
     """
 
@@ -56,6 +60,7 @@ class Deployment:
     belief: Belief
     model: SensorModel
     parameters: Mapping[str, Learnt]
+    world: World
 
 
 @dataclass(frozen=True)
@@ -69,11 +74,14 @@ class Truth:
         Of robots like all others and their sensors; None if they are as believed.
     execution : Execution
         How they depart from their orders; by default they do not.
+    dynamics : Dynamics, optional
+        How hazards really change; None if as believed.
 
     """
 
     model: SensorModel | None = None
     execution: Execution = AS_ORDERED
+    dynamics: Dynamics | None = None
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,7 @@ def run_mission(
     team: Team | None = None,
     truth: Truth | None = None,
     learning: Learning | None = None,
+    dynamics: Dynamics = STATIC,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -143,6 +152,9 @@ def run_mission(
         What the robots are really like, if not as believed.
     learning : Learning, optional
         What is learnt besides the maps; by default nothing.
+    dynamics : Dynamics
+        How hazards are believed to change. Robot k meets the field that robot k - 1 left; a
+        changing one changes in between, by the second child of the generator of robot k.
 
     Returns
     -------
@@ -158,7 +170,10 @@ def run_mission(
     team, truth, learning = team or Team(), truth or Truth(), learning or Learning()
     rng = np.random.default_rng(rng)
     world.check(grid)
-    estimator = Estimator(belief, model, method, learning.unknowns, learning.seed)
+    estimator = Estimator(
+        belief, model, method, learning.unknowns, learning.seed, dynamics=dynamics
+    )
+    possible = grid.may_be_hazardous & (belief.hazard > 0.0)
     robots = whole_number('robots', robots, 0)
     team_size(grid, team.agents)
     deployments: list[Deployment] = []
@@ -171,7 +186,16 @@ def run_mission(
         visited += count_visits(grid, [plan.path for plan in planned.plans])
         for plan, robot_type in zip(planned.plans, leaving.types):
             own = robot_type.model(truth.model or model)
-            made = truth.execution.traverse(world, grid, plan.path, own, rng.spawn(1)[0])
+            made = truth.execution.traverse(
+                world,
+                grid,
+                plan.path,
+                own,
+                rng.spawn(1)[0],
+                truth.dynamics or dynamics,
+                changing=possible if deployments else None,
+            )
+            world = made.world
             estimator.assimilate(made.observation, robot_type)
             deployments.append(
                 Deployment(
@@ -180,6 +204,7 @@ def run_mission(
                     estimator.belief,
                     estimator.model,
                     estimator.parameters,
+                    world,
                 )
             )
     return deployments

@@ -107,7 +107,7 @@ def draw_outcome(
     rng: np.random.Generator, world: World, path: NDArray[np.intp], model: SensorModel
 ) -> Observation:
     """Draw what becomes of a robot on a path, and what is known of it."""
-    survived, read = world.steps(path, model, rng)
+    survived, read, _ = world.steps(path, model, rng)
     if survived.all():
         return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
     heard = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field.check import probabilities
+from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -28,12 +29,15 @@ class Traverse:
         those who watch a simulation.
     observation : Observation
         What the base learns.
+    world : World
+        The field as the robot leaves it.
 
     """
 
     walk: NDArray[np.intp]
     steps_made: int
     observation: Observation
+    world: World
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,8 @@ class Execution:
         path: ArrayLike,
         model: SensorModel,
         rng: np.random.Generator,
+        dynamics: Dynamics = STATIC,
+        changing: NDArray[np.bool_] | None = None,
     ) -> Traverse:
         """
         Send a robot along a path; one that keeps to it fares as by `World.traverse`.
@@ -92,7 +98,11 @@ class Execution:
             What the robot, its sensor and the hazards are really like.
         rng : numpy.random.Generator
             The only source of randomness: of what happens in the steps made, and its first child
-            of all that is told here.
+            of all that is told here, its second of how hazards change.
+        dynamics : Dynamics
+            How they do.
+        changing : ndarray of bool, shape (cells,), optional
+            Which cells of a changing field do before the robot leaves; None before the first.
 
         Raises
         ------
@@ -102,16 +112,18 @@ class Execution:
         """
         ordered = grid.check_path(path)
         own = rng.spawn(1)[0]
+        if changing is not None and dynamics.effect == 'changing':
+            world = world.after_change(dynamics, changing, rng.spawn(1)[0])
         walk, passed = self._walk(grid, ordered, own)
-        survived, readings = world.steps(walk, model, rng)
+        survived, readings, after = world.steps(walk, model, rng, dynamics)
         if survived.all():
             seen = np.cumsum(own.random(survived.size) < self.camera_failure) == 0
             read = np.where(seen, readings, -1)
-            return Traverse(walk, survived.size, Observation(walk, True, read))
+            return Traverse(walk, survived.size, Observation(walk, True, read), after)
         steps_made = int(np.argmin(survived))
         heard = np.flatnonzero(own.random(steps_made) < self.last_contact)
         known = int(passed[heard[-1]]) if heard.size else 0
-        return Traverse(walk, steps_made, Observation(ordered, False, steps_survived=known))
+        return Traverse(walk, steps_made, Observation(ordered, False, steps_survived=known), after)
 
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator

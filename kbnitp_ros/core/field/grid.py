@@ -118,6 +118,14 @@ class Grid:
         return free
 
     @cached_property
+    def may_be_hazardous(self) -> NDArray[np.bool_]:
+        """Which cells may have a hazard, shape (cells,): all that are free but the base."""
+        may_be = self.free.copy()
+        may_be[self.base] = False
+        may_be.flags.writeable = False
+        return may_be
+
+    @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:
         """
         Return what a step may lead to from every cell, in ascending order, -1 for what it may not.

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field.check import frozen, probability, yes_or_no
+from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -135,22 +136,36 @@ class World:
 
         """
         cells = as_path(path)
-        survived, readings = self.steps(cells, model, rng)
+        survived, readings, _ = self.steps(cells, model, rng)
         returned = bool(survived.all())
         return Observation(cells, returned, readings if returned else None)
 
     def steps(
-        self, path: NDArray[np.intp], model: SensorModel, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        self,
+        path: NDArray[np.intp],
+        model: SensorModel,
+        rng: np.random.Generator,
+        dynamics: Dynamics = STATIC,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], World]:
         """
-        Return whether each step of a path is survived, and what is read in it.
+        Return whether each step of a path is survived, what is read in it, and what it leaves.
 
-        Arguments and errors are those of `traverse`.
+        One number a step tells what happens to the robot in it, as equation :eq:`step-events`
+        says.
+
+        Parameters
+        ----------
+        path, model, rng
+            As of `traverse`, as errors are.
+        dynamics : Dynamics
+            Whether hazards are used up.
 
         Returns
         -------
         survived, readings : ndarray of bool, shape (steps,)
-            As if the robot went on after it was lost.
+            Up to the step in which the robot is lost; what stands behind it means nothing.
+        after : World
+            The field as the robot leaves it.
 
         """
         beyond = path[(path < 0) | (path >= self.hazard.size)]
@@ -161,5 +176,36 @@ class World:
             )
         entered = path[1:]
         drawn = rng.random((2, entered.size))
-        survived = drawn[0] < model.survival(self.hazard[entered])
-        return survived, drawn[1] < model.reading(self.target[entered])
+        readings = drawn[1] < model.reading(self.target[entered])
+        if dynamics.effect != 'used_up':
+            return drawn[0] < model.survival(self.hazard[entered]), readings, self
+        survived, hazard = np.ones(entered.size, np.bool_), self.hazard.copy()
+        not_set_off = (1.0 - model.malfunction) * (1.0 - model.lethality)
+        for step, cell in enumerate(entered.tolist()):
+            survived[step] = drawn[0, step] < model.survival(hazard[cell])
+            if not_set_off <= drawn[0, step] < 1.0 - model.malfunction:
+                hazard[cell] = False
+            if not survived[step]:
+                break
+        return survived, readings, replace(self, hazard=hazard)
+
+    def after_change(
+        self, dynamics: Dynamics, possible: NDArray[np.bool_], rng: np.random.Generator
+    ) -> World:
+        """
+        Draw the field after a change of a changing field: one uniform number a cell.
+
+        Equation :eq:`hazard-change`.
+
+        Parameters
+        ----------
+        dynamics : Dynamics
+            How it changes.
+        possible : ndarray of bool, shape (cells,)
+            Which cells may have a hazard; the others stay as they are.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        """
+        there = rng.random(self.hazard.size) < dynamics.hazard_after(self.hazard.astype(float))
+        return replace(self, hazard=np.where(possible, there, self.hazard))

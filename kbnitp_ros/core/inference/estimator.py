@@ -9,15 +9,17 @@ from copy import copy
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
     Belief,
+    Dynamics,
     Learnt,
     Observation,
     ORDINARY,
     RobotType,
     SensorModel,
+    STATIC,
     Unknowns,
     whole_number,
 )
-from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, METHODS
+from kbnitp_ros.core.inference.methods import CALLED, dynamics_of, Inference, KNOWN, METHODS
 from kbnitp_ros.plugins import PluginError
 
 
@@ -38,10 +40,12 @@ class Estimator:
     seed : int
         Of the random numbers that a method draws, at least 0. The same evidence in the same order
         gives the same belief, bit for bit.
+    dynamics : Dynamics
+        How hazards change. The prior is about the first deployment, the belief about the last.
 
     Attributes
     ----------
-    prior, method, unknowns, seed
+    prior, method, unknowns, seed, dynamics
         What it was made with.
     version : int
         Of the method's arithmetic.
@@ -50,7 +54,8 @@ class Estimator:
     ------
     ValueError
         If the method is unknown, it learns no numbers and there are some to learn, one of these
-        makes no difference, or a method of another package breaks its rules.
+        makes no difference, it does not take such hazards, or a method of another package breaks
+        its rules.
 
     """
 
@@ -61,6 +66,8 @@ class Estimator:
         method: str = 'kappa_bnitp',
         unknowns: Unknowns = ALL_KNOWN,
         seed: int = 0,
+        *,
+        dynamics: Dynamics = STATIC,
     ) -> None:
         start = METHODS.find(method)
         if unknowns.priors and not start.learns:
@@ -69,14 +76,22 @@ class Estimator:
                 f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
                 f'numbers for right: use {" or ".join(learners)}'
             )
+        if dynamics.effect != 'static' and dynamics.effect not in dynamics_of(start):
+            able = [name for name, each in METHODS.items() if dynamics.effect in dynamics_of(each)]
+            raise ValueError(
+                f'{method} does not take hazards that are {dynamics.effect}: use {", ".join(able)}'
+            )
         self.prior = belief
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
+        self.dynamics = dynamics
+        # Methods that know of static hazards alone are not told.
+        told = () if dynamics.effect == 'static' else (dynamics,)
         self.version = start.version
         try:
             with METHODS.blamed(method):
-                self._inference = self._checked(start(belief, model, unknowns, self.seed))
+                self._inference = self._checked(start(belief, model, unknowns, self.seed, *told))
         except PluginError as error:
             raise ValueError(str(error)) from error
 

@@ -10,7 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import cast, Protocol
 
-from kbnitp_ros.core.field import Belief, Learnt, Observation, RobotType, SensorModel, Unknowns
+from kbnitp_ros.core.field import (
+    Belief,
+    Dynamics,
+    KINDS,
+    Learnt,
+    Observation,
+    RobotType,
+    SensorModel,
+    STATIC,
+    Unknowns,
+)
 from kbnitp_ros.core.inference.filtering import (
     lost_likelihood,
     multi_universe_likelihood,
@@ -69,6 +79,9 @@ class Method(Protocol):
         Whether it can learn numbers that are not known.
     version : int
         Of its arithmetic, from 1: another one whenever the same evidence gives other bits.
+    dynamics : tuple of str, optional
+        The kinds of `Dynamics` that it takes besides static hazards, by default none. Of these it
+        is told by a fifth argument.
 
     """
 
@@ -79,7 +92,13 @@ class Method(Protocol):
     def version(self) -> int: ...
 
     def __call__(
-        self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int, /
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        dynamics: Dynamics = STATIC,
+        /,
     ) -> Inference: ...
 
 
@@ -94,6 +113,13 @@ def as_method(given: object) -> Method:
 
     """
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
+    if dynamics := dynamics_of(given):
+        others = [kind for kind in dynamics if kind not in KINDS]
+        if others:
+            raise TypeError(
+                f'it takes hazards that are {others[0]!r}: known are {", ".join(KINDS)}'
+            )
+        takes(given, ('belief', 'model', 'unknowns', 'seed', 'dynamics'))
     if not isinstance(getattr(given, 'learns', None), bool):
         raise TypeError('it must have an attribute learns that is True or False')
     version = getattr(given, 'version', None)
@@ -105,14 +131,21 @@ def as_method(given: object) -> Method:
     return cast(Method, given)
 
 
+def dynamics_of(method: object) -> tuple[str, ...]:
+    """Return the kinds of `Dynamics` that a method takes besides static hazards."""
+    return tuple(getattr(method, 'dynamics', ()))
+
+
 METHODS = Registry(
     'method',
     as_method,
     {
-        'relaxed_itp': OnePass(multi_universe_likelihood, correlated=False),
+        'relaxed_itp': OnePass(
+            multi_universe_likelihood, correlated=False, dynamics=('changing', 'used_up')
+        ),
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
-        'kappa_bnitp': OnePass(lost_likelihood, correlated=True),
+        'kappa_bnitp': OnePass(lost_likelihood, correlated=True, dynamics=('changing', 'used_up')),
         'kappa_bnitp_smoothed': Smoother,
         'kappa_bnitp_sampled': Sampler,
     },

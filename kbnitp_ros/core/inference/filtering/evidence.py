@@ -7,6 +7,12 @@ from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, V
 import numpy as np
 from numpy.typing import NDArray
 
+# What is said of evidence that cannot be.
+IMPOSSIBLE = (
+    'the outcome is impossible under this belief and sensor model: '
+    'allow for it with probabilities that are not exactly 0 or 1'
+)
+
 
 def check_cells(belief: Belief, observation: Observation) -> None:
     """
@@ -59,12 +65,30 @@ def returned_log_likelihood(
         Indexed [visited cell, z, x]: each visit adds log s_z, and if it looked log P(y | x).
 
     """
+    survived = survived_log_likelihood(model, visits)
+    return survived[:, :, None] + read_log_likelihood(model, visits, readings)[:, None, :]
+
+
+def read_log_likelihood(
+    model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
+) -> NDArray[np.float64]:
+    """
+    Return log P(readings | X = x) of each visited cell, shape (n, 2).
+
+    Equation :eq:`returned`; the arguments are those of `returned_log_likelihood`.
+    """
     positive = np.bincount(visits.of_step, weights=readings == 1)
     negative = np.bincount(visits.of_step, weights=readings == 0)
-    survived = survived_log_likelihood(model, visits)
     read = times_log(positive[:, None], model.log_reading[1])
     read += times_log(negative[:, None], model.log_reading[0])
-    return survived[:, :, None] + read[:, None, :]
+    return read
+
+
+def loss_weights(observation: Observation) -> NDArray[np.float64]:
+    """Return how well what is known of a loss fits each step of the path, shape (steps,)."""
+    weights = np.ones(observation.steps)
+    weights[: observation.steps_survived] = 0.0
+    return weights
 
 
 def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
@@ -116,10 +140,7 @@ def condition(
         log_joint = np.log(joint) + log_likelihood
     peak = log_joint.max(axis=(1, 2), keepdims=True)
     if not np.isfinite(peak).all():
-        raise ValueError(
-            'the outcome is impossible under this belief and sensor model: '
-            'allow for it with probabilities that are not exactly 0 or 1'
-        )
+        raise ValueError(IMPOSSIBLE)
     posterior: NDArray[np.float64] = np.exp(log_joint - peak)
     posterior /= posterior.sum(axis=(1, 2), keepdims=True)
     return posterior

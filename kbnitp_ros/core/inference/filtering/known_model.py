@@ -30,6 +30,7 @@ class KnownModel:
 
     learns: ClassVar[bool] = False
     version: ClassVar[int] = 1
+    dynamics: ClassVar[tuple[str, ...]] = ()
     parameters: Mapping[str, Learnt] = MappingProxyType({})
     sampling_error: float = 0.0
     is_converged: bool = True

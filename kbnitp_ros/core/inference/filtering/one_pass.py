@@ -7,14 +7,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from kbnitp_ros.core.field import Belief, Observation, RobotType, SensorModel, Visits
+from kbnitp_ros.core.field import (
+    ALL_KNOWN,
+    Belief,
+    Dynamics,
+    Observation,
+    RobotType,
+    SensorModel,
+    STATIC,
+    Unknowns,
+    Visits,
+)
 from kbnitp_ros.core.inference.filtering.evidence import (
     check_cells,
     given,
     returned_log_likelihood,
     survived_log_likelihood,
 )
+from kbnitp_ros.core.inference.filtering.explanations import Explanations
 from kbnitp_ros.core.inference.filtering.known_model import KnownModel
+from kbnitp_ros.core.inference.filtering.used_up import update_used_up
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,17 +47,33 @@ class OnePass:
         [visited cell, z]; any common factor is normalised away.
     correlated : bool
         Whether it holds kappa; without it a mission starts from kappa := target.
+    dynamics : tuple of str
+        The kinds of `Dynamics` that it takes besides static hazards. That of hazards that are used
+        up is the exact likelihood, whatever `lost` is.
 
     """
 
     lost: Callable[[NDArray[np.float64], SensorModel, Visits], NDArray[np.float64]]
     correlated: bool
+    dynamics: tuple[str, ...] = ('changing',)
     learns: ClassVar[bool] = False
     version: ClassVar[int] = 1
 
-    def __call__(self, belief: Belief, model: SensorModel, *_: object) -> OnePassEstimate:
+    def __call__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns = ALL_KNOWN,
+        seed: int = 0,
+        dynamics: Dynamics = STATIC,
+    ) -> OnePassEstimate:
         """Return the estimate before the first deployment."""
-        return OnePassEstimate(belief if self.correlated else belief.independent(), model, self)
+        prior = belief if self.correlated else belief.independent()
+        if dynamics.effect == 'changing':
+            return ChangingEstimate(prior, model, self, dynamics)
+        if dynamics.effect == 'used_up':
+            return UsedUpEstimate(prior, model, self)
+        return OnePassEstimate(prior, model, self)
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
         """
@@ -83,6 +111,41 @@ class OnePassEstimate(KnownModel):
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Assimilate one more deployment."""
         self.belief = self._method.update(self.belief, robot_type.model(self.model), observation)
+
+
+class ChangingEstimate(OnePassEstimate):
+    """A belief about hazards that change before every deployment but the first."""
+
+    def __init__(
+        self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics
+    ) -> None:
+        super().__init__(belief, model, method)
+        self._dynamics = dynamics
+        self._possible = belief.hazard > 0.0
+        self._has_begun = False
+
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """Have hazards change, and assimilate one more deployment."""
+        now = self.belief
+        if self._has_begun:
+            now = Belief(self._dynamics.joint_after(now.joint, self._possible))
+        self.belief = self._method.update(now, robot_type.model(self.model), observation)
+        self._has_begun = True
+
+
+class UsedUpEstimate(OnePassEstimate):
+    """A belief about hazards that are gone once they strike."""
+
+    def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
+        super().__init__(belief, model, method)
+        self._explanations = Explanations(belief.hazard > 0.0)
+
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """Assimilate one more deployment."""
+        model = robot_type.model(self.model)
+        belief = update_used_up(self.belief, model, observation)
+        self._explanations = self._explanations.with_deployment(observation, model)
+        self.belief = belief
 
 
 def independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one deployment tells of hazards that are gone once they strike."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core.field import (
+    Belief,
+    Observation,
+    SensorModel,
+    sum_of_others,
+    times_log,
+    Visits,
+)
+from kbnitp_ros.core.inference.filtering.evidence import (
+    check_cells,
+    condition,
+    IMPOSSIBLE,
+    loss_weights,
+    read_log_likelihood,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def update_used_up(belief: Belief, model: SensorModel, observation: Observation) -> Belief:
+    """
+    Return the belief after one deployment in a field whose hazards are used up.
+
+    A return is equation :eq:`used-up-returned`, a loss :eq:`used-up-lost`. Both move P(Z, X) of a
+    cell from the hazard before the deployment to the one after it.
+
+    Raises
+    ------
+    ValueError
+        If the path leaves the belief's cells or the outcome is impossible.
+
+    """
+    check_cells(belief, observation)
+    visits = Visits.of(observation.path)
+    before = belief.joint[visits.cells]
+    if observation.readings is None:
+        move = lost_transition(
+            belief.hazard[visits.cells], model, visits, loss_weights(observation)
+        )
+    else:
+        read = read_log_likelihood(model, visits, observation.readings)
+        before = condition(before, read[:, None, :])
+        endures = float(model.malfunction < 1.0)
+        move = endures * survived_transition(model, visits.counts)
+    after = np.einsum('czx,czy->cyx', before, move)
+    total = after.sum(axis=(1, 2), keepdims=True)
+    if not (total > 0.0).all():
+        raise ValueError(IMPOSSIBLE)
+    joint = belief.joint.copy()
+    joint[visits.cells] = after / total
+    return Belief(joint)
+
+
+def survived_transition(model: SensorModel, counts: NDArray[np.intp]) -> Floats:
+    """
+    Return P(survived n visits, Z after = z' | Z before = z), shape (..., 2, 2) over [z, z'].
+
+    Equation :eq:`used-up-survival`, up to the factor (1 - malfunction)^n.
+
+    Parameters
+    ----------
+    model : SensorModel
+        What the robot is believed to be like.
+    counts : ndarray of int, shape (...)
+        The visits to each cell.
+
+    """
+    not_set_off = (1.0 - model.lethality) ** counts
+    move = np.zeros((*counts.shape, 2, 2))
+    move[..., 0, 0] = 1.0
+    move[..., 1, 0] = model.false_negative * (1.0 - not_set_off)
+    move[..., 1, 1] = not_set_off
+    return move
+
+
+def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights: Floats) -> Floats:
+    """
+    Return the sum over the steps k of w_k P(lost in k, Z after = z' | Z before = z), exactly.
+
+    Equation :eq:`used-up-lost`. The other cells of the path are summed out at their beliefs.
+
+    Parameters
+    ----------
+    hazard : ndarray, shape (n,)
+        P(Z = 1) of the visited cells before the deployment.
+    model : SensorModel
+        What the robot is believed to be like.
+    visits : Visits
+        The n cells, how often each is visited, and in which steps.
+    weights : ndarray, shape (steps,)
+        How well what was observed fits a loss in each step.
+
+    Returns
+    -------
+    ndarray, shape (n, 2, 2)
+        Indexed [visited cell, z, z'], up to a common factor.
+
+    """
+    here = np.arange(visits.of_step.size)
+    entered = visits.of_step[:, None] == np.arange(visits.cells.size)
+    # Visits to each cell before each step, (steps, n), and what they do to its hazard.
+    made = np.concatenate([np.zeros((1, visits.cells.size), np.intp), entered[:-1]]).cumsum(axis=0)
+    moved = survived_transition(model, made)
+    # In the step itself a robot that is lost has failed, or set the hazard off.
+    failed, struck = model.malfunction, model.lethality * (1.0 - model.false_negative)
+    lost = np.array([[failed, 0.0], [(1.0 - failed) * struck, failed]])
+    own = np.matmul(moved[here, visits.of_step], lost)
+    prior = np.stack([1.0 - hazard, hazard], axis=-1)
+    with np.errstate(divide='ignore'):
+        chance = np.log(np.einsum('nz,knzy->kn', prior, moved))
+        chance[here, visits.of_step] = np.log(np.einsum('kz,kzy->k', prior[visits.of_step], own))
+        others = sum_of_others(chance)
+        others += np.log(weights)[:, None] + times_log(here, np.log1p(-failed))[:, None]
+    peak = others.max(initial=-np.inf)
+    if peak == -np.inf:
+        return np.zeros((visits.cells.size, 2, 2))
+    moved[here, visits.of_step] = own
+    summed: Floats = np.einsum('kn,knzy->nzy', np.exp(others - peak), moved)
+    return summed

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Hazards that change or are used up, written out in full: every state, step by step.
+
+Nothing here uses the code under test: sensor models and dynamics are read for their numbers only.
+"""
+
+from itertools import product
+
+import numpy as np
+
+
+def states_of(cells):
+    """List all states of so many hazards, (2^cells, cells)."""
+    return np.array(list(product((0, 1), repeat=cells)))
+
+
+def changed(weight, states, possible, appear, vanish):
+    """Move the weights, (..., states), of all states by a change of each possible cell."""
+    for cell in np.flatnonzero(possible):
+        bit = 1 << (states.shape[1] - 1 - cell)
+        there = states[:, cell] == 1
+        other = weight[..., np.arange(len(states)) ^ bit]
+        stays = np.where(there, 1 - vanish, 1 - appear)
+        comes = np.where(there, appear, vanish)
+        weight = weight * stays + other * comes
+    return weight
+
+
+def deployed(weight, states, model, used_up, path, is_lost, lost_at):
+    """Send a robot along a path: the weights of the states after the outcome."""
+    failed, set_off = model.malfunction, model.lethality
+    dead = np.zeros_like(weight)
+    for step, cell in enumerate(path[1:]):
+        there = states[:, cell] == 1
+        gone = np.arange(len(states)) & ~(1 << (states.shape[1] - 1 - cell))
+        fails = weight * failed
+        struck = weight * np.where(there, (1 - failed) * set_off, 0.0)
+        spared = weight * (1 - failed) * np.where(there, 1 - set_off, 1.0)
+        lost, alive = struck * (1 - model.false_negative), struck * model.false_negative
+        if used_up:
+            lost, alive = (moved_to(each, gone, there) for each in (lost, alive))
+        dead += lost_at[step] * (fails + lost)
+        weight = spared + alive
+    return dead if is_lost else weight
+
+
+def moved_to(weight, target, where):
+    """Move the weights of some states to others."""
+    moved = np.zeros_like(weight)
+    # No two of these states have the same target.
+    moved[..., target[where]] = weight[..., where]
+    return moved
+
+
+def posterior(joint, dynamics, *deployments, possible=None):
+    """
+    Take in deployments, each a sensor model, a path, readings or None and `lost_at` or None.
+
+    The cells' joints of their hazards after the last one and their targets, (cells, 2, 2); None if
+    no state explains them. Which cells are possible hazards is read off the joint unless given.
+    """
+    cells = len(joint)
+    states = states_of(cells)
+    read = np.ones((cells, 2))
+    for model, path, readings, _ in deployments:
+        for cell, reading in zip(path[1:], [] if readings is None else readings):
+            for x, positive in enumerate((model.false_positive, model.true_positive)):
+                read[cell, x] *= 1.0 if reading == -1 else positive if reading else 1 - positive
+    seen = joint * read[:, None, :]
+    each = seen.sum(axis=2)[np.arange(cells), states]
+    # For each cell and each target in it: the weights of all states beforehand.
+    weight = np.empty((cells, 2, len(states)))
+    for cell, x in product(range(cells), (0, 1)):
+        rest = np.delete(each, cell, axis=1).prod(axis=1)
+        weight[cell, x] = rest * seen[cell, states[:, cell], x]
+    possible = joint[:, 1].sum(axis=1) > 0 if possible is None else possible
+    for number, (model, path, readings, lost_at) in enumerate(deployments):
+        if number and dynamics.kind == 'changing':
+            weight = changed(weight, states, possible, dynamics.appear, dynamics.vanish)
+        lost_at = np.ones(len(path) - 1) if lost_at is None else lost_at
+        used_up = dynamics.kind == 'used_up'
+        weight = deployed(weight, states, model, used_up, path, readings is None, lost_at)
+        if not weight.any():
+            return None
+        weight = weight / weight.sum()
+    after = np.empty_like(joint)
+    for cell, z in product(range(cells), (0, 1)):
+        after[cell, z] = weight[cell][:, states[:, cell] == z].sum(axis=1)
+    return after / after.sum(axis=(1, 2), keepdims=True)

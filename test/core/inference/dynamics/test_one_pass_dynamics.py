@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One-pass beliefs about hazards that change or are used up, against all states in full."""
+
+from itertools import product
+
+import brute_force
+import hazards_in_time
+from kbnitp_ros.core import (
+    Belief,
+    Dynamics,
+    Estimator,
+    Grid,
+    METHODS,
+    Observation,
+    RobotType,
+    run_mission,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.core.inference.methods import dynamics_of
+from laws import for_each
+import numpy as np
+import pytest
+
+CASES = range(300)
+SIZES = ((2, 3), (2, 3), (3, 3), (2, 3), (4, 3))
+KINDS = ('changing', 'used_up', 'static')
+EXACT = ('kappa_bnitp', 'relaxed_itp')
+
+# A robot that learns nothing on its only step, from the base to the base.
+UNEVENTFUL = SensorModel(0.0, malfunction=0.0), [0, 0], [-1], None
+
+
+def drawn(seed, kind, size=None):
+    """Draw a field, how its hazards change, and some deployments in it."""
+    rng = np.random.default_rng([seed, len(kind)])
+    width, height = size or SIZES[seed % len(SIZES)]
+    base = int(rng.integers(width * height))
+    joint = brute_force.random_joint(rng, width * height, base)
+    rates = rng.choice([0.0, 0.01, 0.2, 1.0], 2) if kind == 'changing' else (0.0, 0.0)
+    deployments = []
+    for _ in range(4):
+        model = SensorModel(**brute_force.random_sensors(rng))
+        path = brute_force.random_path(rng, width, height, base, int(rng.integers(1, 9)))
+        readings = rng.integers(-1, 2, len(path) - 1)
+        heard = int(rng.integers(len(path) - 1)) if rng.random() < 0.3 else 0
+        deployments.append((model, path, None if rng.random() < 0.5 else readings, heard))
+    return joint, Dynamics(kind, *rates), deployments
+
+
+def seen(path, readings, heard):
+    if readings is None:
+        return Observation(path, False, steps_survived=heard)
+    return Observation(path, True, readings)
+
+
+def is_taken_in(estimator, observation, robot_type):
+    """Whether an estimator does not refuse an outcome as impossible."""
+    try:
+        estimator.assimilate(observation, robot_type)
+    except ValueError as error:
+        if 'impossible' not in str(error):
+            raise
+        return False
+    return True
+
+
+@pytest.mark.parametrize('method', EXACT)
+@for_each('kind, seed', [(kind, seed) for seed in CASES for kind in KINDS], every=10)
+def test_each_deployment_is_taken_in_exactly(method, kind, seed):
+    """After a change, from what was believed of each cell before it."""
+    joint, dynamics, deployments = drawn(seed, kind)
+    prior = Belief(joint) if method == 'kappa_bnitp' else Belief(joint).independent()
+    estimator = Estimator(prior, SensorModel(0.5), method, dynamics=dynamics)
+    possible, done = prior.hazard > 0, []
+    for model, path, readings, heard in deployments:
+        before = estimator.belief.joint
+        expected = hazards_in_time.posterior(
+            before,
+            dynamics,
+            *([UNEVENTFUL] if done else []),
+            (model, path, readings, np.arange(len(path) - 1) >= heard),
+            possible=possible,
+        )
+        flown = model, path, readings, np.arange(len(path) - 1) >= heard
+        outcome = seen(path, readings, heard), RobotType(**vars(model))
+        if not is_taken_in(estimator, *outcome):
+            assert estimator.belief.joint.tobytes() == before.tobytes()
+            assert hazards_in_time.posterior(joint, dynamics, *done, flown) is None
+            continue
+        done.append(flown)
+        np.testing.assert_allclose(estimator.belief.joint, expected, rtol=0, atol=1e-12)
+
+
+def test_the_cases_cover_what_they_claim():
+    for kind in KINDS:
+        flown = [each for seed in CASES for each in drawn(seed, kind)[2]]
+        assert sum(readings is None for _, _, readings, _ in flown) > 400
+        assert sum(heard > 0 for _, _, readings, heard in flown if readings is None) > 50
+        assert sum(len(set(path[1:])) < len(path) - 1 for _, path, _, _ in flown) > 400
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_no_rates_are_static_hazards(method):
+    """Bit for bit, by every method."""
+    joint, _, deployments = drawn(1, 'changing')
+    beliefs = []
+    for dynamics in (Dynamics('changing'), Dynamics()):
+        estimator = Estimator(Belief(joint), SensorModel(0.5), method, dynamics=dynamics)
+        for _, path, readings, heard in deployments:
+            estimator.assimilate(seen(path, readings, heard))
+        beliefs.append(estimator.belief.joint.tobytes())
+    assert beliefs[0] == beliefs[1]
+
+
+@for_each('method', METHODS)
+def test_a_method_refuses_hazards_that_it_does_not_take(method):
+    prior = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
+    for dynamics in (Dynamics('changing', 0.1, 0.1), Dynamics('used_up')):
+        able = [name for name, each in METHODS.items() if dynamics.kind in dynamics_of(each)]
+        if method in able:
+            Estimator(prior, SensorModel(0.5), method, dynamics=dynamics)
+            continue
+        with pytest.raises(ValueError, match=f'{method} .* {dynamics.kind}') as refusal:
+            Estimator(prior, SensorModel(0.5), method, dynamics=dynamics)
+        assert all(name in str(refusal.value) for name in able)
+
+
+@for_each(
+    'arguments, named',
+    [
+        (('growing',), 'growing'),
+        (('static', 0.1), 'appear is 0.1'),
+        (('used_up', 0.0, 0.1), 'vanish is 0.1'),
+        (('changing', -0.1), 'appear is -0.1'),
+        (('changing', 0.1, 1.5), 'vanish is 1.5'),
+        (('changing', float('nan')), 'appear is nan'),
+    ],
+)
+def test_rates_out_of_range_or_of_another_kind_are_refused(arguments, named):
+    with pytest.raises(ValueError, match=named):
+        Dynamics(*arguments)
+
+
+@for_each('lethality, method', product((0.5, 1.0), EXACT))
+def test_two_losses_that_one_hazard_alone_explains_are_refused(lethality, method):
+    """Also where beliefs of single cells leave room for more."""
+    prior = Belief.from_maps([0.0, 0.5, 0.5, 0.0], [0.5] * 4, [0.5] * 4)
+    model = SensorModel(lethality, malfunction=0.0, false_negative=0.0)
+    estimator = Estimator(prior, model, method, dynamics=Dynamics('used_up'))
+    loss = Observation([0, 1, 2, 3, 0], False)
+    for _ in range(2):
+        estimator.assimilate(loss)
+    before = estimator.belief.joint.tobytes()
+    with pytest.raises(ValueError, match='impossible'):
+        estimator.assimilate(loss)
+    assert estimator.belief.joint.tobytes() == before
+    estimator.assimilate(loss, RobotType(malfunction=0.1))
+
+
+def test_a_field_changes_as_its_robots_are_told():
+    """A hazard is gone once it struck; chance alone makes others, and none where none may be."""
+    grid = Grid(4, 3, base=5, blocked=(0,))
+    prior, model = Belief.prior(grid, 0.5, 0.4, 0.8), SensorModel(0.5, 0.05, 0.3)
+    rng = np.random.default_rng(5)
+    used_up, changing = Dynamics('used_up'), Dynamics('changing', 0.3, 0.6)
+    for dynamics in (used_up, changing):
+        world = World.random(grid, rng, 0.5, 0.8, 0.1)
+        made = run_mission(grid, prior, model, world, 60, rng, dynamics=dynamics)
+        fields = np.array([world.hazard, *(each.world.hazard for each in made)])
+        assert not fields[:, [0, 5]].any()
+        assert all(np.array_equal(each.world.target, world.target) for each in made)
+        came, went = ~fields[:-1] & fields[1:], fields[:-1] & ~fields[1:]
+        if dynamics is used_up:
+            assert went.any()
+            assert not came.any()
+            for each, gone in zip(made, went):
+                assert set(np.flatnonzero(gone)) <= set(each.observation.path.tolist())
+        else:
+            # Before each robot but the first.
+            assert np.array_equal(fields[0], fields[1])
+            may = grid.may_be_hazardous
+            for share, of, rate in ((came, ~fields, 0.3), (went, fields, 0.6)):
+                times = of[1:-1, may].sum()
+                spread = np.sqrt(times * rate * (1 - rate))
+                assert abs(share[1:, may].sum() - times * rate) < 5 * spread
