@@ -186,11 +186,6 @@ class MissionArguments:
     """
     A mission as the arguments of a launch file describe it.
 
-    Parameters
-    ----------
-    context : LaunchContext
-        Has the arguments.
-
     Attributes
     ----------
     agents : list of str

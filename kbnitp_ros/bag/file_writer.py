@@ -49,13 +49,6 @@ class FileWriter:
         How many bytes come before the first message: the types and channels known by then, and
         records of named values.
 
-    Parameters
-    ----------
-    path : Path
-        The file to make.
-    compression : str
-        'none' or 'zstd'.
-
     Raises
     ------
     OSError

@@ -342,13 +342,6 @@ def in_chunk(source: Source, length: int) -> Iterator[tuple[int, bytes, int]]:
 
     Of a message that is too large to be read the body is its head alone.
 
-    Parameters
-    ----------
-    source : Source
-        At the start of the chunk.
-    length : int
-        How many bytes it should have.
-
     Raises
     ------
     Exception
@@ -385,14 +378,6 @@ def in_large_chunk(stream: BoundedStream, original_size: int) -> Iterator[tuple[
 
     A chunk becomes so large by its last message: nothing is read or unpacked after one that is too
     large, and the checksum of the chunk is not compared.
-
-    Parameters
-    ----------
-    stream : BoundedStream
-        After the chunk's times, size and checksum.
-    original_size : int
-        Of its records before compression.
-
     """
     compression = stream.read(int.from_bytes(stream.read(4), 'little')).decode()
     size = int.from_bytes(stream.read(8), 'little')

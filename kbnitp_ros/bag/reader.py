@@ -224,15 +224,7 @@ def readable(part: Path) -> Iterator[None]:
 
 
 class Decoders:
-    """
-    What makes messages of bytes, for each type as the file defines it.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log, to be named in errors.
-
-    """
+    """What makes messages of bytes, for each type as the file defines it."""
 
     def __init__(self, path: str | Path) -> None:
         self._path = path

@@ -83,15 +83,6 @@ def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
 
     All that is whole is written to another file, which then takes its place.
 
-    Parameters
-    ----------
-    part : Path
-        An MCAP file.
-    compression : str
-        'none' or 'zstd', for one that is not finished.
-    lock : LogLock
-        The log's, held by this process.
-
     Raises
     ------
     LogError
@@ -144,23 +135,7 @@ def copy(
     compression: str,
     tell_lost: Callable[[str], object],
 ) -> BagFile:
-    """
-    Write what was read from one file or several to a new finished one.
-
-    Parameters
-    ----------
-    recorded : iterable of RecordedMessage or Metadata
-        What was read.
-    target : Path
-        The file to make; there is none after an error.
-    name : str
-        What it is going to be called.
-    compression : str
-        'none' or 'zstd'.
-    tell_lost : callable
-        Called with what is too large to be copied, in words.
-
-    """
+    """Write what was read from one file or several to a new finished one."""
     part = FileWriter(target, compression)
     part.contents.name = name
     metadata: dict[str, dict[str, str]] = {}

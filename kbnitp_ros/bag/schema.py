@@ -43,11 +43,6 @@ def check_installed(type_name: str) -> None:
     Type names come from the network and from files: nothing is imported or opened by one that is
     not listed.
 
-    Parameters
-    ----------
-    type_name : str
-        Such as 'nav_msgs/msg/Path'.
-
     Raises
     ------
     LookupError
@@ -72,11 +67,6 @@ def check_installed(type_name: str) -> None:
 def describe(type_name: str) -> TypeDescription:
     """
     Return the description of an installed message type.
-
-    Parameters
-    ----------
-    type_name : str
-        Such as 'nav_msgs/msg/Path'.
 
     Raises
     ------
@@ -116,20 +106,7 @@ def installed_text(type_name: str, suffix: str) -> str:
 
 
 def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
-    """
-    Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic.
-
-    Parameters
-    ----------
-    profiles : iterable of rclpy.qos.QoSProfile
-        One for each publisher.
-
-    Returns
-    -------
-    str
-        A YAML list; each entry has all nine policies.
-
-    """
+    """Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic."""
 
     def duration(value: Any) -> dict[str, int]:
         seconds, nanoseconds = divmod(value.nanoseconds, 10**9)

@@ -45,13 +45,6 @@ def read_sqlite(
     """
     Yield the messages of a file by their times.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    on_corruption : callable
-        Takes a LogError if the file is corrupt.
-
     Raises
     ------
     LogError

@@ -171,13 +171,6 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         """
         Take note of what path is on disk; those of others do not matter.
 
-        Parameters
-        ----------
-        key : DeploymentKey
-            Its deployment.
-        content : int
-            Hash of its message.
-
         Returns
         -------
         bool

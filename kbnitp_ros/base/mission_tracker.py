@@ -127,14 +127,6 @@ class MissionTracker:
         Keep a belief if it is the newest, and say so.
 
         An estimator that was started again goes through its earlier beliefs once more.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            One that was checked.
-        known : int
-            How many deployments' paths are known.
-
         """
         if self._unknown is None:
             self._unknown = max(0, snapshot.deployments - known)

@@ -29,19 +29,7 @@ Plans = dict[DeploymentKey, Plan]
 
 
 class Rounds:
-    """
-    Plans rounds, each on a belief.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    values : mapping
-        The planner's parameters by name, kept up to date.
-    warn : callable
-        Called with a sentence for the operator.
-
-    """
+    """Plans rounds, each on a belief."""
 
     def __init__(
         self, grid: Grid, values: Mapping[str, Any], warn: Callable[[str], object]
@@ -122,18 +110,6 @@ class Rounds:
         Return the plans of a round that died with the mission before their paths were on record.
 
         Some of the others may have reported, so nobody could plan these later.
-
-        Parameters
-        ----------
-        planned_on : Snapshot
-            The belief that the round was planned on.
-        agents : sequence of str
-            Those of the team.
-        recorded : dict
-            The paths of the round that are on record.
-        refused : sequence of sequence of ndarray
-            As of `plan`.
-
         """
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
         if len(recorded) >= len(agents):

@@ -416,11 +416,6 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """
     Start the nodes, watch until all robots are deployed, and stop the nodes.
 
-    Parameters
-    ----------
-    parameters : mapping
-        Of each node, by its name.
-
     Raises
     ------
     RuntimeError

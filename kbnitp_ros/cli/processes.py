@@ -93,11 +93,6 @@ class Processes:
     """
     Some nodes of this package, all ended when the ``with`` statement is left.
 
-    Parameters
-    ----------
-    domain : int
-        The ROS domain they are on.
-
     Attributes
     ----------
     started : dict

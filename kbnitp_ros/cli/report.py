@@ -64,11 +64,6 @@ def report(
     """
     Write the report of a log and say so, with progress bars on a terminal.
 
-    Returns
-    -------
-    Mission
-        What the log tells.
-
     Raises
     ------
     LogError

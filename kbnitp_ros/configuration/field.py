@@ -17,13 +17,6 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
     """
     Return the grid that these parameters describe, as beliefs tell it.
 
-    Parameters
-    ----------
-    values : mapping
-        Of all parameters of the field, by name.
-    heard : Map, optional
-        The one on the parameter `map_topic`.
-
     Raises
     ------
     ValueError

@@ -124,17 +124,7 @@ def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
 
 
 def values_for(sections: Sections, node: str) -> dict[str, Any]:
-    """
-    Return the values that ROS gives a node of these sections: of those that fit, the last counts.
-
-    Parameters
-    ----------
-    sections : dict
-        Of a file.
-    node : str
-        The node's full name.
-
-    """
+    """Return the values that ROS gives a node of sections: of those that fit the last counts."""
     values = {}
     for section, given in sections.items():
         if _fits(section, node):
@@ -150,13 +140,6 @@ def _fits(section: str, node: str) -> bool:
 def check_given(name: str, arguments: Sequence[str]) -> None:
     """
     Check what a node's command line gives for parameters.
-
-    Parameters
-    ----------
-    name : str
-        The executable.
-    arguments : sequence of str
-        The command line without the program.
 
     Raises
     ------

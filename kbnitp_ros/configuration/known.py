@@ -34,13 +34,6 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     """
     Check that a name is one of the parameters of some of these nodes.
 
-    Parameters
-    ----------
-    name : str
-        The parameter's.
-    nodes : sequence of str
-        One that it is given to, or all that share it.
-
     Raises
     ------
     ValueError

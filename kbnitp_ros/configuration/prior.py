@@ -20,13 +20,6 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
     """
     Return the prior that the parameters of an estimator describe.
 
-    Parameters
-    ----------
-    values : mapping
-        Of all its parameters, by name.
-    grid : Grid
-        Its field.
-
     Raises
     ------
     ValueError

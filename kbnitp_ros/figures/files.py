@@ -40,20 +40,6 @@ def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
     """
     Write a figure once for each format.
 
-    Parameters
-    ----------
-    figure : Figure
-        As it is drawn.
-    path : Path
-        The file; its suffix is replaced by each of the formats.
-    *formats : str
-        Of `FORMATS`.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
     Raises
     ------
     OSError

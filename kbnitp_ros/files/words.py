@@ -27,12 +27,6 @@ def naming(path: str | Path) -> Iterator[None]:
 
     The system names the file when one is opened, but not when an open one is written, as on a
     full disk.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file that an error is about if it names none.
-
     """
     try:
         yield

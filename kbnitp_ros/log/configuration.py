@@ -22,15 +22,7 @@ PARAMETERS = 'parameters'
 
 
 def run_record(rmw_implementation: str) -> dict[str, str]:
-    """
-    Return what the record `RUN` of a log says: the time (UTC) and what the run runs on.
-
-    Parameters
-    ----------
-    rmw_implementation : str
-        Such as 'rmw_fastrtps_cpp'.
-
-    """
+    """Return what the record `RUN` of a log says: the time (UTC) and what the run runs on."""
     packages = ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', rmw_implementation)
     return {
         'time': datetime.now(timezone.utc).isoformat(),
@@ -68,11 +60,6 @@ def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
 def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
     """
     Return the parameters that the nodes of a run had at its end.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log: a file, its first part or its folder.
 
     Returns
     -------

@@ -110,13 +110,6 @@ def read_newest_round(
     A round's first path, which need not be on record, has the stamp of the belief that it was
     planned on. A belief in some of the round's robots is younger than the round.
 
-    Parameters
-    ----------
-    log : str or Path
-        The log of one mission, finished or not.
-    deployments : dict
-        Those of the log, in the order they were made.
-
     Returns
     -------
     tuple or None

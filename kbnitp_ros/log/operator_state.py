@@ -91,13 +91,6 @@ def read_operator_actions(log: str | Path, grid: Grid) -> Iterator[tuple[Operato
     """
     Yield the actions of the operator, each with the message as it came off the wire.
 
-    Parameters
-    ----------
-    log : str or Path
-        The log of one mission, finished or not.
-    grid : Grid
-        The mission's.
-
     Raises
     ------
     LogError

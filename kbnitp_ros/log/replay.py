@@ -95,15 +95,7 @@ def replay(
 
 
 class Fold:
-    """
-    The belief that a log's evidence gives, up to one belief on record after another.
-
-    Parameters
-    ----------
-    report : ReplayReport
-        Has all evidence of the log; what is found is added to it.
-
-    """
+    """The belief that a log's evidence gives, up to one belief on record after another."""
 
     def __init__(self, report: ReplayReport) -> None:
         self.report = report

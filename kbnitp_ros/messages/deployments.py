@@ -73,15 +73,6 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
 
     Whether a robot can go that way is for `Grid.check_path` to say.
 
-    Parameters
-    ----------
-    grid : Grid
-        A pose stands for the cell it lies in.
-    agent : str
-        Whose topic the message came on.
-    message : nav_msgs/Path
-        As received, or as decoded from a log.
-
     Raises
     ------
     ValueError
@@ -122,13 +113,6 @@ def read_path_name(message: Any) -> int:
 def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
     """
     Return which deployment a nav_msgs/Path names, whatever its poses are.
-
-    Parameters
-    ----------
-    topic : str
-        The full name of its topic.
-    message : nav_msgs/Path
-        As received, or as decoded from a log.
 
     Returns
     -------
@@ -186,13 +170,6 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says.
 
     Whether a robot can have made it is for `Ledger.record_report` to say.
-
-    Parameters
-    ----------
-    message : kbnitp_msgs/DeploymentReport
-        As received, or as decoded from a log.
-    agent : str, optional
-        Whose topic it came on.
 
     Raises
     ------

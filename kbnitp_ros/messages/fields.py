@@ -25,14 +25,6 @@ def filled(message: M, fields: Fields) -> M:
     Return a message, after its fields were set.
 
     Lists of messages in it are for the caller to set.
-
-    Parameters
-    ----------
-    message : ROS message
-        All its other fields stay as they are.
-    fields : Fields
-        Some of its fields; arrays have the types of theirs.
-
     """
     for name, value in vars(fields).items():
         if isinstance(value, Fields):

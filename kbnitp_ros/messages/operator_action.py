@@ -113,13 +113,6 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
     """
     Return the action that a kbnitp_msgs/OperatorAction states.
 
-    Parameters
-    ----------
-    grid : Grid
-        Where its paths are.
-    message : kbnitp_msgs/OperatorAction
-        As received, or as decoded from a log.
-
     Raises
     ------
     ValueError

@@ -12,17 +12,7 @@ OWN_NAME = 'each robot needs its own (parameter agent and the namespace)'
 
 
 class DuplicateNames:
-    """
-    Listens for diagnostics that tell the name of this node, and are not its own.
-
-    Parameters
-    ----------
-    node : MissionNode
-        This one.
-    topic : str
-        One that it publishes on, and so do others of its name.
-
-    """
+    """Listens for diagnostics that tell the name of this node, and are not its own."""
 
     def __init__(self, node: MissionNode, topic: str) -> None:
         self._node = node

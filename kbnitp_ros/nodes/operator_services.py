@@ -38,15 +38,6 @@ class Proposals:
     """
     The plans of the next round, on AGENT/proposal until they are approved or refused.
 
-    Parameters
-    ----------
-    node : MissionNode
-        The planner.
-    grid : Grid
-        The field.
-    agents : sequence of str
-        Those of the team.
-
     Attributes
     ----------
     plans : dict of DeploymentKey to Plan
@@ -96,19 +87,6 @@ class Operator:
 
     An action is published on `operator`. With the parameter `recorded` it holds, and its service
     answers, when the recorder has it on disk: what an operator was told is so after any crash.
-
-    Parameters
-    ----------
-    node : MissionNode
-        The planner.
-    grid : Grid
-        The field.
-    in_flight : DeploymentsInFlight
-        The robots that can be given up.
-    proposals : Proposals
-        The plans that can be approved or refused.
-    act : callable
-        Called with each action when it holds.
 
     Attributes
     ----------

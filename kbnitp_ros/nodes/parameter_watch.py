@@ -46,18 +46,6 @@ class ParameterWatch:
     A node is asked when it appears, when another of its name appears, which is how a restart
     looks, and when it says that a parameter has changed. One that does not answer is left alone,
     and so is one that nobody knows of.
-
-    Parameters
-    ----------
-    node : Node
-        Asks; its own parameters are told as well.
-    namespace : str
-        Ends in a slash.
-    tell : callable
-        Called with each answer.
-    refuse : callable
-        Called with what cannot be an answer or the name of a node.
-
     """
 
     def __init__(self, node: Node, namespace: str, tell: Tell, refuse: Refuse) -> None:

@@ -25,13 +25,6 @@ class Peers:
     """
     Who takes part in the mission besides the planner, as the last look at the graph found them.
 
-    Parameters
-    ----------
-    node : MissionNode
-        The planner.
-    agents : sequence of str
-        Those of the team.
-
     Attributes
     ----------
     estimators : int

@@ -25,17 +25,6 @@ class PendingPaths:
     the others the robot is sent on the newest only, since the base sends none while it waits for
     an earlier one.
 
-    Parameters
-    ----------
-    node : FieldNode
-        Whose parameters and topics are used.
-    agent : str
-        Whose paths they are.
-    prefix : str
-        What the names of its topics begin with.
-    journal : Journal
-        What the robot did before.
-
     Attributes
     ----------
     is_listening : bool

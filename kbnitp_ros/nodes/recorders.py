@@ -41,11 +41,6 @@ class Recorders:
     may be of a process that was killed, which DDS knows of for some time, and diagnostics alone
     may be said by anybody.
 
-    Parameters
-    ----------
-    node : MissionNode
-        Looks for them in its own namespace.
-
     Attributes
     ----------
     instances : Instances
@@ -98,11 +93,6 @@ class AnotherRecorderError(OSError):
 class Precedence:
     """
     Sees that a namespace has one recorder: the one that has recorded for longest.
-
-    Parameters
-    ----------
-    node : MissionNode
-        The recorder.
 
     Attributes
     ----------
@@ -159,15 +149,7 @@ class Precedence:
             )
 
     def begin(self, log: object) -> None:
-        """
-        Tell that this process records from now on.
-
-        Parameters
-        ----------
-        log : object
-            The file, as it is to be told.
-
-        """
+        """Tell that this process records from now on."""
         self._values[LOG] = str(log)
         self._values[BEGUN] = str(time.time_ns())
         self._begun_at = self._checked_at = time.monotonic()

@@ -37,15 +37,7 @@ from visualization_msgs.msg import Marker
 
 
 class Simulation:
-    """
-    The field as it really is, the same for all agents of a team.
-
-    Parameters
-    ----------
-    node : FieldNode
-        An agent node: its parameters, its clock and its topics.
-
-    """
+    """The field as it really is, the same for all agents of a team."""
 
     def __init__(self, node: FieldNode) -> None:
         self.node = node

@@ -23,15 +23,7 @@ Message = tuple['Topic', bytes, dict[str, Any]]
 
 
 class Recent:
-    """
-    A set that forgets what was added first.
-
-    Parameters
-    ----------
-    size : int
-        How many it remembers.
-
-    """
+    """A set that forgets what was added first."""
 
     def __init__(self, size: int) -> None:
         self.size = size

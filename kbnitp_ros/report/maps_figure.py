@@ -30,14 +30,6 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
     Hazard, target and kappa as believed above, as they are below if that is on record; then where
     the robots went that returned, and where those were sent that were lost. Cells that nobody was
     sent into are hatched.
-
-    Parameters
-    ----------
-    mission : Mission
-        As read from its log.
-    note : str
-        What else is to be known of the mission.
-
     """
     grid, belief, world = mission.grid, mission.moments[-1].belief, mission.world
     visited = mission.visited()

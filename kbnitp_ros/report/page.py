@@ -68,13 +68,6 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
     All that is in the log is shown as long as the page has no more than `MOST_BYTES`; else every
     second moment with its deployment, or every third, and so on.
 
-    Parameters
-    ----------
-    mission : Mission
-        As read from its log.
-    curves : Curves
-        Of the mission.
-
     Returns
     -------
     page, left_out : str

@@ -109,19 +109,7 @@ def map_plot(grid: Grid, name: str, values: NDArray[np.float64] | None = None) -
 
 
 def curve_plot(mission: Mission, curves: Curves, kept: NDArray[np.intp]) -> str:
-    """
-    Return all curves below each other as Plotly's JSON.
-
-    Parameters
-    ----------
-    mission : Mission
-        As read from its log.
-    curves : Curves
-        Of the mission.
-    kept : ndarray of int
-        The moments that the page has.
-
-    """
+    """Return all curves below each other as Plotly's JSON."""
     panels = panels_of(curves)
     names = list(mission.moments[-1].learnt)
     rows = len(panels) + len(names)

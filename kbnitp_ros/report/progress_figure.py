@@ -76,19 +76,7 @@ def panels_of(curves: Curves) -> list[Panel]:
 def progress_figure(
     mission: Mission, curves: Curves, truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """
-    Return the picture of entropy, log loss, information and losses after each deployment.
-
-    Parameters
-    ----------
-    mission : Mission
-        As read from its log.
-    curves : Curves
-        Of the mission.
-    truth : mapping of str to float, optional
-        What the numbers are that were learnt, as far as it is known.
-
-    """
+    """Return the picture of entropy, log loss, information and losses after each deployment."""
     panels = panels_of(curves)
     names = list(mission.moments[-1].learnt)
     rows = -(-(len(panels) + len(names)) // COLUMNS)

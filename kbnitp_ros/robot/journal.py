@@ -44,15 +44,6 @@ class Journal:
     """
     The journal in a file, which is made if it is not there.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file; its folder is made, too.
-    agent : str
-        Whose it is.
-    grid : Grid
-        The field of its deployments.
-
     Attributes
     ----------
     path : Path
@@ -216,13 +207,6 @@ class Journal:
     def step(self, deployment: Deployment, number: int) -> None:
         """
         Keep a step of a deployment, or what was read there since.
-
-        Parameters
-        ----------
-        deployment : Deployment
-            The last that has begun.
-        number : int
-            Which step, counted from 1.
 
         Raises
         ------

@@ -64,17 +64,7 @@ class Place(NamedTuple):
 
 
 class Transforms:
-    """
-    The newest place of each frame in the one above it.
-
-    Parameters
-    ----------
-    frame : str
-        The frame that positions are told in.
-    of : str
-        The frame whose positions are told.
-
-    """
+    """The newest place of each frame in the one above it."""
 
     def __init__(self, frame: str, of: str) -> None:
         self._frame = frame

@@ -25,13 +25,6 @@ class Folder:
     A file gets its name once it is on disk, so that a trial is there as a whole or not at all,
     however the study ends.
 
-    Parameters
-    ----------
-    path : Path
-        Made if it is not there, and held until this process ends.
-    scenario : Scenario
-        Kept in it.
-
     Raises
     ------
     ValueError

@@ -52,11 +52,6 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     Teams of several sizes, or loss costs, are compared in a figure and a section of their own, and
     so is what was learnt of numbers; last contacts in a section.
 
-    Returns
-    -------
-    list of Path
-        What was written.
-
     Raises
     ------
     OSError

@@ -25,19 +25,7 @@ EXAMPLES = {
 
 
 def command_parser(name: str, description: str, *examples: str) -> argparse.ArgumentParser:
-    """
-    Return a parser that knows --help and --version.
-
-    Parameters
-    ----------
-    name : str
-        The command's.
-    description : str
-        What it does, such as a docstring.
-    *examples : str
-        Lines to type.
-
-    """
+    """Return a parser that knows --help and --version."""
     paragraphs = cleandoc(description).split('\n\n')
     parser = argparse.ArgumentParser(
         prog=name,

@@ -106,20 +106,6 @@ class MissionNode(GraphNode):
 
         One that is too large, or not of the type, is refused here. None that waits to be read is
         given up for another, however many are sent: publishers are told to send it again.
-
-        Parameters
-        ----------
-        kind : type
-            Of the messages.
-        topic : str
-            Its name.
-        callback : callable
-            Called with each message.
-        profile : QoSProfile
-            Of the publisher.
-        largest : int
-            The most bytes that a message can have.
-
         """
         return self.hear_newest(kind, topic, callback, qos.unread_kept(profile), largest)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The objective with behavioral entropies, which weigh what is likely and unlikely as people do.
+Behavioral entropies, which weigh what is likely and unlikely as people do.
 
 The behavioral entropy of a coin is -w(p) ln w(p) - w(1-p) ln w(1-p) with the weight of Prelec,
 w(p) = exp(-beta (-ln p)^alpha), where beta = (ln 2)^(1 - alpha) makes w(1/2) = 1/2 (Suresh,
@@ -11,36 +11,18 @@ arXiv:2402.10161). With alpha = 1 it is Shannon's.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import Belief, SensorModel, surprisal
-from kbnitp_ros.core.planning.objective.information_kernels import (
-    coin,
-    new_falls,
-    outcome_left_open,
-    Readings,
-)
-from kbnitp_ros.core.planning.objective.joint_outcomes import JointOutcomes, nobody_deployed
+from kbnitp_ros.core.field import surprisal
+from kbnitp_ros.core.planning.objective.information_kernels import coin
 from kbnitp_ros.core.planning.objective.moments import WEIGHTS as SHANNONS
-from kbnitp_ros.core.planning.objective.options import SHANNON
-from kbnitp_ros.core.planning.objective.prediction import predict
-from kbnitp_ros.core.planning.objective.readings import of_cells
+from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 # While labels are compared, the entropy of an outcome is a sum of these powers of a survival. As
 # among those of Shannon's, the first moment is the predicted survival itself.
 EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
-
-
-def beta_of(alpha: float) -> float:
-    """
-    Return the beta with which 1/2 has the weight 1/2.
-
-    Equation :eq:`behavioral-entropy`.
-    """
-    return float(log(2.0) ** (1.0 - alpha))
 
 
 def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
@@ -66,88 +48,6 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
     beta = beta_of(alpha)
     entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
     return np.array(entropy, dtype=np.float64).reshape(p.shape)
-
-
-def behavioral_information(
-    belief: Belief,
-    model: SensorModel,
-    path: ArrayLike,
-    alpha: float,
-    outcomes: JointOutcomes | None = None,
-    interest: NDArray[np.float64] | None = None,
-) -> float:
-    """
-    Return what `path_information` is with behavioral entropies in place of Shannon's.
-
-    Equation :eq:`behavioral-information`.
-
-    With h the entropy of a coin, and h(X_i) that of a target given that n_i visits are survived,
-
-        h(P0) - E_z[h(P(survive | z))] + P0 * sum_i (h(X_i) - E_y[h(X_i | y)])
-
-    the information of the robot's return or loss about the hazards, and the expected fall of the
-    entropies of the targets by the readings of a robot that returns.
-
-    Parameters
-    ----------
-    belief : Belief
-        Before the deployment.
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
-    path : array_like of int, shape (steps + 1,)
-        The cells in order.
-    alpha : float
-        Of the Prelec weight.
-    outcomes : JointOutcomes, optional
-        Of robots sent before, to which this adds, as for `added_information`; without it there
-        are none.
-    interest : ndarray, shape (cells,), optional
-        What counts of the readings in each cell; all, unless given.
-
-    Returns
-    -------
-    float
-        Nats, at least 0 but for rounding where alpha is at most 1. Where it is more, a likely
-        return or a likely target becomes less sure in the weighing, so it may be negative.
-
-    """
-    outcomes = nobody_deployed(belief) if outcomes is None else outcomes
-    ahead = predict(belief, model, path, outcomes)
-    fallen = falls(ahead.readings, ahead.joint, ahead.earlier, ahead.visits.counts, alpha)
-    if interest is not None:
-        fallen = fallen * interest[ahead.visits.cells]
-    open_outcome = outcome_left_open(ahead.exposures, alpha, beta_of(alpha))
-    outcome = behavioral_entropy(ahead.survival, alpha)
-    of_each = outcome + ahead.survival * fallen.sum(axis=1) - open_outcome
-    return float((outcomes.probability * of_each).sum())
-
-
-def falls(
-    read: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
-    visits: NDArray[np.intp],
-    alpha: float,
-) -> NDArray[np.float64]:
-    """
-    Return what `new_information` does, for behavioral entropies.
-
-    Parameters
-    ----------
-    read : Readings
-        What the robot may read.
-    joint, earlier, visits
-        As there.
-    alpha : float
-        Of the Prelec weight.
-
-    Returns
-    -------
-    ndarray, shape (..., cells)
-        By how much the entropies of the targets are expected to fall, nats.
-
-    """
-    return of_cells(new_falls, read, joint, earlier, visits, alpha, beta_of(alpha))
 
 
 class Weights(NamedTuple):

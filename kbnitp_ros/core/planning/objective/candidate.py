@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kbnitp_ros.core.planning.objective.behavioral import behavioral_information
 from kbnitp_ros.core.planning.objective.information import added_information, path_log_survival
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SHANNON
@@ -41,10 +40,7 @@ class Candidate(NamedTuple):
         """
         belief, model = objective.belief, objective.model
         lost = -np.expm1(path_log_survival(belief, model, path))
-        if objective.alpha == SHANNON:
-            information = added_information(belief, model, path, objective.outcomes)
-        else:
-            information = behavioral_information(
-                belief, model, path, objective.alpha, objective.outcomes, objective.interest
-            )
+        alpha = objective.alpha
+        interest = None if alpha == SHANNON else objective.interest
+        information = added_information(belief, model, path, objective.outcomes, alpha, interest)
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)

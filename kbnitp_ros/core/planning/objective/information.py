@@ -14,12 +14,14 @@ from kbnitp_ros.core.field import (
     SensorModel,
     Visits,
 )
-from kbnitp_ros.core.planning.objective.information_kernels import left_open
+from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
+from kbnitp_ros.core.planning.objective.information_kernels import left_open, outcome_left_open
 from kbnitp_ros.core.planning.objective.joint_outcomes import (
     after_deployment,
     JointOutcomes,
     nobody_deployed,
 )
+from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
 from kbnitp_ros.core.planning.objective.prediction import predict
 from kbnitp_ros.core.planning.objective.readings import new_information
 import numpy as np
@@ -103,10 +105,8 @@ def team_information(
 
     Parameters
     ----------
-    belief : Belief
-        Before the deployments.
-    model : SensorModel
-        What robots like all others, and their sensors, are believed to be like.
+    belief, model
+        As of `path_information`, before the deployments; of robots like all others.
     paths : sequence of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
     outcomes : JointOutcomes, optional
@@ -137,12 +137,17 @@ def team_information(
 
 
 def added_information(
-    belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
+    belief: Belief,
+    model: SensorModel,
+    path: ArrayLike,
+    outcomes: JointOutcomes,
+    alpha: float = SHANNON,
+    interest: NDArray[np.float64] | None = None,
 ) -> float:
     """
     Return the information that a deployment is expected to add to what robots before it bring.
 
-    Equation :eq:`added-information`.
+    Equation :eq:`added-information`; with behavioral entropies :eq:`behavioral-information`.
 
     Their readings of a cell and the path's own count together, less what theirs tell alone. Two
     things are approximated: that losses tie cells together is forgotten, and what the earlier
@@ -150,14 +155,14 @@ def added_information(
 
     Parameters
     ----------
-    belief : Belief
-        Before all of these deployments.
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
-    path : array_like of int, shape (steps + 1,)
-        The cells in order.
+    belief, model, path
+        As of `path_information`, before all of these deployments.
     outcomes : JointOutcomes
         Of the robots before.
+    alpha : float
+        Of the Prelec weight: if it is not 1, entropies are behavioral.
+    interest : ndarray, shape (cells,), optional
+        What counts of the readings in each cell; all, unless given.
 
     Returns
     -------
@@ -171,9 +176,46 @@ def added_information(
 
     """
     ahead = predict(belief, model, path, outcomes)
-    added = new_information(ahead.readings, ahead.joint, ahead.earlier, ahead.visits.counts).sum(
-        axis=1
-    )
-    open_outcome = left_open(ahead.exposures)
-    of_each = binary_entropy(ahead.survival) + ahead.survival * added - open_outcome
+    counts = ahead.visits.counts
+    added = new_information(ahead.readings, ahead.joint, ahead.earlier, counts, alpha)
+    if interest is not None:
+        added = added * interest[ahead.visits.cells]
+    if alpha == SHANNON:
+        outcome, open_outcome = binary_entropy(ahead.survival), left_open(ahead.exposures)
+    else:
+        outcome = behavioral_entropy(ahead.survival, alpha)
+        open_outcome = outcome_left_open(ahead.exposures, alpha, beta_of(alpha))
+    of_each = outcome + ahead.survival * added.sum(axis=1) - open_outcome
     return float((outcomes.probability * of_each).sum())
+
+
+def behavioral_information(
+    belief: Belief,
+    model: SensorModel,
+    path: ArrayLike,
+    alpha: float,
+    outcomes: JointOutcomes | None = None,
+    interest: NDArray[np.float64] | None = None,
+) -> float:
+    """
+    Return what `path_information` is with behavioral entropies in place of Shannon's.
+
+    Equation :eq:`behavioral-information`: the information of the robot's return or loss about the
+    hazards, and the expected fall of the targets' entropies by the readings of one that returns.
+
+    Parameters
+    ----------
+    belief, model, path, alpha, interest
+        As of `added_information`.
+    outcomes : JointOutcomes, optional
+        Of robots sent before, to which this adds; without it there are none.
+
+    Returns
+    -------
+    float
+        Nats, at least 0 but for rounding where alpha is at most 1. Where it is more, a likely
+        return or a likely target becomes less sure in the weighing, so it may be negative.
+
+    """
+    outcomes = nobody_deployed(belief) if outcomes is None else outcomes
+    return added_information(belief, model, path, outcomes, alpha, interest)

@@ -63,12 +63,15 @@ def new_readings(
     joint: NDArray[np.float64],
     earlier: NDArray[np.float64],
     visits: NDArray[np.intp],
+    alpha: float,
+    beta: float,
     information: NDArray[np.float64],
 ) -> None:
     """
     Find what a robot that survives n visits reads of cells on top of earlier robots' readings.
 
-    Equation :eq:`reading-information`.
+    Equation :eq:`reading-information`; with behavioral entropies (alpha is not 1) the third term
+    of equation :eq:`behavioral-information`.
 
     The sum over states e of P(e) * (I(X; Y in e and n more) - I(X; Y in e)), given the n visits
     survived. A state is how many readings each camera has brought; readings enter through their
@@ -84,6 +87,8 @@ def new_readings(
         P(earlier readings).
     visits : ndarray of int, shape (cells,)
         n of each cell.
+    alpha, beta : float
+        Of the Prelec weight.
     information : ndarray, shape (cells,)
         The result, nats; 0 where n visits cannot be survived.
 
@@ -98,8 +103,13 @@ def new_readings(
         target /= without + target
         for state in range(earlier.shape[1]):
             if earlier[cell, state] > 0.0:
-                more = reading_information(target, readings.after[state, n], readings)
-                more -= reading_information(target, readings.after[state, 0], readings)
+                then, now = readings.after[state, n], readings.after[state, 0]
+                if alpha == 1.0:
+                    more = reading_information(target, then, readings)
+                    more -= reading_information(target, now, readings)
+                else:
+                    more = fall(target, then, readings, alpha, beta)
+                    more -= fall(target, now, readings, alpha, beta)
                 information[cell] += earlier[cell, state] * more
 
 
@@ -216,49 +226,6 @@ def fall(target: float, state: int, readings: Readings, alpha: float, beta: floa
         if p > 0.0:
             fallen -= p * coin(there / p, without / p, alpha, beta)
     return fallen
-
-
-@compiled
-def new_falls(
-    readings: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
-    visits: NDArray[np.intp],
-    alpha: float,
-    beta: float,
-    fallen: NDArray[np.float64],
-) -> None:
-    """
-    Find what the readings of a robot that survives n visits do on top of earlier readings.
-
-    The third term of equation :eq:`behavioral-information`.
-
-    As `new_readings` does it, with the fall of the behavioral entropy of the
-    target in place of the information.
-
-    Parameters
-    ----------
-    readings, joint, earlier, visits
-        As there.
-    alpha, beta : float
-        Of the Prelec weight.
-    fallen : ndarray, shape (cells,)
-        The result, nats; 0 where n visits cannot be survived.
-
-    """
-    for cell in range(joint.shape[0]):
-        n, survival = visits[cell], readings.survival
-        without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
-        target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
-        fallen[cell] = 0.0
-        if without + target == 0.0:
-            continue
-        target /= without + target
-        for state in range(earlier.shape[1]):
-            if earlier[cell, state] > 0.0:
-                more = fall(target, readings.after[state, n], readings, alpha, beta)
-                more -= fall(target, readings.after[state, 0], readings, alpha, beta)
-                fallen[cell] += earlier[cell, state] * more
 
 
 @compiled

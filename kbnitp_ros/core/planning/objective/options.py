@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import log
 
 from kbnitp_ros.core.field import cost, RobotType, whole_number
 
@@ -13,6 +14,15 @@ OBJECTIVES = ('information', 'behavioral')
 # The alpha of Shannon's entropy, and the range of those of behavioral entropies.
 SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
+
+
+def beta_of(alpha: float) -> float:
+    """
+    Return the beta of the Prelec weight with which 1/2 has the weight 1/2.
+
+    Equation :eq:`behavioral-entropy`.
+    """
+    return float(log(2.0) ** (1.0 - alpha))
 
 
 @dataclass(frozen=True)

@@ -52,18 +52,7 @@ def predict(
     belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
 ) -> Prediction:
     """
-    Predict the outcome of a deployment.
-
-    Parameters
-    ----------
-    belief : Belief
-        Before all deployments.
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
-    path : array_like of int, shape (steps + 1,)
-        The cells in order.
-    outcomes : JointOutcomes
-        Of the robots before.
+    Predict the outcome of a deployment after those of `outcomes`.
 
     Raises
     ------

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from math import lgamma
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from kbnitp_ros.core.field import SensorModel, surprisal, times_log
 from kbnitp_ros.core.planning.objective.information_kernels import new_readings, Readings
+from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,6 +106,7 @@ def new_information(
     joint: NDArray[np.float64],
     earlier: NDArray[np.float64],
     visits: NDArray[np.intp],
+    alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
     """
     Return what a robot that survives n visits reads of cells on top of earlier readings.
@@ -120,6 +121,8 @@ def new_information(
         P(earlier readings).
     visits : ndarray of int, shape (cells,)
         n, with a reading each.
+    alpha : float
+        Of the Prelec weight: if it is not 1, the fall of the targets' behavioral entropies.
 
     Returns
     -------
@@ -127,25 +130,14 @@ def new_information(
         Nats; 0 where n visits cannot be survived.
 
     """
-    return of_cells(new_readings, readings, joint, earlier, visits)
-
-
-def of_cells(
-    kernel: Callable[..., None],
-    readings: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
-    visits: NDArray[np.intp],
-    *own: Any,
-) -> NDArray[np.float64]:
-    """Return what a kernel such as `new_readings` finds, with its own arguments last."""
     found = np.empty(joint.shape[:-2])
-    kernel(
+    new_readings(
         readings,
         np.ascontiguousarray(joint).reshape(-1, 2, 2),
         np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
         np.broadcast_to(visits, found.shape).ravel(),
-        *own,
+        alpha,
+        beta_of(alpha),
         found.reshape(-1),
     )
     return found

@@ -72,10 +72,7 @@ def _read(
 ) -> NDArray[np.float64]:
     """Return what 1, 2, ... visits read, shape (..., cells, max_visits)."""
     visits = [np.full(joint.shape[-3], count) for count in range(1, len(readings.survival))]
-    if alpha == SHANNON:
-        read = [new_information(readings, joint, earlier, each) for each in visits]
-    else:
-        read = [behavioral.falls(readings, joint, earlier, each, alpha) for each in visits]
+    read = [new_information(readings, joint, earlier, each, alpha) for each in visits]
     return np.stack(read, axis=-1)
 
 
