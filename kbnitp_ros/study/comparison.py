@@ -1,51 +1,124 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Comparisons of strategies with a first one, trial by trial: one row of data for each kind of study.
+Comparisons of the missions of a study: one row of data for each kind of study.
 
 A new kind of study is one more row of `COMPARISONS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from typing import Any
 
-from kbnitp_ros.study.loss_cost import at_equal_log_loss_more
+from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
+from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, equal_rows
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import differ_only_in, in_short, Scenario, Strategy
+from kbnitp_ros.study.scenario import (
+    differ_only_in,
+    in_short,
+    LEARNING,
+    Scenario,
+    Strategy,
+)
 from kbnitp_ros.study.summary import (
     after_robots,
-    as_json,
     differences,
+    json_row,
     LOG_LOSS,
+    Mean,
     mean_of,
+    Row,
     shown,
     table,
 )
+from kbnitp_ros.study.teams import common_rounds, differ_in_size, team_rows
 
 Told = Callable[[Strategy, Scenario], Any]
+Measured = Callable[[Results, 'float | None', str, Strategy, Strategy], Mean]
+
+# A column of a table: its head, and the format of a value or the decimals of means.
+Column = tuple[str, 'str | int']
+METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 
 
 @dataclass(frozen=True)
 class Comparison:
     """
-    A kind of study that compares strategies with a first one.
+    A kind of study with a section of its own in the summary.
 
     Attributes
     ----------
     name : str
-        Of the section in the summary.
+        Of the section.
     applies : callable
-        Whether the strategies of a scenario are to be compared so.
+        Whether a scenario is of this kind.
     caption : str
-        Of the table; in braces what the summary has under these names.
+        Of the table; in braces, here and in the heads, what the section has by these names.
+    columns : mapping of str to Column
+        What of a row the table shows beside the lethality; of a list a column for each of the
+        section's ``robots``.
+    rows : callable
+        Yields what is measured.
+    head : callable
+        Returns what the section has besides.
+
+    """
+
+    name: str
+    applies: Callable[[Scenario], bool]
+    caption: str
+    columns: Mapping[str, Column]
+    rows: Callable[[Results], Iterable[Row]]
+    head: Callable[[Scenario], Row]
+
+    def summarise(self, results: Results) -> Row:
+        """Return the section, as JSON can hold it, with its ``rows``."""
+        return {**self.head(results.scenario), 'rows': [json_row(r) for r in self.rows(results)]}
+
+    def markdown(self, summary: Row) -> str:
+        """Return the section as a table for people."""
+        heads = ['lethality']
+        for name, (head, _) in self.columns.items():
+            is_list = any(isinstance(row[name], list) for row in summary['rows'])
+            heads += map(str, summary['robots']) if is_list else [head.format(**summary)]
+        rows = [
+            [in_short(row['lethality'])]
+            + [
+                cell
+                for name, (_, form) in self.columns.items()
+                for cell in cells_of(row[name], form)
+            ]
+            for row in summary['rows']
+        ]
+        return table(self.caption.format(**summary), heads, rows)
+
+
+def cells_of(value: Any, form: str | int) -> list[str]:
+    """Return a value of a row in the cells of a table."""
+    if isinstance(form, str):
+        return [form.format(value)]
+    return [shown(each, form) for each in (value if isinstance(value, list) else [value])]
+
+
+def with_first(
+    told: Mapping[str, Told],
+    difference: str = 'difference',
+    is_gain: bool = False,
+    robots: tuple[int, ...] = (10, 25, 50),
+    first: tuple[str, Told] | None = None,
+    order: Callable[[Strategy], Any] | None = None,
+    further: Mapping[str, Measured] | None = None,
+) -> dict[str, Any]:
+    """
+    Return head and rows of a comparison of strategies with a first one, trial by trial.
+
+    Parameters
+    ----------
     told : mapping of str to callable
         What a row has of its strategy, by the names in the summary.
-    columns : mapping of str to str
-        Which of these the table shows: the head, and the format of the value.
     difference : str
         Name of the differences of the log loss in the summary.
     is_gain : bool
@@ -57,80 +130,38 @@ class Comparison:
         What the summary has of the first strategy: name, and what it is.
     order : callable, optional
         By which the first strategy is the least; without it, it is the scenario's first.
-    further : mapping of str to (str, callable)
-        What is measured besides: by name in the summary the head, and what returns it for results,
-        lethality, method, the first strategy and this one.
-    has_method : bool
-        Whether the table names the method.
+    further : mapping of str to callable, optional
+        What is measured besides, of results, lethality, method, the first strategy and this one.
 
     """
 
-    name: str
-    applies: Callable[[Scenario], bool]
-    caption: str
-    told: Mapping[str, Told]
-    columns: Mapping[str, tuple[str, str]]
-    difference: str = 'difference'
-    is_gain: bool = False
-    robots: tuple[int, ...] = (10, 25, 50)
-    first: tuple[str, Told] | None = None
-    order: Callable[[Strategy], Any] | None = None
-    further: Mapping[str, tuple[str, Callable[..., dict[str, float | None]]]] | None = None
-    has_method: bool = True
+    def in_order(scenario: Scenario) -> list[Strategy]:
+        return sorted(scenario.teams, key=order) if order else list(scenario.teams)
 
-    def summarise(self, results: Results) -> dict[str, Any]:
-        """
-        Return how strategies compare with the first one, as JSON can hold it.
+    def head(scenario: Scenario) -> Row:
+        own = {first[0]: first[1](in_order(scenario)[0], scenario)} if first else {}
+        return {**own, 'robots': after_robots(robots, scenario.robots)}
 
-        Returns
-        -------
-        dict
-            What the first one is, ``robots``, after how many they are compared, and ``rows``: one
-            for each lethality, method and other strategy, with as many means and intervals of the
-            difference of the total log loss in the same trial, and what is measured besides.
-
-        """
+    def rows(results: Results) -> Iterable[Row]:
         scenario = results.scenario
-        teams = sorted(scenario.teams, key=self.order) if self.order else scenario.teams
-        first, *others = teams
-        robots = after_robots(self.robots, scenario.robots)
-        rows = []
+        base, *others = in_order(scenario)
         for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
             one, other = (
                 results.series(lethality, method, *LOG_LOSS, team=of)
-                for of in ((first, team) if self.is_gain else (team, first))
+                for of in ((base, team) if is_gain else (team, base))
             )
-            of_pair = results, lethality, method, first, team
-            further = {name: of(*of_pair) for name, (_, of) in (self.further or {}).items()}
-            rows.append(
-                {
-                    'lethality': lethality,
-                    'method': method,
-                    **{name: of(team, scenario) for name, of in self.told.items()},
-                    self.difference: differences(one, other, robots),
-                    **further,
-                }
-            )
-        head = {self.first[0]: self.first[1](first, scenario)} if self.first else {}
-        return {**head, 'robots': robots, 'rows': rows}
+            yield {
+                'lethality': lethality,
+                'method': method,
+                **{name: of(team, scenario) for name, of in told.items()},
+                difference: differences(one, other, after_robots(robots, scenario.robots)),
+                **{
+                    name: of(results, lethality, method, base, team)
+                    for name, of in (further or {}).items()
+                },
+            }
 
-    def markdown(self, summary: dict[str, Any]) -> str:
-        """Return a summary as a table for people."""
-        further = self.further or {}
-        heads = ['lethality', *(['method'] if self.has_method else [])]
-        heads += [*(head for head, _ in self.columns.values()), *map(str, summary['robots'])]
-        heads += [head for head, _ in further.values()]
-        rows = [
-            [
-                in_short(row['lethality']),
-                *([f'`{row["method"]}`'] if self.has_method else []),
-                *(form.format(row[name]) for name, (_, form) in self.columns.items()),
-                *map(shown, row[self.difference]),
-                *(shown(row[name]) for name in further),
-            ]
-            for row in summary['rows']
-        ]
-        return table(self.caption.format(**summary), heads, rows)
+    return {'head': head, 'rows': rows}
 
 
 def differ_in_objective(scenario: Scenario) -> bool:
@@ -139,23 +170,26 @@ def differ_in_objective(scenario: Scenario) -> bool:
     return len(objectives) > 1 and differ_only_in(scenario, 'objective', 'alpha', 'loss_cost')
 
 
+def learns(scenario: Scenario) -> bool:
+    """Return whether one of the methods learns numbers."""
+    return LEARNING in scenario.methods
+
+
 def lost(
     results: Results, lethality: float | None, method: str, first: Strategy, team: Strategy
-) -> dict[str, float | None]:
+) -> Mean:
     """Return the robots lost at the end."""
-    return as_json(mean_of(_lost(results, lethality, method, team)))
+    return mean_of(results.series(lethality, method, 'robots_lost', team=team)[:, -1])
 
 
 def lost_more(
     results: Results, lethality: float | None, method: str, first: Strategy, team: Strategy
-) -> dict[str, float | None]:
+) -> Mean:
     """Return how many more robots are lost at the end than with the first strategy."""
-    these, those = (_lost(results, lethality, method, each) for each in (team, first))
-    return as_json(mean_of(these - those))
-
-
-def _lost(results: Results, lethality: float | None, method: str, team: Strategy) -> Any:
-    return results.series(lethality, method, 'robots_lost', team=team)[:, -1]
+    these, those = (
+        results.series(lethality, method, 'robots_lost', team=of)[:, -1] for of in (team, first)
+    )
+    return mean_of(these - those)
 
 
 def own(name: str) -> Told:
@@ -173,7 +207,54 @@ def objective_of(team: Strategy, _: Scenario) -> str:
     return f'{team.sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else team.sought
 
 
-LOST = {'lost': ('lost', lost), 'lost_more': ('more lost', lost_more)}
+LOST = {'lost': lost, 'lost_more': lost_more}
+LOST_COLUMNS: dict[str, Column] = {'lost': ('lost', 1), 'lost_more': ('more lost', 1)}
+
+BY_SIZE = Comparison(
+    name='teams',
+    applies=differ_in_size,
+    caption=(
+        'What the {robots} robots bring, and what {rounds} rounds bring. Information: the joint '
+        'entropy of hazards and targets that a mission takes from the prior, in nats. Difference: '
+        'the log loss less that of the smallest team, trial by trial.'
+    ),
+    columns={
+        **METHOD,
+        'label': ('team', '{}'),
+        'rounds': ('rounds', '{}'),
+        'information_a_robot': ('information a robot', 3),
+        'information_a_round': ('information a round', 2),
+        'log_loss': ('log loss', 1),
+        'difference': ('difference', 1),
+        'early_information': ('information after {rounds} rounds', 1),
+        'early_log_loss': ('log loss after {rounds} rounds', 1),
+        'early_robots_lost': ('robots lost after {rounds} rounds', 1),
+    },
+    head=lambda scenario: {'robots': scenario.robots, 'rounds': common_rounds(scenario)},
+    rows=team_rows,
+)
+
+BY_LOSS_COST = Comparison(
+    name='loss_cost',
+    applies=lambda scenario: differ_only_in(scenario, 'loss_cost'),
+    caption=(
+        'At equal log loss: the lowest mean log loss that is reached both with a loss cost of '
+        '{least:.4g} and with that of the row, and the robots that were sent and lost when it was '
+        'reached. Difference: how many more are lost than with {least:.4g}, in the same worlds.'
+    ),
+    columns={
+        **METHOD,
+        'loss_cost': ('loss cost', '{:.4g}'),
+        'log_loss': ('log loss', 1),
+        'sent_at_least': ('robots sent at {least:.4g}', 1),
+        'sent': ('robots sent', 1),
+        'lost_at_least': ('robots lost at {least:.4g}', 1),
+        'lost': ('robots lost', 1),
+        'difference': ('difference', 1),
+    },
+    head=lambda scenario: {'least': min(team.loss_cost for team in scenario.teams)},
+    rows=equal_rows,
+)
 
 CONTACT = Comparison(
     name='last_contact',
@@ -183,13 +264,15 @@ CONTACT = Comparison(
         'that with the contact of the row, trial by trial, after so many robots. Contact: the '
         'probability, after each step, that the base hears how far the robot is.'
     ),
-    told={name: own(name) for name in vars(Strategy())},
-    columns={'last_contact': ('contact', '{:.4g}')},
-    difference='value',
-    is_gain=True,
-    robots=(10, 25, 50, 100, 200),
-    first=('least', own('last_contact')),
-    order=attrgetter('last_contact'),
+    columns={**METHOD, 'last_contact': ('contact', '{:.4g}'), 'value': ('', 1)},
+    **with_first(
+        told={name: own(name) for name in vars(Strategy())},
+        difference='value',
+        is_gain=True,
+        robots=(10, 25, 50, 100, 200),
+        first=('least', own('last_contact')),
+        order=attrgetter('last_contact'),
+    ),
 )
 
 BY_PLANNER = Comparison(
@@ -200,10 +283,13 @@ BY_PLANNER = Comparison(
         'after so many robots; and the robots lost at the end, and how many more than by '
         '`{first}`.'
     ),
-    told={'planner': planner_of},
-    columns={'planner': ('planner', '`{}`')},
-    first=('first', planner_of),
-    further=LOST,
+    columns={
+        **METHOD,
+        'planner': ('planner', '`{}`'),
+        'difference': ('', 1),
+        **LOST_COLUMNS,
+    },
+    **with_first({'planner': planner_of}, first=('first', planner_of), further=LOST),
 )
 
 BY_OBJECTIVE = Comparison(
@@ -214,11 +300,17 @@ BY_OBJECTIVE = Comparison(
         'after so many robots; the robots lost at the end, and how many more than with {first}; '
         'and how many more when both had come to the same log loss.'
     ),
-    told={'objective': objective_of},
-    columns={'objective': ('objective', '{}')},
-    first=('first', objective_of),
-    further={**LOST, 'lost_at_equal': ('at equal log loss', at_equal_log_loss_more)},
-    has_method=False,
+    columns={
+        'objective': ('objective', '{}'),
+        'difference': ('', 1),
+        **LOST_COLUMNS,
+        'lost_at_equal': ('at equal log loss', 1),
+    },
+    **with_first(
+        {'objective': objective_of},
+        first=('first', objective_of),
+        further={**LOST, 'lost_at_equal': at_equal_log_loss_more},
+    ),
 )
 
 BY_MAP = Comparison(
@@ -229,14 +321,58 @@ BY_MAP = Comparison(
         'that with the map of the row, trial by trial, after so many robots. Right: the part of '
         'the cells of which it is; trusted: that of which it is believed to be.'
     ),
-    told={
-        'survey': own('survey'),
-        'trusted': lambda team, _: team.trusted or team.survey,
+    columns={
+        **METHOD,
+        'survey': ('right', '{:.4g}'),
+        'trusted': ('trusted', '{:.4g}'),
+        'value': ('', 1),
     },
-    columns={'survey': ('right', '{:.4g}'), 'trusted': ('trusted', '{:.4g}')},
-    difference='value',
-    is_gain=True,
-    robots=(0, 10, 25, 50),
+    **with_first(
+        {'survey': own('survey'), 'trusted': lambda team, _: team.trusted or team.survey},
+        difference='value',
+        is_gain=True,
+        robots=(0, 10, 25, 50),
+    ),
 )
 
-COMPARISONS = (CONTACT, BY_PLANNER, BY_OBJECTIVE, BY_MAP)
+OF_NUMBERS = Comparison(
+    name='numbers',
+    applies=learns,
+    caption=(
+        'What {robots} robots tell of numbers that nobody knows: standard deviation before the '
+        'first and after the last, the distance of the mean from the truth, and how often the '
+        'truth is within the 5 and 95 % quantiles.'
+    ),
+    columns={
+        'number': ('number', '{}'),
+        'sd_before': ('sd before', 2),
+        'sd': ('sd', 2),
+        'error': ('error', 2),
+        'within': ('within', 2),
+    },
+    head=lambda scenario: {'robots': scenario.robots},
+    rows=number_rows,
+)
+
+OF_LEARNING = Comparison(
+    name='value',
+    applies=learns,
+    caption=(
+        f'The log loss of `{LEARNING}` less that of the methods that are told, trial by trial, '
+        'after so many robots.'
+    ),
+    columns={**METHOD, 'costs': ('', 1)},
+    head=lambda scenario: {'robots': after_robots(ROBOTS, scenario.robots)},
+    rows=cost_of_learning,
+)
+
+COMPARISONS = (
+    BY_SIZE,
+    BY_LOSS_COST,
+    CONTACT,
+    BY_PLANNER,
+    BY_OBJECTIVE,
+    BY_MAP,
+    OF_NUMBERS,
+    OF_LEARNING,
+)

@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 from kbnitp_ros.figures import SERIES, WIDTH
 from kbnitp_ros.study.panels import columns_for, grid_of, legend_above, trials_in
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import in_percent, in_short, LEARNING, NUMBERS
+from kbnitp_ros.study.scenario import in_percent, LEARNING, NUMBERS
 from kbnitp_ros.study.summary import (
     after_robots,
-    as_json,
     differences,
     LOG_LOSS,
     mean_of,
-    shown,
-    table,
+    Row,
 )
 from kbnitp_ros.study.trial import LEARNT
 from matplotlib.axes import Axes
@@ -45,87 +43,44 @@ def of_number(
     return known[:, :, place], truth[:, place, None]
 
 
-def summarise_numbers(results: Results) -> dict[str, Any]:
+def number_rows(results: Results) -> Iterator[Row]:
     """
-    Return how well numbers are known at the end, as JSON can hold it.
+    Yield how well numbers are known at the end, one row for each lethality and number.
 
-    Returns
-    -------
-    dict
-        ``robots`` and ``rows``: one for each lethality and number, with the mean and interval
-        of its standard deviation before the first robot (``sd_before``) and at the end (``sd``),
-        of the distance of its mean from the truth (``error``), and the share of the trials whose
-        truth is within its 5 and 95 % quantiles (``within``).
-
+    It has the standard deviation before the first robot (``sd_before``) and at the end (``sd``),
+    the distance of the mean from the truth (``error``), and the share of the trials whose truth
+    is within the 5 and 95 % quantiles (``within``).
     """
-    rows = []
     for lethality, name in product(results.scenario.lethalities, learnt_numbers(results)):
         known, truth = of_number(results, lethality, name)
         first, last = known[:, 0], known[:, -1]
         is_within = (last[:, LOW] <= truth[:, 0]) & (truth[:, 0] <= last[:, HIGH])
-        measured = {
-            'sd_before': first[:, SD],
-            'sd': last[:, SD],
-            'error': np.abs(last[:, MEAN] - truth[:, 0]),
-            'within': is_within.astype(np.float64),
+        yield {
+            'lethality': lethality,
+            'number': name,
+            'sd_before': mean_of(first[:, SD]),
+            'sd': mean_of(last[:, SD]),
+            'error': mean_of(np.abs(last[:, MEAN] - truth[:, 0])),
+            'within': mean_of(is_within.astype(np.float64)),
         }
-        row: dict[str, Any] = {'lethality': lethality, 'number': name}
-        rows.append(row | {each: as_json(mean_of(values)) for each, values in measured.items()})
-    return {'robots': results.scenario.robots, 'rows': rows}
 
 
-def numbers_markdown(summary: dict[str, Any]) -> str:
-    """Return a summary of the numbers as a table for people."""
-    caption = (
-        f'What {summary["robots"]} robots tell of numbers that nobody knows: standard deviation '
-        'before the first and after the last, the distance of the mean from the truth, and how '
-        'often the truth is within the 5 and 95 % quantiles.'
-    )
-    columns = ('sd_before', 'sd', 'error', 'within')
-    rows = [
-        [in_short(row['lethality']), row['number'], *(shown(row[name], 2) for name in columns)]
-        for row in summary['rows']
-    ]
-    return table(caption, ['lethality', 'number', 'sd before', 'sd', 'error', 'within'], rows)
-
-
-def summarise_value(results: Results) -> dict[str, Any]:
+def cost_of_learning(results: Results) -> Iterator[Row]:
     """
-    Return what not being told costs after some of the robots, as JSON can hold it.
+    Yield what not being told costs, one row for each lethality and other method.
 
-    Returns
-    -------
-    dict
-        ``robots``, after how many, and ``rows``: one for each lethality and other method, with as
-        many means and intervals of the total log loss of the method that learns less that
-        of the other in the same trial (``costs``).
-
+    ``costs`` are the total log losses of the method that learns less those of the other in the
+    same trial.
     """
     scenario = results.scenario
-    team = scenario.teams[0]
-    robots = after_robots(ROBOTS, scenario.robots)
-    rows = []
+    team, robots = scenario.teams[0], after_robots(ROBOTS, scenario.robots)
     for lethality in scenario.lethalities:
         learner = results.series(lethality, LEARNING, *LOG_LOSS, team=team)
         for method in scenario.methods:
             if method != LEARNING:
                 told = results.series(lethality, method, *LOG_LOSS, team=team)
                 costs = differences(learner, told, robots)
-                rows.append({'lethality': lethality, 'method': method, 'costs': costs})
-    return {'robots': robots, 'rows': rows}
-
-
-def value_markdown(summary: dict[str, Any]) -> str:
-    """Return a summary of what not being told costs as a table for people."""
-    caption = (
-        f'The log loss of `{LEARNING}` less that of the methods that are told, trial by trial, '
-        'after so many robots.'
-    )
-    rows = [
-        [in_short(row['lethality']), f'`{row["method"]}`', *map(shown, row['costs'])]
-        for row in summary['rows']
-    ]
-    return table(caption, ['lethality', 'method', *map(str, summary['robots'])], rows)
+                yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 
 def numbers_chart(results: Results) -> Figure:

@@ -3,23 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 from kbnitp_ros.figures import Style
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL
 from kbnitp_ros.study.panels import panels_figure
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Contender, in_short, Strategy
+from kbnitp_ros.study.scenario import Contender, Strategy
 from kbnitp_ros.study.summary import (
-    as_json,
     interval,
     LOG_LOSS,
     Mean,
     mean_of,
     resampled_means,
-    shown,
-    table,
+    Row,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -92,57 +90,20 @@ def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> Mean:
 
 def at_equal_log_loss_more(
     results: Results, lethality: float | None, method: str, least: Strategy, this: Strategy
-) -> dict[str, float | None]:
-    """Return how many more robots a strategy has lost at equal log loss, as JSON can hold it."""
+) -> Mean:
+    """Return how many more robots a strategy has lost at equal log loss."""
     equal = compare(*(trade(results, lethality, method, of) for of in (least, this)))
-    return as_json(Mean(*(values[-1] for values in equal)))
+    return Mean(*(values[-1] for values in equal))
 
 
-def summarise_loss_cost(results: Results) -> dict[str, Any]:
-    """
-    Return what the least loss cost and each other come to at equal log loss, as JSON can hold it.
-
-    Returns
-    -------
-    dict
-        ``least`` (the lowest loss cost) and ``rows``: one for each lethality, method and other
-        loss cost, with the mean and interval of each of `EQUAL`.
-
-    """
+def equal_rows(results: Results) -> Iterator[Row]:
+    """Yield what the least loss cost and each other come to at equal log loss: `EQUAL`."""
     scenario = results.scenario
     least, *others = sorted(scenario.teams, key=lambda team: team.loss_cost)
-    rows = []
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
         compared = compare(*(trade(results, lethality, method, of) for of in (least, team)))
-        row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
-        for name, *values in zip(EQUAL, *compared):
-            row[name] = as_json(Mean(*values))
-        rows.append(row)
-    return {'least': least.loss_cost, 'rows': rows}
-
-
-def loss_cost_markdown(summary: dict[str, Any]) -> str:
-    """Return a summary of loss costs as a table for people."""
-    least = f'{summary["least"]:.4g}'
-    columns = {
-        'log_loss': 'log loss',
-        'sent_at_least': f'robots sent at {least}',
-        'sent': 'robots sent',
-        'lost_at_least': f'robots lost at {least}',
-        'lost': 'robots lost',
-        'difference': 'difference',
-    }
-    caption = (
-        f'At equal log loss: the lowest mean log loss that is reached both with a loss cost of '
-        f'{least} and with that of the row, and the robots that were sent and lost when it was '
-        f'reached. Difference: how many more are lost than with {least}, in the same worlds.'
-    )
-    rows = []
-    for row in summary['rows']:
-        cells = [in_short(row['lethality']), f'`{row["method"]}`', f'{row["loss_cost"]:.4g}']
-        cells += [shown(row[name]) for name in columns]
-        rows.append(cells)
-    return table(caption, ['lethality', 'method', 'loss cost', *columns.values()], rows)
+        measured = {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
+        yield {'lethality': lethality, 'method': method, **vars(team), **measured}
 
 
 def loss_cost_chart(results: Results) -> Figure:

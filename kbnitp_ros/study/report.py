@@ -9,23 +9,13 @@ from pathlib import Path
 from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
-from kbnitp_ros.study.comparison import COMPARISONS, differ_in_objective
-from kbnitp_ros.study.learning import (
-    numbers_chart,
-    numbers_markdown,
-    summarise_numbers,
-    summarise_value,
-    value_markdown,
-)
-from kbnitp_ros.study.loss_cost import (
-    loss_cost_chart,
-    loss_cost_markdown,
-    summarise_loss_cost,
-)
+from kbnitp_ros.study.comparison import COMPARISONS, differ_in_objective, learns
+from kbnitp_ros.study.learning import numbers_chart
+from kbnitp_ros.study.loss_cost import loss_cost_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import differ_only_in, LEARNING
+from kbnitp_ros.study.scenario import differ_only_in
 from kbnitp_ros.study.summary import markdown, summarise
-from kbnitp_ros.study.teams import differ_in_size, summarise_teams, teams_chart, teams_markdown
+from kbnitp_ros.study.teams import differ_in_size, teams_chart
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from pyarrow import parquet
@@ -39,7 +29,7 @@ def figures_of(results: Results) -> dict[str, Figure]:
         charts['by_round'] = teams_chart
     if differ_only_in(results.scenario, 'loss_cost') or differ_in_objective(results.scenario):
         charts['robots_lost'] = loss_cost_chart
-    if LEARNING in results.scenario.methods:
+    if learns(results.scenario):
         charts['numbers'] = numbers_chart
     with rc_context(LETTERS):
         return {name: draw(results) for name, draw in charts.items()}
@@ -49,9 +39,6 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     """
     Write the table, the figures and the summary of a study; the same results, the same table.
 
-    Teams of several sizes, or loss costs, are compared in a figure and a section of their own, and
-    so is what was learnt of numbers; last contacts in a section.
-
     Raises
     ------
     OSError
@@ -60,20 +47,10 @@ def write_report(results: Results, folder: Path) -> list[Path]:
     """
     summary = summarise(results)
     tables = [markdown(summary)]
-    if differ_in_size(results.scenario):
-        summary['teams'] = summarise_teams(results)
-        tables.append(teams_markdown(summary['teams']))
-    if differ_only_in(results.scenario, 'loss_cost'):
-        summary['loss_cost'] = summarise_loss_cost(results)
-        tables.append(loss_cost_markdown(summary['loss_cost']))
     for comparison in COMPARISONS:
         if comparison.applies(results.scenario):
             summary[comparison.name] = comparison.summarise(results)
             tables.append(comparison.markdown(summary[comparison.name]))
-    if LEARNING in results.scenario.methods:
-        summary['numbers'] = summarise_numbers(results)
-        summary['value'] = summarise_value(results)
-        tables += [numbers_markdown(summary['numbers']), value_markdown(summary['value'])]
     pictures = []
     table, as_json, as_markdown = (
         folder / name for name in ('table.parquet', 'summary.json', 'summary.md')

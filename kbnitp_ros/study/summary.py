@@ -28,6 +28,10 @@ RESAMPLES = 2000
 DECIMALS = 6
 
 
+# Of a table: values, means over trials and lists of them, by name.
+Row = dict[str, Any]
+
+
 class Mean(NamedTuple):
     """A mean over trials and its 95 % interval; each shape (...)."""
 
@@ -134,21 +138,21 @@ def summarise(results: Results) -> dict[str, Any]:
     rows = []
     for lethality in scenario.lethalities:
         for method, team in scenario.contenders:
-            row: dict[str, Any] = {'lethality': lethality, 'method': method, **vars(team)}
+            row: Row = {'lethality': lethality, 'method': method, **vars(team)}
             row['label'] = labels[team]
             for name, measures in SUMMARISED.items():
                 final = results.series(lethality, method, *measures, team=team)[:, -1]
-                row[name] = as_json(mean_of(final))
+                row[name] = mean_of(final)
             believed, truth = results.final_maps(lethality, method, team)
             hazard_alone = truth[:, 0] & ~truth[:, 1]
-            row['false_targets'] = as_json(mean_of((believed[:, 1] * hazard_alone).sum(axis=1)))
+            row['false_targets'] = mean_of((believed[:, 1] * hazard_alone).sum(axis=1))
             if method != reference:
                 nearest, this = (
                     results.series(lethality, name, *LOG_LOSS, team=team)[:, -1]
                     for name in (reference, method)
                 )
-                row['difference'] = as_json(mean_of(nearest - this))
-            rows.append(row)
+                row['difference'] = mean_of(nearest - this)
+            rows.append(json_row(row))
     return {
         'trials': scenario.trials,
         'robots': scenario.robots,
@@ -162,6 +166,13 @@ def as_json(mean: Mean) -> dict[str, float | None]:
     return {
         name: None if np.isnan(value) else round(float(value), DECIMALS)
         for name, value in mean._asdict().items()
+    }
+
+
+def json_row(row: Row) -> Row:
+    """Return a row as JSON can hold it."""
+    return {
+        name: as_json(value) if isinstance(value, Mean) else value for name, value in row.items()
     }
 
 

@@ -13,7 +13,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.study.learning import summarise_numbers, summarise_value
+from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS
 from kbnitp_ros.study.report import figures_of, write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
@@ -146,7 +146,7 @@ def test_numbers_are_drawn_from_their_priors():
 
 def test_what_was_learnt_is_summarised(drawn):
     (row,) = (
-        row for row in summarise_numbers(drawn)['rows'] if row['number'] == 'target_background'
+        row for row in OF_NUMBERS.summarise(drawn)['rows'] if row['number'] == 'target_background'
     )
     known, truth = drawn.learnt(None)
     place = NUMBERS.index('target_background')
@@ -160,7 +160,7 @@ def test_what_was_learnt_is_summarised(drawn):
 
 
 def test_what_learning_costs_is_paired(learnt):
-    value = summarise_value(learnt)
+    value = OF_LEARNING.summarise(learnt)
     assert value['robots'] == [4]
     rows = {(row['lethality'], row['method']): row['costs'] for row in value['rows']}
     assert rows.keys() == {(p, m) for p in (0.2, 0.9) for m in ('kappa_bnitp', SAMPLED)}

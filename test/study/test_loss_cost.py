@@ -5,12 +5,11 @@ from dataclasses import replace
 import json
 
 from extent import some
+from kbnitp_ros.study.comparison import BY_LOSS_COST
 from kbnitp_ros.study.loss_cost import (
     at_equal_log_loss,
     compare,
     EQUAL,
-    loss_cost_markdown,
-    summarise_loss_cost,
 )
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
@@ -94,7 +93,7 @@ def test_loss_costs_differ(scenario):
 
 
 def test_each_is_compared_with_the_least(costs):
-    summary = summarise_loss_cost(costs)
+    summary = BY_LOSS_COST.summarise(costs)
     assert summary['least'] == 0
     assert [row['loss_cost'] for row in summary['rows']] == [0.5, 5]
 
@@ -109,8 +108,8 @@ def test_each_is_compared_with_the_least(costs):
 
 
 def test_the_table_for_people_says_what_the_summary_says(costs):
-    summary = summarise_loss_cost(costs)
-    lines = loss_cost_markdown(summary).splitlines()[4:]
+    summary = BY_LOSS_COST.summarise(costs)
+    lines = BY_LOSS_COST.markdown(summary).splitlines()[4:]
     for row, line in zip(summary['rows'], lines, strict=True):
         cells = line.strip('| ').split(' | ')
         assert cells[:3] == ['0.9', '`kappa_bnitp`', f'{row["loss_cost"]:g}']

@@ -3,10 +3,11 @@
 
 from dataclasses import replace
 
+from kbnitp_ros.study.comparison import BY_SIZE
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.teams import after_rounds, differ_in_size, summarise_teams, teams_markdown
+from kbnitp_ros.study.teams import after_rounds, differ_in_size
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_teams_differ_in_size(scenario):
 
 def test_what_a_robot_and_a_round_bring(teams):
     """With three at a time one full round can be made: what it brings is compared with others."""
-    summary = summarise_teams(teams)
+    summary = BY_SIZE.summarise(teams)
     assert (summary['robots'], summary['rounds']) == (4, 1)
     assert [row['rounds'] for row in summary['rows']] == [4, 2, 2]
 
@@ -86,8 +87,8 @@ def test_what_a_robot_and_a_round_bring(teams):
 
 
 def test_the_table_for_people_says_what_the_summary_says(teams):
-    summary = summarise_teams(teams)
-    header, _, *lines = teams_markdown(summary).splitlines()[2:]
+    summary = BY_SIZE.summarise(teams)
+    header, _, *lines = BY_SIZE.markdown(summary).splitlines()[2:]
     assert 'log loss after 1 rounds' in header
     cells = [line.strip('| ').split(' | ') for line in lines]
     assert [row[2] for row in cells] == ['one by one', '3 independent', '2 voronoi']
