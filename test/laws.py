@@ -21,7 +21,8 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
 
     In contrast to ``pytest.mark.parametrize`` the cases share one collected item and its fixtures,
     and the first case that fails ends the test. Where the test takes `tmp_path`, each case has a
-    folder of its own below it; what a case sets by `monkeypatch` is undone after it.
+    folder of its own below it; what a case sets by `monkeypatch` is undone after it. Of several of
+    these decorators on one test all combinations are cases, and `every` is given to the first.
 
     Parameters
     ----------
@@ -40,13 +41,18 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
 
     """
     keys = [name.strip() for name in names.split(',')]
-    named = []
-    for case in cases:
-        arguments = dict(zip(keys, case if len(keys) > 1 else (case,), strict=True))
-        named.append((', '.join(f'{key}={value}' for key, value in arguments.items()), arguments))
+    own_cases = [
+        dict(zip(keys, case if len(keys) > 1 else (case,), strict=True)) for case in cases
+    ]
 
-    def decorate(test: Any) -> Any:
-        @functools.wraps(test)
+    def decorate(decorated: Any) -> Any:
+        test, inner = getattr(decorated, 'law', (decorated, [{}]))
+        combined = [case | others for case in own_cases for others in inner]
+        named = [
+            (', '.join(f'{k}={called(v)}' for k, v in each.items()), each) for each in combined
+        ]
+
+        @functools.wraps(decorated)
         def law(rest: bool = False, **others: Any) -> None:
             chosen = [each for number, each in enumerate(named) if bool(number % every) == rest]
             if alone is not None:
@@ -67,9 +73,10 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
                     message = f'case {name}: {error}\nalone: --case {shlex.quote(name)}'
                     raise AssertionError(message) from error
 
-        signature = inspect.signature(test)
+        signature = inspect.signature(decorated)
         others = [each for name, each in signature.parameters.items() if name not in keys]
         if every == 1:
+            law.law = test, combined
             law.__signature__ = signature.replace(parameters=others)
             return law
         rest = inspect.Parameter('rest', inspect.Parameter.KEYWORD_ONLY)
@@ -78,3 +85,8 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
         return pytest.mark.parametrize('rest', marked, ids=['some', 'rest'])(law)
 
     return decorate
+
+
+def called(value: Any) -> Any:
+    """Return what a case's value is called: of functions and classes the name."""
+    return getattr(value, '__name__', value)

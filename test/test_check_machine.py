@@ -3,6 +3,7 @@
 
 from pathlib import Path
 import subprocess
+import tempfile
 
 from laws import for_each
 import pytest
@@ -43,12 +44,13 @@ def machine(tmp_path):
             'uname': f'echo {system}',
             'python3': FAKE_PYTHON.format(version=version, venv=venv, include=include),
         }
+        there = tempfile.mkdtemp(dir=tmp_path)
         for name in tools.keys() - {without}:
-            tmp_path.joinpath(name).write_text(f'#!/bin/sh\n{tools[name]}\n')
-            tmp_path.joinpath(name).chmod(0o755)
+            Path(there, name).write_text(f'#!/bin/sh\n{tools[name]}\n')
+            Path(there, name).chmod(0o755)
         return subprocess.run(
             ['/bin/sh', SCRIPT, python],
-            env={'PATH': str(tmp_path)},
+            env={'PATH': there},
             capture_output=True,
             text=True,
         )
@@ -62,7 +64,7 @@ def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
-@pytest.mark.parametrize(
+@for_each(
     'lack, missing, remedy',
     [
         ({'without': 'cc'}, 'C compiler', 'apt install g++'),
@@ -76,7 +78,6 @@ def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
         ({'system': 'Darwin arm64'}, 'Darwin arm64', 'colcon build'),
         ({'version': '2.7'}, '2.7', 'make PYTHON='),
     ],
-    ids=str,
 )
 def test_what_is_missing_takes_one_line_with_its_remedy(machine, lack, missing, remedy):
     done = machine(**lack)

@@ -17,8 +17,8 @@ from kbnitp_ros.core.planning.search import labels
 from kbnitp_ros.core.planning.teams import greedy, voronoi
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import read_scenario
+from laws import for_each
 import numpy as np
-import pytest
 import yaml
 
 IN_WORDS = {
@@ -97,7 +97,7 @@ def test_what_the_demo_is_said_to_do():
     assert DEFAULTS['robots'] == 100
 
 
-@pytest.mark.parametrize('page', ['README.md', 'docs/index.md'])
+@for_each('page', ['README.md', 'docs/index.md'])
 def test_only_a_loss_is_said_to_tell_of_something_that_destroyed_the_robot(page):
     telling = re.findall(r'([^.;:]*) destroyed the robot', words(page))
     assert telling
@@ -185,7 +185,7 @@ def test_how_much_a_log_is_said_to_lose():
     says('docs/log.md', 'at most 1 MiB of them')
 
 
-@pytest.mark.parametrize('scenario', ['paper', 'calibrated', 'mismatched'])
+@for_each('scenario', ['paper', 'calibrated', 'mismatched'])
 def test_the_paper_gives_what_mathematics_says_it_gives(scenario):
     sensor = yaml.safe_load(ROOT.joinpath(f'scenarios/{scenario}.yaml').read_text())['sensor']
     says('docs/mathematics.md', '5 % malfunction and 5 % false negatives a step')

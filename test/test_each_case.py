@@ -21,6 +21,30 @@ def test_all_cases_run_in_order_as_one_item():
     assert ran == [(1, 'x'), (2, 'y'), 0, 1, 2]
 
 
+def test_of_several_all_combinations_run_and_each_runs_alone(monkeypatch):
+    ran = []
+
+    @for_each('seed', range(2))
+    @for_each('name, size', [('a', 1), ('b', 2)])
+    def law(seed, name, size, to):
+        to.append((seed, name, size))
+
+    assert list(inspect.signature(law).parameters) == ['to']
+    law(to=ran)
+    assert ran == [(0, 'a', 1), (0, 'b', 2), (1, 'a', 1), (1, 'b', 2)]
+    monkeypatch.setattr(laws, 'alone', 'seed=1, name=a, size=1')
+    law(to=ran)
+    assert ran[4:] == [(1, 'a', 1)]
+
+
+def test_functions_are_called_by_their_names():
+    def fails(check):
+        raise AssertionError
+
+    with pytest.raises(AssertionError, match='case check=small: '):
+        for_each('check', [small])(fails)()
+
+
 def test_fixtures_remain_arguments_of_the_law():
     assert list(inspect.signature(for_each('seed', range(3))(small)).parameters) == ['ran']
 

@@ -53,7 +53,7 @@ def test_the_configuration_has_every_parameter_with_its_default(node):
     }
 
 
-@pytest.mark.parametrize('name, agents', [('mission', 1), ('team', 8)])
+@for_each('name, agents', [('mission', 1), ('team', 8)])
 def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
     view = yaml.safe_load((ROOT / 'rviz' / f'{name}.rviz').read_text())['Visualization Manager']
     assert view['Global Options']['Fixed Frame'] == 'map'

@@ -8,6 +8,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from laws import for_each
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -54,12 +55,12 @@ def merged(outputs):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('path', NOTEBOOKS, ids=lambda path: path.stem)
+@for_each('path', NOTEBOOKS)
 def test_a_notebook_shows_what_comes_out(path, executed):
     assert shown(path) == shown(executed / path.name), 'python3 tools/notebooks.py'
 
 
-@pytest.mark.parametrize('name', ['mission_log', 'one_path'])
+@for_each('name', ['mission_log', 'one_path'])
 def test_a_notebook_shows_texts_and_pictures(name):
     outputs = [
         each for *_, outputs in shown(ROOT / f'docs/notebooks/{name}.ipynb') for each in outputs

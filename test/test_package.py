@@ -87,7 +87,7 @@ def pinned(*files):
     return {re.split(r'[\[=]', line)[0]: line for line in requirements if line}
 
 
-@pytest.mark.parametrize(
+@for_each(
     'folders, kinds, files',
     [
         (['kbnitp_ros', 'launch'], ['depend', 'exec_depend'], ['requirements.txt']),
@@ -97,7 +97,6 @@ def pinned(*files):
             ['requirements.txt', 'requirements-dev.txt'],
         ),
     ],
-    ids=['run', 'test'],
 )
 def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds, files):
     imported = imported_by(*folders)
@@ -107,7 +106,7 @@ def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds,
     assert wheels <= pinned(*files).keys()
 
 
-@pytest.mark.parametrize('file', FILES)
+@for_each('file', FILES)
 def test_all_that_is_installed_is_locked_by_its_hashes(file):
     lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
     entries = re.findall(
@@ -188,7 +187,7 @@ def test_every_field_of_a_message_is_explained(message):
     assert [line for line in fields if '#' not in line] == []
 
 
-@pytest.mark.parametrize('action', ACTIONS)
+@for_each('action', ACTIONS)
 def test_robots_are_driven_by_the_actions_of_nav2(action):
     share = Path(get_package_share_directory('nav2_msgs'))
     hashes = json.loads(share.joinpath(f'action/{action}.json').read_text())['type_hashes']

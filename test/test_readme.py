@@ -11,6 +11,7 @@ import sys
 import time
 
 from extent import FULL
+from laws import for_each
 import pytest
 
 pytestmark = pytest.mark.processes
@@ -57,7 +58,7 @@ def test_the_study_starts(tmp_path):
     assert list(out.glob('trials/*.npz'))
 
 
-@pytest.mark.parametrize('snippet', PYTHON)
+@for_each('snippet', PYTHON)
 def test_the_python_example(snippet):
     printed = subprocess.run(
         [sys.executable, '-c', snippet], cwd=ROOT, capture_output=True, text=True, check=True

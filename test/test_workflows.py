@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 
+from laws import for_each
 import pytest
 from test_package import imported_by, PYTHON_PACKAGES
 import yaml
@@ -23,7 +24,7 @@ def steps(name):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('path', WORKFLOWS, ids=lambda path: path.stem)
+@for_each('path', WORKFLOWS)
 def test_a_workflow_keeps_to_the_schema(path, tmp_path):
     pytest.importorskip('check_jsonschema', reason='it is of the wheels only')
 
@@ -38,7 +39,7 @@ def test_a_workflow_keeps_to_the_schema(path, tmp_path):
     assert check(broken).returncode != 0
 
 
-@pytest.mark.parametrize('path', WORKFLOWS, ids=lambda path: path.stem)
+@for_each('path', WORKFLOWS)
 def test_actions_are_pinned_by_commit(path):
     used = re.findall(r'uses: (.*)', path.read_text())
     assert used

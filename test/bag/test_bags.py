@@ -11,6 +11,7 @@ from bags import write_bag
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.log.replay import replay
+from laws import for_each
 from mission_log import record
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
@@ -21,7 +22,7 @@ STORAGES = ['mcap', 'sqlite3']
 STORAGE_ZSTD = CompressionMode.STORAGE, CompressionFormat.ZSTD
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def sent(whole_mission):
     return whole_mission.sent
 
@@ -40,8 +41,8 @@ def check(path, sent):
     assert len(report.evidence.reports) == 8
 
 
-@pytest.mark.parametrize('version', [8, 9])
-@pytest.mark.parametrize('storage', STORAGES)
+@for_each('version', [8, 9])
+@for_each('storage', STORAGES)
 def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, storage, version):
     folder = write_bag(tmp_path / 'bag', sent, storage, version)
     check(folder, sent)
@@ -53,15 +54,15 @@ def test_compressed_chunks_are_read(sent, tmp_path):
     check(write_bag(tmp_path / 'bag', sent, 'mcap', compression=STORAGE_ZSTD), sent)
 
 
-@pytest.mark.parametrize('storage', STORAGES)
-@pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
+@for_each('storage', STORAGES)
+@for_each('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_what_rosbag2_compressed_is_refused(sent, tmp_path, storage, mode):
     folder = write_bag(tmp_path / 'bag', sent, storage, compression=(mode, CompressionFormat.ZSTD))
     with pytest.raises(LogError, match=r'bag is compressed, mode \w+: decompress it with ros2'):
         list(read_log(folder))
 
 
-@pytest.mark.parametrize('mode', ['NONE', 'none'])
+@for_each('mode', ['NONE', 'none'])
 def test_a_bag_that_says_it_is_not_compressed_is_read(sent, tmp_path, mode):
     folder = write_bag(tmp_path / 'bag', sent, 'mcap')
     described = yaml.safe_load((folder / 'metadata.yaml').read_text())
@@ -71,7 +72,7 @@ def test_a_bag_that_says_it_is_not_compressed_is_read(sent, tmp_path, mode):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('storage', STORAGES)
+@for_each('storage', STORAGES)
 def test_a_log_converted_by_rosbags_is_read(sent, tmp_path, storage):
     folder = tmp_path / 'recorded'
     folder.mkdir()
@@ -82,13 +83,12 @@ def test_a_log_converted_by_rosbags_is_read(sent, tmp_path, storage):
     check(converted, sent)
 
 
-@pytest.fixture(params=STORAGES)
-def split(request, sent, tmp_path):
+def split_bag(tmp_path, sent, storage):
     """Return a bag of two files, as ``ros2 bag record`` names and lists them."""
     folder = tmp_path / 'bag'
     folder.mkdir()
     for number, half in enumerate((sent[:20], sent[20:])):
-        made = write_bag(tmp_path / f'half_{number}', half, request.param)
+        made = write_bag(tmp_path / f'half_{number}', half, storage)
         (file,) = (each for each in made.iterdir() if each.name != 'metadata.yaml')
         file.rename(folder / f'bag_{number}{file.suffix}')
     described = yaml.safe_load((made / 'metadata.yaml').read_text())
@@ -106,26 +106,34 @@ def with_listed(folder, change):
     path.write_text(yaml.safe_dump(described))
 
 
-def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(split, sent):
+@for_each('storage', STORAGES)
+def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(sent, storage, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     check(split, sent)
     check(next(split.glob('bag_0.*')), sent)
     later = list(read_log(next(split.glob('bag_1.*'))))
     assert [each.data for each in later] == [each.data for each in sent[20:]]
 
 
-def test_the_folder_may_be_part_of_a_listed_name(split, sent):
+@for_each('storage', STORAGES)
+def test_the_folder_may_be_part_of_a_listed_name(sent, storage, tmp_path):
     """As in bags before Galactic."""
+    split = split_bag(tmp_path, sent, storage)
     with_listed(split, lambda names: names.__setitem__(slice(None), [f'bag/{n}' for n in names]))
     check(split, sent)
 
 
-def test_a_recorder_that_was_killed_left_an_old_list(split, sent):
+@for_each('storage', STORAGES)
+def test_a_recorder_that_was_killed_left_an_old_list(sent, storage, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     with_listed(split, list.pop)
     check(split, sent)
 
 
-@pytest.mark.parametrize('left', [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a'])
-def test_a_recorder_that_was_killed_left_no_list(split, sent, left):
+@for_each('left', [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a'])
+@for_each('storage', STORAGES)
+def test_a_recorder_that_was_killed_left_no_list(sent, left, storage, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     if left is None:
         (split / 'metadata.yaml').unlink()
     else:
@@ -133,7 +141,9 @@ def test_a_recorder_that_was_killed_left_no_list(split, sent, left):
     check(split, sent)
 
 
-def test_a_list_that_says_two_things_is_refused(split):
+@for_each('storage', STORAGES)
+def test_a_list_that_says_two_things_is_refused(storage, sent, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     file = split / 'metadata.yaml'
     first, *lines = file.read_text().splitlines()
     file.write_text('\n'.join([first, lines[0], *lines]))
@@ -144,8 +154,10 @@ def test_a_list_that_says_two_things_is_refused(split):
             list(read_log(path))
 
 
-@pytest.mark.parametrize('is_listed', [True, False])
-def test_a_missing_file_is_missed(split, is_listed):
+@for_each('is_listed', [True, False])
+@for_each('storage', STORAGES)
+def test_a_missing_file_is_missed(is_listed, storage, sent, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     (gone,) = split.glob('bag_1.*')
     if is_listed:
         gone.unlink()
@@ -156,8 +168,10 @@ def test_a_missing_file_is_missed(split, is_listed):
         list(read_log(split))
 
 
-def test_files_are_put_in_the_order_they_are_listed(split, sent):
+@for_each('storage', STORAGES)
+def test_files_are_put_in_the_order_they_are_listed(sent, storage, tmp_path):
     """Whatever they are called."""
+    split = split_bag(tmp_path, sent, storage)
     for old, new in (('bag_0', 'night'), ('bag_1', 'day')):
         (file,) = split.glob(f'{old}.*')
         file.rename(file.with_stem(new))
@@ -168,7 +182,9 @@ def test_files_are_put_in_the_order_they_are_listed(split, sent):
     check(split, sent)
 
 
-def test_a_folder_of_several_logs_is_refused(split, sent):
+@for_each('storage', STORAGES)
+def test_a_folder_of_several_logs_is_refused(sent, storage, tmp_path):
+    split = split_bag(tmp_path, sent, storage)
     record(split / 'other.mcap', sent)
     with pytest.raises(LogError, match=r'holds bag_0.* and other.mcap.* name the first file of'):
         list(read_log(split))
@@ -191,12 +207,11 @@ def test_a_folder_without_a_log_is_refused(tmp_path):
         is_finished(tmp_path)
 
 
-@pytest.fixture
-def database(sent, tmp_path):
+def write_database(tmp_path, sent):
     return next(write_bag(tmp_path / 'bag', sent, 'sqlite3').glob('*.db3'))
 
 
-@pytest.mark.parametrize(
+@for_each(
     'changes',
     [
         ['DROP TABLE message_definitions', 'DROP TABLE schema', 'DROP TABLE metadata'],
@@ -206,18 +221,17 @@ def database(sent, tmp_path):
             'ALTER TABLE topics DROP COLUMN offered_qos_profiles',
         ],
     ],
-    ids=['humble', 'dashing'],
 )
-def test_a_database_without_definitions_is_read_by_what_is_installed(database, sent, changes):
+def test_a_database_without_definitions_is_read_by_what_is_installed(sent, changes, tmp_path):
+    database = write_database(tmp_path, sent)
     with sqlite3.connect(database) as connection:
         for change in changes:
             connection.execute(change)
     check(database, sent)
 
 
-def test_a_database_that_does_not_say_the_quality_of_service_is_read_and_repaired(
-    database, sent, tmp_path
-):
+def test_a_database_that_does_not_say_the_quality_of_service_is_read_and_repaired(sent, tmp_path):
+    database = write_database(tmp_path, sent)
     with sqlite3.connect(database) as connection:
         connection.executescript(
             """
@@ -232,8 +246,9 @@ def test_a_database_that_does_not_say_the_quality_of_service_is_read_and_repaire
     check(tmp_path / 'mission.mcap', sent)
 
 
-@pytest.mark.parametrize('column', ['name', 'serialization_format', 'offered_qos_profiles'])
-def test_a_database_with_something_else_for_a_text_is_corrupt(database, tmp_path, column):
+@for_each('column', ['name', 'serialization_format', 'offered_qos_profiles'])
+def test_a_database_with_something_else_for_a_text_is_corrupt(tmp_path, column, sent):
+    database = write_database(tmp_path, sent)
     with sqlite3.connect(database) as connection:
         connection.execute(f'UPDATE topics SET {column} = CAST({column} AS BLOB)')
     with pytest.raises(LogError, match='is corrupt near byte .* where texts should be'):
@@ -242,7 +257,8 @@ def test_a_database_with_something_else_for_a_text_is_corrupt(database, tmp_path
         repair(database, tmp_path / 'mission.mcap')
 
 
-def test_a_type_that_is_defined_nowhere_is_an_error_only_when_asked_for(database):
+def test_a_type_that_is_defined_nowhere_is_an_error_only_when_asked_for(sent, tmp_path):
+    database = write_database(tmp_path, sent)
     with sqlite3.connect(database) as connection:
         connection.execute('DROP TABLE message_definitions')
         connection.execute(
@@ -264,13 +280,15 @@ os.kill(os.getpid(), 9)
 
 
 @pytest.mark.processes
-def test_a_database_whose_writer_was_killed_is_read_up_to_its_last_commit(database, sent):
+def test_a_database_whose_writer_was_killed_is_read_up_to_its_last_commit(sent, tmp_path):
+    database = write_database(tmp_path, sent)
     subprocess.run([sys.executable, '-c', KILLED, database], check=False)
     assert not is_finished(database)
     assert [each.data for each in read_log(database)] == [each.data for each in sent[:30]]
 
 
-def test_a_database_that_was_cut_is_unfinished_and_corrupt(database, sent):
+def test_a_database_that_was_cut_is_unfinished_and_corrupt(sent, tmp_path):
+    database = write_database(tmp_path, sent)
     content = database.read_bytes()
     for cut in range(16, len(content), 4099):
         database.write_bytes(content[:cut])
@@ -279,7 +297,7 @@ def test_a_database_that_was_cut_is_unfinished_and_corrupt(database, sent):
             list(read_log(database))
 
 
-@pytest.mark.parametrize('storage', STORAGES)
+@for_each('storage', STORAGES)
 def test_a_bag_becomes_a_log_by_repair(sent, tmp_path, storage):
     folder = write_bag(tmp_path / 'bag', sent, storage)
     repaired = repair(folder, tmp_path / 'mission.mcap')

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.writer import LogWriter
+from laws import for_each
 from mission_log import Mission, on, record_to
 import pytest
 
@@ -124,7 +125,7 @@ def logs(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('kind', KINDS)
+@for_each('kind', KINDS)
 def test_a_corrupt_log_has_no_message_that_was_not_written(logs, kind, tmp_path, monkeypatch):
     # Nothing here is to survive a power cut, and waiting for the disk takes the most time.
     for name in ('fsync', 'fdatasync'):

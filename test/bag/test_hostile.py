@@ -270,7 +270,7 @@ def test_the_qos_of_a_channel_is_not_read_beyond_bounds(whole_mission, tmp_path)
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
+@for_each(
     'definition, complaint',
     [
         # Any number of those fits into any message.
@@ -280,7 +280,6 @@ def test_the_qos_of_a_channel_is_not_read_beyond_bounds(whole_mission, tmp_path)
         ),
         (b'uint8 much\n' * 2**20, 'it is defined in 11534336 bytes'),
     ],
-    ids=['a type that takes no bytes', 'a type of great length'],
 )
 def test_a_hostile_type_is_refused(definition, complaint, tmp_path):
     defined = b''.join(map(text, (b'nav_msgs/msg/Path', b'ros2msg', definition)))

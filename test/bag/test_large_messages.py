@@ -10,6 +10,7 @@ from bags import write_bag
 from bounded import megabytes_at_start, run_command
 from kbnitp_ros.bag import file_writer, is_finished, LogWriter, read_log, repair, writer
 from kbnitp_ros.bag.reader import tell_skipped
+from laws import for_each
 from mission_log import record_to
 import pytest
 
@@ -72,7 +73,7 @@ def test_an_unfinished_log_with_one_is_gone_on_with(tmp_path, whole_mission, cap
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
+@for_each('compression', ['none', 'zstd'])
 def test_replay_and_report_name_it_and_go_on(tmp_path, whole_mission, compression, monkeypatch):
     path = log_with_a_large_message(tmp_path, whole_mission.sent, compression, monkeypatch)
     for command, options in (('replay', []), ('report', ['--out', tmp_path / 'page'])):

@@ -3,12 +3,14 @@
 
 import errno
 import fcntl
+from itertools import product
 from pathlib import Path
 import subprocess
 import sys
 
 from kbnitp_ros.bag import LogError, LogWriter, parts_of, read_log
 from kbnitp_ros.cli.replay import main
+from laws import for_each
 from mission_log import record, record_to
 import pytest
 
@@ -89,8 +91,7 @@ def test_of_a_name_and_a_link_to_it_one_can_be_written(tmp_path, whole_mission):
             LogWriter(link, resume=True)
 
 
-@pytest.mark.parametrize('which', ['first', 'current'])
-@pytest.mark.parametrize('how', ['removed', 'replaced', 'renamed'])
+@for_each('which, how', product(['first', 'current'], ['removed', 'replaced', 'renamed']))
 def test_what_is_written_to_a_log_that_is_gone_is_not_said_to_be_safe(
     tmp_path, whole_mission, which, how
 ):
@@ -110,7 +111,7 @@ def test_what_is_written_to_a_log_that_is_gone_is_not_said_to_be_safe(
         log.sync()
 
 
-@pytest.mark.parametrize('resume', [False, True])
+@for_each('resume', [False, True])
 def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch, resume):
     path = tmp_path / 'mission.mcap'
     if resume:

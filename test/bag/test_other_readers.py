@@ -8,6 +8,7 @@ from kbnitp_ros.bag.reader import read_log, read_recorded
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.schema import qos_profiles_yaml
 from kbnitp_ros.bag.writer import LogWriter
+from laws import for_each
 from mcap.reader import make_reader
 from mission_log import mission, record, record_to, same, START
 from other_readers import check_all_read, check_same, with_mcap, with_node, with_rosbags
@@ -41,11 +42,6 @@ def sent():
     return whole.sent
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / 'mission.mcap'
-
-
 def check(log, sent):
     """Check that all libraries read what was sent."""
     assert [each.data for each in read_log(log)] == [each.data for each in sent]
@@ -53,9 +49,10 @@ def check(log, sent):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('library', [with_mcap, with_node, with_rosbags])
-def test_the_comparison_can_fail(path, sent, library):
+@for_each('library', [with_mcap, with_node, with_rosbags])
+def test_the_comparison_can_fail(sent, library, tmp_path):
     """A message that is missing, changed or of other QoS is found."""
+    path = tmp_path / 'mission.mcap'
     record(path, sent)
     read = list(library(path))
     written = list(read_recorded(path))
@@ -67,16 +64,18 @@ def test_the_comparison_can_fail(path, sent, library):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_a_finished_log(path, sent, compression):
+@for_each('compression', ['none', 'zstd'])
+def test_a_finished_log(sent, compression, tmp_path):
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path, compression=compression) as log:
         record_to(log, sent, synced=True)
     check(path, sent)
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_a_split_log(path, sent, compression):
+@for_each('compression', ['none', 'zstd'])
+def test_a_split_log(sent, compression, tmp_path):
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path, compression=compression, max_file_duration=7e-6) as log:
         record_to(log, sent)
     assert len(parts_of(path)) > 3
@@ -84,7 +83,8 @@ def test_a_split_log(path, sent, compression):
 
 
 @pytest.mark.processes
-def test_a_log_that_was_gone_on_with(path, sent):
+def test_a_log_that_was_gone_on_with(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     log = LogWriter(path)
     record_to(log, sent[:20], synced=True)
     unfinished = path.read_bytes()
@@ -96,7 +96,8 @@ def test_a_log_that_was_gone_on_with(path, sent):
 
 
 @pytest.mark.processes
-def test_a_repaired_log(path, sent, tmp_path):
+def test_a_repaired_log(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     log = LogWriter(path)
     record_to(log, sent, synced=True)
     target = tmp_path / 'repaired' / 'mission.mcap'
@@ -106,8 +107,9 @@ def test_a_repaired_log(path, sent, tmp_path):
 
 
 @pytest.mark.processes
-def test_a_log_with_a_topic_whose_qos_changed(path, sent):
+def test_a_log_with_a_topic_whose_qos_changed(sent, tmp_path):
     """In one file, and from file to file."""
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:
         for depth, each in enumerate(sent[:1] * 3, 1):
             log.add_topic(
@@ -120,7 +122,8 @@ def test_a_log_with_a_topic_whose_qos_changed(path, sent):
 
 
 @pytest.mark.processes
-def test_a_log_without_messages(path):
+def test_a_log_without_messages(tmp_path):
+    path = tmp_path / 'mission.mcap'
     record(path, [])
     check(path, [])
 
@@ -132,7 +135,8 @@ def test_same_can_tell(sent):
     assert not same(reports[0], reports[1])
 
 
-def test_the_bag_says_what_is_in_it(path, sent):
+def test_the_bag_says_what_is_in_it(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
     with Reader(path.parent) as reader:
@@ -149,8 +153,9 @@ def test_the_bag_says_what_is_in_it(path, sent):
     assert sum(messages for _, messages in files) == len(sent)
 
 
-def test_each_file_says_what_is_in_it(path, sent):
+def test_each_file_says_what_is_in_it(sent, tmp_path):
     """The record that ros2 bag info reads when it is given a file."""
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
     for part in parts_of(path):
@@ -164,7 +169,8 @@ def test_each_file_says_what_is_in_it(path, sent):
         assert described['version'] == 9
 
 
-def test_the_file_is_indexed(path, sent):
+def test_the_file_is_indexed(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     record(path, sent)
     with path.open('rb') as file:
         reader = make_reader(file)
@@ -179,14 +185,16 @@ def test_the_file_is_indexed(path, sent):
     assert len(last) == 1
 
 
-def test_one_schema_for_all_topics_of_a_type(path, sent):
+def test_one_schema_for_all_topics_of_a_type(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     record(path, sent)
     with path.open('rb') as file:
         names = [schema.name for schema in make_reader(file).get_summary().schemas.values()]
     assert len(set(names)) == len(names)
 
 
-def test_messages_are_numbered_by_topic_through_all_files(path, sent):
+def test_messages_are_numbered_by_topic_through_all_files(sent, tmp_path):
+    path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
     numbers = [

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
 from kbnitp_ros.bag.schema import qos_profiles_yaml
 from kbnitp_ros.bag.writer import LogWriter
+from laws import for_each
 from mcap.writer import Writer
 from mission_log import on, QOS, record, record_to, same
 import pytest
@@ -47,7 +48,7 @@ def is_start_of(read, sent):
     )
 
 
-@pytest.mark.parametrize('name', ['finished.mcap', 'one_chunk.mcap', 'unfinished.mcap'])
+@for_each('name', ['finished.mcap', 'one_chunk.mcap', 'unfinished.mcap'])
 def test_everything_is_read_in_order(files, whole_mission, name):
     read, error = messages(files / name)
     assert error is None
@@ -85,7 +86,7 @@ def chunks(content):
     return [(start, end) for start, end in whole if content[start] == 6]
 
 
-@pytest.mark.parametrize('content', [b'no log at all', b'SQLite format 2', b'GIF89a'])
+@for_each('content', [b'no log at all', b'SQLite format 2', b'GIF89a'])
 def test_another_file_is_refused(tmp_path, content):
     path = tmp_path / 'mission.mcap'
     path.write_bytes(content)
@@ -109,7 +110,7 @@ def test_what_rosbag2_compressed_is_refused(tmp_path):
         list(read_log(path))
 
 
-@pytest.mark.parametrize('size', [0, 1, 7, 8])
+@for_each('size', [0, 1, 7, 8])
 def test_nothing_but_the_first_bytes_is_an_empty_log(files, tmp_path, size):
     """A writer may be killed before it wrote more."""
     path = tmp_path / 'mission.mcap'
@@ -237,7 +238,7 @@ def test_bytes_that_are_no_message_are_an_error(tmp_path):
     assert list(read_log(log.path, ['kbnitp_msgs/msg/BeliefMaps'])) == []
 
 
-@pytest.mark.parametrize('schema', [0, 1])
+@for_each('schema', [0, 1])
 def test_what_is_no_ros_message_is_an_error_only_when_asked_for(tmp_path, schema):
     path = tmp_path / 'mission.mcap'
     with path.open('wb') as file:

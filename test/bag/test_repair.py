@@ -10,6 +10,7 @@ from kbnitp_ros.bag.records import RecordedMessage
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import main
+from laws import for_each
 from mission_log import record, record_to
 from other_readers import check_all_read
 import pytest
@@ -134,7 +135,7 @@ def test_a_corrupt_chunk_costs_its_messages_only(whole_mission, tmp_path):
     assert all(loss.startswith(f'{path} is corrupt near byte') for loss in repaired.lost)
 
 
-@pytest.mark.parametrize('cut', [0, 5, 8, 100])
+@for_each('cut', [0, 5, 8, 100])
 def test_nothing_is_made_of_nothing(whole_mission, tmp_path, cut, capsys):
     path = record(tmp_path / 'mission.mcap', whole_mission.sent)
     path.write_bytes(path.read_bytes()[:cut])

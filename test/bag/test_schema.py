@@ -64,7 +64,7 @@ def test_a_path_refers_to_types_that_refer_to_types():
         assert f'\n{"=" * 80}\nMSG: {name}\n' in definition
 
 
-@pytest.mark.parametrize('type_name', ['no_such_msgs/msg/Path', 'nav_msgs/msg/NoSuchType'])
+@for_each('type_name', ['no_such_msgs/msg/Path', 'nav_msgs/msg/NoSuchType'])
 def test_a_type_that_is_not_installed_is_no_topic(type_name):
     with pytest.raises(LookupError):
         describe(type_name)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the writer promises of the file, as far as its own project can tell."""
 
+from itertools import product
 import os
 from pathlib import Path
 import signal
@@ -14,6 +15,7 @@ from kbnitp_ros.bag.mcap_file import read_mcap
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata, read_recorded
 from kbnitp_ros.bag.records import LARGEST_MESSAGE, RecordedMessage
 from kbnitp_ros.bag.writer import LogWriter
+from laws import for_each
 from mcap.reader import make_reader
 from mission_log import QOS, record, record_to
 from nav_msgs.msg import OccupancyGrid
@@ -40,7 +42,7 @@ def test_a_missing_folder_is_refused(tmp_path):
         LogWriter(tmp_path / 'nowhere' / 'mission.mcap')
 
 
-@pytest.mark.parametrize('name', ['mission', 'mission.db3', 'mission.mcap.1'])
+@for_each('name', ['mission', 'mission.db3', 'mission.mcap.1'])
 def test_a_name_that_does_not_end_as_that_of_a_log_is_refused(tmp_path, name):
     with pytest.raises(LogError, match=f"{name}' is no name for a log: it must end in .mcap"):
         LogWriter(tmp_path / name)
@@ -110,7 +112,7 @@ while True:
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('count', [1, 17, 200])
+@for_each('count', [1, 17, 200])
 def test_a_kill_loses_nothing_that_was_synced(tmp_path, count):
     path = tmp_path / 'mission.mcap'
     writer = subprocess.Popen(
@@ -209,8 +211,10 @@ def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
     assert header.library.startswith('kbnitp_ros')
 
 
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-@pytest.mark.parametrize('limit', [{'max_file_size': 4_000}, {'max_file_duration': 20e-6}])
+@for_each(
+    'compression, limit',
+    product(['none', 'zstd'], [{'max_file_size': 4_000}, {'max_file_duration': 20e-6}]),
+)
 def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compression):
     sent = whole_mission.sent
     with LogWriter(tmp_path / 'mission.mcap', compression=compression, **limit) as log:
@@ -264,7 +268,7 @@ def test_a_message_too_large_to_be_read_again_is_refused(tmp_path):
     assert [each.log_time for each in read_log(log.path)] == [2]
 
 
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
+@for_each('compression', ['none', 'zstd'])
 def test_the_largest_message_is_read_again(tmp_path, compression):
     noise = np.random.default_rng(1).bytes(LARGEST_MESSAGE)
     with LogWriter(tmp_path / 'mission.mcap', compression=compression) as log:
@@ -276,7 +280,7 @@ def test_the_largest_message_is_read_again(tmp_path, compression):
     ] == noise
 
 
-@pytest.mark.parametrize('share', [0.0, 0.3, 0.8, 1.0])
+@for_each('share', [0.0, 0.3, 0.8, 1.0])
 def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
     """What was written before is kept as it was, wherever the writer was killed."""
     path = tmp_path / 'mission.mcap'
@@ -337,7 +341,7 @@ def test_a_part_is_no_log_to_go_on_with(tmp_path):
         LogWriter(log.current_path, resume=True)
 
 
-@pytest.mark.parametrize('names', [('run.mcap', 'run_1.mcap'), ('run_1.mcap', 'run.mcap')])
+@for_each('names', [('run.mcap', 'run_1.mcap'), ('run_1.mcap', 'run.mcap')])
 def test_a_name_that_makes_it_a_part_of_another_log_is_refused(tmp_path, names):
     first, second = names
     record(tmp_path / first, [])
@@ -361,8 +365,8 @@ def test_an_unknown_compression_is_refused(tmp_path):
         LogWriter(tmp_path / 'mission.mcap', compression='lz5')
 
 
-@pytest.mark.parametrize('compression, room', [('none', 30_000), ('zstd', 10_000)])
-@pytest.mark.parametrize('batch', [1, 7])
+@for_each('compression, room', [('none', 30_000), ('zstd', 10_000)])
+@for_each('batch', [1, 7])
 def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, compression, room):
     path = tmp_path / 'mission.mcap'
     log = LogWriter(path, compression=compression)
@@ -426,7 +430,7 @@ def test_a_folder_that_vanishes_stops_the_log_at_the_next_file(tmp_path, whole_m
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
+@for_each('compression', ['none', 'zstd'])
 def test_corruption_anywhere_is_noticed_before_a_log_is_gone_on_with(
     whole_mission, compression, tmp_path
 ):

@@ -9,6 +9,7 @@ from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel, Unknowns
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
+from laws import for_each
 import pytest
 from samples import GRID, HOME, key, lost
 
@@ -38,7 +39,7 @@ def test_what_is_learnt_on_the_way_is_no_other_estimators():
         assert tracker.accept_belief(snapshot, known=3)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'other, told',
     [
         ({'interval': (0.2, 1.0)}, '^unknowns is .*low=0.2.* and 2 nodes publish beliefs'),
@@ -53,7 +54,7 @@ def test_another_estimator_is_told_by_what_it_was_started_with(other, told):
         tracker.check_belief(snapshots(**other)[3], authors=2, known=3)
 
 
-@pytest.mark.parametrize('authors', [1, 2])
+@for_each('authors', [1, 2])
 def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     """Its publisher may not be counted yet when it comes."""
     tracker, told = MissionTracker(), snapshots()

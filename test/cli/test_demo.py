@@ -299,7 +299,7 @@ def test_everything_can_be_given_and_the_options_count_for_more_than_the_file(tm
     assert np.array_equal(history.world.target, world.target)
 
 
-@pytest.mark.parametrize('node', NODES)
+@for_each('node', NODES)
 def test_the_shipped_configuration_is_that_of_the_demo(node):
     config = ROOT / 'config' / 'mission.yaml'
     plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))

@@ -78,7 +78,7 @@ def test_a_closed_output_is_no_error(arguments):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('unbuffered', ['', '1'])
+@for_each('unbuffered', ['', '1'])
 def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered):
     command = [sys.executable, '-m', 'kbnitp_ros', 'replay', tmp_path / 'nothing.mcap']
     environment = {**os.environ, 'PYTHONUNBUFFERED': unbuffered}
@@ -98,7 +98,7 @@ def test_a_name_that_is_no_text_is_printed(log, tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('name', ['replay', 'demo'])
+@for_each('name', ['replay', 'demo'])
 def test_no_log_is_made_whose_name_is_no_text(name, log, tmp_path):
     """The metadata.yaml of its folder, and the parameters of a node, are text."""
     strange = os.fsencode(tmp_path) + b'/\xff.mcap'

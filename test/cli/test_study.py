@@ -20,6 +20,7 @@ import time
 from extent import FULL, some
 from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study.scenario import ALONE, NUMBERS
+from laws import for_each
 from pyarrow import parquet
 import pytest
 import yaml
@@ -242,7 +243,7 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     assert kept == {**yaml.safe_load(shipped.read_text()), **defaults}
 
 
-@pytest.mark.parametrize(
+@for_each(
     'changes, options, complaint',
     [
         ({'colour': 'red'}, [], 'colour is unknown'),
@@ -299,9 +300,7 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    'options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']]
-)
+@for_each('options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']])
 def test_unusable_options_are_named(capsys, scenario, tmp_path, options):
     with pytest.raises(SystemExit) as ended:
         refusal(capsys, scenario, tmp_path / 'out', *options)

@@ -6,6 +6,7 @@ from pathlib import Path
 import socket
 
 from kbnitp_ros.files import open_file
+from laws import for_each
 import pytest
 
 
@@ -18,7 +19,7 @@ def test_a_file_and_a_link_to_one_are_read(tmp_path):
             assert file.read() == b'some bytes'
 
 
-@pytest.mark.parametrize(
+@for_each(
     'kind, complaint',
     [
         ('pipe', 'it is a pipe, not a file'),

@@ -111,7 +111,7 @@ def test_what_is_just_within_bounds_is_read():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('kind', HOSTILE)
+@for_each('kind', HOSTILE)
 def test_a_hostile_file_is_refused_in_little_time_and_memory(kind, tmp_path):
     text, complaint = HOSTILE[kind]
     path = tmp_path / 'hostile.yaml'

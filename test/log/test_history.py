@@ -2,12 +2,14 @@
 """A log's deployments are each told once, in their order, by what is known of them in the end."""
 
 from dataclasses import replace
+from itertools import product
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import path_message, report_message
+from laws import for_each
 from mission_log import GRID, MAX_STEPS, Mission, on, record
 from nav_msgs.msg import Path
 import pytest
@@ -81,8 +83,13 @@ def reports_that_do_not_fit(key, whole):
     }
 
 
-@pytest.mark.parametrize('when', ['before the path', 'before the loss', 'after the loss', 'alone'])
-@pytest.mark.parametrize('what', reports_that_do_not_fit(DeploymentKey('scout_1', 1), Mission()))
+@for_each(
+    'when, what',
+    product(
+        ['before the path', 'before the loss', 'after the loss', 'alone'],
+        reports_that_do_not_fit(DeploymentKey('scout_1', 1), Mission()),
+    ),
+)
 def test_a_refused_report_displaces_no_other(tmp_path, what, when):
     """All who read the log judge it as the estimator did."""
     whole = Mission()

@@ -6,7 +6,7 @@ from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Ledger, Sens
 from kbnitp_ros.log.deployments import read_deployments, read_mission
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message
-import pytest
+from laws import for_each
 from rclpy.serialization import serialize_message
 
 GRID = Grid(3, 1)
@@ -29,7 +29,7 @@ def path(mission, stamp=1):
     return '/scout/path', 'nav_msgs/msg/Path', message
 
 
-@pytest.mark.parametrize(
+@for_each(
     'messages, mission, paths',
     [
         ([], None, []),

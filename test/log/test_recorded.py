@@ -20,6 +20,7 @@ from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -44,11 +45,20 @@ sys.meta_path.insert(0, NoRos())
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.report import curves_of, read_mission, write_report
-log, out = sys.argv[1:]
-found = replay(log)
-print(found.grade.name, found.compared.total(), len(read_history(log).observations))
-mission = read_mission(log)
-write_report(Path(out), mission, curves_of(mission))
+for log in sys.argv[1:]:
+    found = replay(log)
+    print(found.grade.name, found.compared.total(), len(read_history(log).observations))
+    mission = read_mission(log)
+    write_report(Path(log).parent / 'report', mission, curves_of(mission))
+"""
+
+# The command, for one log after another; each answer ends with its exit code.
+REPLAY = """
+import sys
+from kbnitp_ros.__main__ import main
+
+for log in sys.argv[1:]:
+    print(main(['replay', log]), end='\\0')
 """
 
 
@@ -56,61 +66,77 @@ def test_there_is_one_of_each_method():
     assert {*METHODS, 'late_return'} == set(NAMES)
 
 
-@pytest.fixture(params=NAMES)
-def log(request, tmp_path):
+def log(name, folder):
     """Return a log, as it was recorded."""
-    tmp_path.joinpath(request.param).touch()
-    path = tmp_path / 'mission.mcap'
-    path.write_bytes(gzip.decompress((RECORDED / f'{request.param}.mcap.gz').read_bytes()))
+    path = folder / 'mission.mcap'
+    path.write_bytes(gzip.decompress((RECORDED / f'{name}.mcap.gz').read_bytes()))
     return path
 
 
-def test_it_is_reproduced(log):
-    report = replay(log)
+def logs(tmp_path):
+    """Return all logs, each in a folder of its own."""
+    for name in NAMES:
+        tmp_path.joinpath(name).mkdir()
+    return [log(name, tmp_path / name) for name in NAMES]
+
+
+@for_each('name', NAMES)
+def test_it_is_reproduced(name, tmp_path):
+    report = replay(log(name, tmp_path))
     assert report.grade != Grade.DIFFERENT, report.mismatches
     assert report.not_compared == report.repeated == report.evidence.refused == []
     assert report.passed_over == report.not_yet_held == []
     # The prior, one after each deployment, and one more for a late return.
-    beliefs = 7 if log.with_name('late_return').exists() else 9
+    beliefs = 7 if name == 'late_return' else 9
     assert report.compared == Counter(
         dict.fromkeys(('/belief', '/belief/hazard', '/belief/target', '/belief/kappa'), beliefs)
         | ({'/model': beliefs} if report.prior.unknowns.priors else {})
     )
 
 
-def test_its_deployments_can_be_gone_on_with(log):
-    history = read_history(log)
-    deployments = read_deployments(log, history.grid, 8)
+@for_each('name', NAMES)
+def test_its_deployments_can_be_gone_on_with(name, tmp_path):
+    path = log(name, tmp_path)
+    history = read_history(path)
+    deployments = read_deployments(path, history.grid, 8)
     assert len(history.observations) == len(deployments) >= 5
     assert {each.survived for each in history.observations} == {True, False}
     for each, deployment in zip(history.observations, deployments.values()):
         assert each.path.tolist() == deployment.path.tolist()
 
 
-@pytest.mark.processes
-def test_it_is_read_where_ros_is_not_installed(log, tmp_path):
+def answers(script, paths, **environment):
+    """Return what a script prints of each log, and what it complains of."""
     done = subprocess.run(
-        [sys.executable, '-c', WITHOUT_ROS, log, tmp_path / 'report'],
+        [sys.executable, '-c', script, *paths],
+        env=os.environ | environment,
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(('IDENTICAL', 'EQUAL'))
-    assert tmp_path.joinpath('report', 'report.html').exists()
+    return done.stdout
+
+
+@pytest.mark.processes
+def test_it_is_read_where_ros_is_not_installed(tmp_path):
+    paths = logs(tmp_path)
+    lines = answers(WITHOUT_ROS, paths).splitlines()
+    assert len(lines) == len(NAMES)
+    assert all(line.startswith(('IDENTICAL', 'EQUAL')) for line in lines), lines
+    assert all(path.with_name('report').joinpath('report.html').exists() for path in paths)
 
 
 @pytest.mark.processes
 @pytest.mark.skipif(not EXTENSIONS, reason='numpy knows one way to compute on this processor')
-def test_another_processor_reproduces_it_up_to_rounding(log):
+def test_another_processor_reproduces_it_up_to_rounding(tmp_path):
     """One that can do less, for which numpy computes logarithms otherwise."""
-    done = subprocess.run(
-        [sys.executable, '-m', 'kbnitp_ros', 'replay', log],
-        env={**os.environ, 'NPY_DISABLE_CPU_FEATURES': ' '.join(EXTENSIONS)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done
-    assert 'not reproduced' not in done.stdout
-    if 'of them equal to 1e-09' in done.stdout:
-        assert 'equal to 1e-09, not identical: the largest difference is ' in done.stdout
-        assert 'made with processor features ' in done.stdout
+    without = ' '.join(EXTENSIONS)
+    *replays, end = answers(REPLAY, logs(tmp_path), NPY_DISABLE_CPU_FEATURES=without).split('\0')
+    assert len(replays) == len(NAMES)
+    assert end == ''
+    for name, told in zip(NAMES, replays):
+        assert told.endswith('\n0'), (name, told)
+        assert 'not reproduced' not in told
+        if 'of them equal to 1e-09' in told:
+            assert 'equal to 1e-09, not identical: the largest difference is ' in told
+            assert 'made with processor features ' in told

@@ -143,7 +143,7 @@ HOSTILE = {
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('kind', HOSTILE)
+@for_each('kind', HOSTILE)
 def test_an_array_beyond_all_memory_is_refused_before_it_is_read(tmp_path, kind):
     head, complaint = HOSTILE[kind]
     path = tmp_path / 'prior.npy'

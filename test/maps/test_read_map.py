@@ -95,7 +95,7 @@ def test_the_image_s_last_row_is_the_map_s_first(tmp_path):
     assert found.data.tolist() == [[0, 0], [0, 100], [100, 100]]
 
 
-@pytest.mark.parametrize('alpha, expected', [(255, 100), (254, -1), (0, -1)])
+@for_each('alpha, expected', [(255, 100), (254, -1), (0, -1)])
 def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
     rgba = np.zeros((1, 2, 4), dtype=np.uint8)
     rgba[..., 3] = [255, alpha]
@@ -103,16 +103,14 @@ def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
     assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[100, expected]]
 
 
-@pytest.mark.parametrize('name', ['map.bmp', 'map.png', 'map.pgm'])
+@for_each('name', ['map.bmp', 'map.png', 'map.pgm'])
 def test_a_format_is_known_by_its_content(tmp_path, name):
     Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / name)
     (tmp_path / name).rename(tmp_path / 'map')
     assert read_map(write_yaml(tmp_path, image='map')).data.tolist() == [[100, 0]]
 
 
-@pytest.mark.parametrize(
-    'form', ['EPS', 'GIF', 'ICNS', 'ICO', 'PDF', 'SPIDER', 'TGA', 'TIFF', 'WEBP']
-)
+@for_each('form', ['EPS', 'GIF', 'ICNS', 'ICO', 'PDF', 'SPIDER', 'TGA', 'TIFF', 'WEBP'])
 def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, monkeypatch):
     started = tmp_path / 'started'
     ghostscript = tmp_path / 'gs'
@@ -130,7 +128,7 @@ def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, 
 
 
 @pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
-@pytest.mark.parametrize('name', ['map.bmp', 'map.png', 'map.pgm', 'ascii.pgm'])
+@for_each('name', ['map.bmp', 'map.png', 'map.pgm', 'ascii.pgm'])
 def test_a_corrupt_image_is_refused_or_read(tmp_path, name):
     rng = np.random.default_rng(4)
     path = write(tmp_path, rng.integers(256, size=(9, 11)), name)
@@ -148,7 +146,7 @@ def test_a_corrupt_image_is_refused_or_read(tmp_path, name):
     assert refused > 100
 
 
-@pytest.mark.parametrize('name, values', [('deep.png', np.uint16), ('flat.png', bool)])
+@for_each('name, values', [('deep.png', np.uint16), ('flat.png', bool)])
 def test_images_of_other_depths(tmp_path, name, values):
     light = np.array([[0, 65535]], dtype=np.uint16).astype(values)
     Image.fromarray(light).save(tmp_path / name)
@@ -198,7 +196,7 @@ def test_a_missing_file_is_refused(tmp_path):
         read_map(tmp_path / 'nothere.yaml')
 
 
-@pytest.mark.parametrize('name', ['map.pgm', 'ascii.pgm', 'map.png'])
+@for_each('name', ['map.pgm', 'ascii.pgm', 'map.png'])
 def test_a_truncated_image_is_refused(tmp_path, name):
     path = write(tmp_path, np.random.default_rng(1).integers(0, 256, (40, 40)), name)
     image = tmp_path / name
@@ -208,7 +206,7 @@ def test_a_truncated_image_is_refused(tmp_path, name):
 
 
 @pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
-@pytest.mark.parametrize('size', ['10000 10000', '40000 40000'])
+@for_each('size', ['10000 10000', '40000 40000'])
 def test_an_image_too_large_is_refused_before_it_is_read(tmp_path, size):
     tmp_path.joinpath('map.pgm').write_bytes(f'P5\n{size}\n255\n'.encode())
     with pytest.raises(MapError, match='pixels'):

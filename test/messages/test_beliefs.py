@@ -97,7 +97,7 @@ def test_the_same_evidence_gives_the_same_message():
     assert message == other
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_belief_comes_back_bit_for_bit(method, seed):
     ledger = ledger_of(seed, method=method)

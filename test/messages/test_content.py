@@ -8,10 +8,10 @@ from kbnitp_ros.bag.schema import describe, ENCODING
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message
+from laws import for_each
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import MapMetaData, Path
-import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 PATH = path_message(Grid(3, 1), [0, 1, 0], stamp=2_000_000_001, mission=1_500_000_000)
@@ -37,7 +37,7 @@ def from_log(message: object, data: bytes) -> object:
     return decode(data)
 
 
-@pytest.mark.parametrize('message', MESSAGES, ids=lambda each: type(each).__name__)
+@for_each('message', MESSAGES)
 def test_all_decoders_agree(message):
     data = serialize_message(message)
     received = deserialize_message(data, type(message))

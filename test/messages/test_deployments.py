@@ -87,7 +87,7 @@ def set_frame(of, frame_id):
     return spoil
 
 
-@pytest.mark.parametrize(
+@for_each(
     'spoil, error',
     [
         (set_frame(lambda message: message, 'odom'), "^header.frame_id is 'odom'.*'map'"),
@@ -198,7 +198,7 @@ def test_a_time_of_more_than_its_nanoseconds_is_refused():
         message.nanosec = 0
 
 
-@pytest.mark.parametrize(
+@for_each(
     'field, error',
     [('agent', "agent is '': it must name"), ('frame_id', "header.frame_id is ''.*'map'")],
 )

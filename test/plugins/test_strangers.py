@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.log.history import read_history
+from laws import for_each
 import pytest
 from strangers import install
 
@@ -211,7 +212,7 @@ print('strangers_of_theirs' in sys.modules)
     assert done.stdout == 'False\n', done.stderr
 
 
-@pytest.mark.parametrize(
+@for_each(
     'use, told',
     [
         (

@@ -11,6 +11,7 @@ from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.maps_figure import maps_figure
 from kbnitp_ros.report.plots import curve_plot
 from kbnitp_ros.report.progress_figure import draw_number, progress_figure
+from laws import for_each
 from legible import check_lines, check_texts
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -67,7 +68,7 @@ def test_figures_are_at_300_dots_per_inch_with_letters_embedded(tmp_path):
     assert b'/FontFile2' in pdf.read_bytes()
 
 
-@pytest.mark.parametrize('truth', [0.45, None])
+@for_each('truth', [0.45, None])
 def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
     quantiles = np.sort(np.random.default_rng(0).random((4, 5)), axis=1)
     axes = Figure().subplots()
@@ -112,7 +113,7 @@ def test_colour_vision_is_simulated():
     assert deltaE(*seen, input_space='sRGB1') < deltaE(red, green, input_space='sRGB1') / 2
 
 
-@pytest.mark.parametrize('name', ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', ''])
+@for_each('name', ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', ''])
 def test_a_learnt_number_of_any_name_is_drawn(tmp_path, name):
     whole = mission_log.mission(
         1, method='kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))

@@ -180,7 +180,7 @@ def test_a_log_with_no_truth(tmp_path):
     assert np.isnan(curves.hazard_loss).all()
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@for_each('storage', ['mcap', 'sqlite3'])
 def test_a_bag_by_rosbags(tmp_path, storage):
     bag = write_bag(tmp_path / 'bag', sent_by_single().sent, storage)
     mission, _, html, _ = told(bag)

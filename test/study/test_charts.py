@@ -4,12 +4,12 @@
 from dataclasses import replace
 
 from disk import room_for
-from extent import some
 from kbnitp_ros.study.charts import reliability
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -38,7 +38,7 @@ def test_few_cells_make_few_classes():
     assert there.tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize('lethalities, trials', some([((0.2, 0.9), 3), ((0.9,), 1)], 2))
+@for_each('lethalities, trials', [((0.2, 0.9), 3), ((0.9,), 1)], every=2)
 def test_every_study_has_its_report(results, tmp_path, lethalities, trials):
     scenario = replace(results.scenario, lethalities=lethalities, trials=trials)
     written = write_report(Results(scenario, results.outcomes), tmp_path)

@@ -3,7 +3,6 @@
 
 from dataclasses import replace
 
-from extent import some
 from kbnitp_ros.core import (
     Belief,
     Learning,
@@ -19,6 +18,7 @@ from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
 from kbnitp_ros.study.summary import LOG_LOSS
 from kbnitp_ros.study.trial import LEARNT, run_trial, Trial, trials_of
+from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
 from pyarrow import parquet
@@ -79,7 +79,7 @@ def drawn(tmp_path_factory):
     return run(study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY))
 
 
-@pytest.mark.parametrize('believed', [None, 1.0])
+@for_each('believed', [None, 1.0])
 def test_the_method_that_learns_is_told_the_rest(learnt, believed):
     scenario = replace(learnt.scenario, believed_lethality=believed)
     outcome = run_trial(scenario, Trial(0.9, LEARNING, 2))
@@ -171,7 +171,7 @@ def test_what_learning_costs_is_paired(learnt):
     assert cost['mean'] == pytest.approx((learner - told).mean(), abs=1e-6)
 
 
-@pytest.mark.parametrize('kind', ['learnt', 'drawn'])
+@for_each('kind', ['learnt', 'drawn'])
 def test_what_was_learnt_can_be_read(request, kind):
     figures = figures_of(request.getfixturevalue(kind))
     assert 'numbers' in figures
@@ -180,7 +180,7 @@ def test_what_was_learnt_can_be_read(request, kind):
         check_lines(figure)
 
 
-@pytest.mark.parametrize('kind', some(['learnt', 'drawn'], 2))
+@for_each('kind', ['learnt', 'drawn'], every=2)
 def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
     results = request.getfixturevalue(kind)
     written = write_report(results, tmp_path)
@@ -194,7 +194,7 @@ def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
     assert table['lethality'].null_count == (table.num_rows if kind == 'drawn' else 0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'changes, complaint',
     [
         ({'learn': None}, 'learn is None'),

@@ -4,7 +4,6 @@
 from dataclasses import replace
 import json
 
-from extent import some
 from kbnitp_ros.study.comparison import BY_LOSS_COST
 from kbnitp_ros.study.loss_cost import (
     at_equal_log_loss,
@@ -15,6 +14,7 @@ from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -117,7 +117,7 @@ def test_the_table_for_people_says_what_the_summary_says(costs):
         assert cells[-1] == f'{mean:.1f} [{low:.1f}, {high:.1f}]'
 
 
-@pytest.mark.parametrize('trials', some([3, 1], 2))
+@for_each('trials', [3, 1], every=2)
 def test_the_report_of_loss_costs_has_their_figure(costs, tmp_path, trials):
     written = write_report(
         Results(replace(costs.scenario, trials=trials), costs.outcomes), tmp_path

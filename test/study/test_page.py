@@ -9,6 +9,7 @@ import re
 from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
 from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED, team_labels
+from laws import for_each
 import numpy as np
 from PIL import Image
 import pytest
@@ -48,15 +49,13 @@ def table(scenario):
     }
 
 
-@pytest.mark.parametrize('scenario', ['paper', 'calibrated', 'mismatched'])
+@for_each('scenario', ['paper', 'calibrated', 'mismatched'])
 def test_the_page_shows_full_studies(scenario):
     methods = read_scenario(SCENARIOS / f'{scenario}.yaml').methods
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@pytest.mark.parametrize(
-    'name', ['teams', 'loss_cost', 'behavioral', 'last_contact', 'prior_maps']
-)
+@for_each('name', ['teams', 'loss_cost', 'behavioral', 'last_contact', 'prior_maps'])
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
@@ -70,9 +69,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@pytest.mark.parametrize(
-    'name', ['teams', 'loss_cost', 'behavioral', 'planners', 'last_contact', 'prior_maps']
-)
+@for_each('name', ['teams', 'loss_cost', 'behavioral', 'planners', 'last_contact', 'prior_maps'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -121,7 +118,7 @@ def test_what_is_read_of_entropy():
             assert kappa_bnitp == min(final[lethality, method] for method in METHODS)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'scenario, before, worse',
     [('paper', 107, (0.5, 0.6, 0.9)), ('calibrated', 74, LETHALITIES[2:])],
 )
@@ -138,7 +135,7 @@ def test_where_the_printed_update_knows_less_than_nothing(scenario, before, wors
         assert min(lost[1:3]) > max(lost[0], *lost[3:])
 
 
-@pytest.mark.parametrize('name, nats', [('paper', 107), ('calibrated', 74)])
+@for_each('name, nats', [('paper', 107), ('calibrated', 74)])
 def test_what_is_known_before_the_first_robot(name, nats):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     prior = scenario.belief(scenario.truth(0.5, 0))
@@ -151,7 +148,7 @@ def test_what_is_known_before_the_first_robot(name, nats):
     assert f'{nats} nats' in (DOCS / 'results.md').read_text()
 
 
-@pytest.mark.parametrize('scenario', ['paper', 'calibrated'])
+@for_each('scenario', ['paper', 'calibrated'])
 def test_where_knowing_the_correlation_helps(scenario):
     rows = table(scenario)
     for lethality in LETHALITIES:
@@ -220,7 +217,7 @@ def learnt(name):
     return tables
 
 
-@pytest.mark.parametrize('name', LEARNT)
+@for_each('name', LEARNT)
 def test_the_page_shows_full_studies_of_what_is_learnt(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     final, known, costs = learnt(name)

@@ -4,6 +4,7 @@
 from pathlib import Path
 
 from kbnitp_ros.study.scenario import ALONE, read_scenario, Strategy, team_labels
+from laws import for_each
 import pytest
 import small_study
 import yaml
@@ -25,7 +26,7 @@ def test_a_scenario_is_what_its_file_says(tmp_path):
     assert belief.hazard.tolist() == pytest.approx([0.3] * 5 + [0.0] + [0.3] * 6)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'key, value, complaint',
     [
         ('colour', 'red', 'colour is unknown.*seed, trials'),
@@ -67,7 +68,7 @@ def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, va
         read_scenario(file)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'text, complaint',
     [
         (b'seed: [', 'not YAML'),
@@ -117,7 +118,7 @@ def test_the_loss_costs_shipped_begin_with_none():
     assert costs == sorted(costs)
 
 
-@pytest.mark.parametrize('name', ['teams', 'loss_cost', 'last_contact'])
+@for_each('name', ['teams', 'loss_cost', 'last_contact'])
 def test_studies_of_teams_are_of_the_calibrated_robots(name):
     scenario, calibrated = (read_scenario(SHIPPED / f'{n}.yaml') for n in (name, 'calibrated'))
     for same in ('robots', 'seed', 'grid', 'planning', 'world', 'sensor', 'prior'):
@@ -158,7 +159,7 @@ def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
     assert [shipped[name].believed_lethality for name in sorted(shipped)] == [None, 1.0, None]
 
 
-@pytest.mark.parametrize('path', sorted(SHIPPED.glob('*.yaml')), ids=lambda path: path.stem)
+@for_each('path', sorted(SHIPPED.glob('*.yaml')))
 def test_what_the_paper_leaves_open_is_said_where_it_is_decided(path):
     text = path.read_text()
     said = {line.split(':')[0].strip() for line in text.splitlines() if '# open' in line}

@@ -9,6 +9,7 @@ from kbnitp_ros.study.report import figures_of
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Contender, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
+from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def changed(scenario, changes):
     return replace(scenario, **{'methods': ('kappa_bnitp',), 'trials': 2} | changes)
 
 
-@pytest.mark.parametrize('name', STUDIES)
+@for_each('name', STUDIES)
 def test_figures_are_legible(scenario, name):
     scenario = changed(scenario, STUDIES[name])
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
@@ -63,7 +64,7 @@ def test_figures_are_legible(scenario, name):
         check_lines(figure)
 
 
-@pytest.mark.parametrize('name', STUDIES)
+@for_each('name', STUDIES)
 def test_every_contender_is_in_a_panel_of_few(scenario, name):
     contenders = changed(scenario, STUDIES[name]).contenders
     groups = groups_of(contenders)
@@ -88,7 +89,7 @@ def test_what_has_no_kinds_is_beside_the_first(scenario):
     ]
 
 
-@pytest.mark.parametrize(
+@for_each(
     'methods, teams, expected',
     [
         (('kappa_bnitp',), (Strategy(),), ['kappa_bnitp']),

@@ -9,6 +9,7 @@ from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.teams import after_rounds, differ_in_size
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -24,7 +25,7 @@ def teams(scenario):
     return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
 
 
-@pytest.mark.parametrize(
+@for_each(
     'robots, agents, expected',
     [
         (4, 1, [0, 1, 2, 3, 4]),

@@ -16,8 +16,8 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from laws import for_each
 import numpy as np
-import pytest
 
 
 def fly(scenario, trial, believed=None):
@@ -46,7 +46,7 @@ def column(outcome, name):
     return outcome.measures[:, MEASURES.index(name)]
 
 
-@pytest.mark.parametrize('method', ['relaxed_bnitp', 'kappa_bnitp_smoothed'])
+@for_each('method', ['relaxed_bnitp', 'kappa_bnitp_smoothed'])
 def test_the_measures_are_those_of_the_mission(scenario, method):
     trial = Trial(0.9, method, 2)
     outcome = run_trial(scenario, trial)

@@ -12,6 +12,7 @@ from kbnitp_ros.study import workers as module
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.trial import trials_of
 from kbnitp_ros.study.workers import workers
+from laws import for_each
 import pyarrow
 from pyarrow import parquet
 import pytest
@@ -57,7 +58,7 @@ def check_same(scenario, results, pool):
     assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
 
 
-@pytest.mark.parametrize('backend, count', [('loky', 1), ('loky', 2), ('dask', 2)])
+@for_each('backend, count', [('loky', 1), ('loky', 2), ('dask', 2)])
 def test_processes_of_this_machine_give_the_same_table(scenario, results, backend, count):
     if backend == 'dask':
         pytest.importorskip('distributed')
@@ -92,7 +93,7 @@ def test_a_trial_that_fails_is_named(scenario):
         list(pool.run(impossible, [t for t in trials_of(impossible) if t.lethality == 0.9]))
 
 
-@pytest.mark.parametrize('address', ['127.0.0.1:1', 'nowhere.invalid:8786', 'magic://here'])
+@for_each('address', ['127.0.0.1:1', 'nowhere.invalid:8786', 'magic://here'])
 def test_a_cluster_out_of_reach_is_one_error(monkeypatch, address):
     pytest.importorskip('distributed')
     monkeypatch.setattr(module, 'PATIENCE', 1)
@@ -114,14 +115,14 @@ def test_a_cluster_without_workers_is_one_error(monkeypatch):
         pass
 
 
-@pytest.mark.parametrize('backend', ['dask', 'ray'])
+@for_each('backend', ['dask', 'ray'])
 def test_a_backend_that_is_not_installed_is_one_error(monkeypatch, backend):
     monkeypatch.setattr(module, 'find_spec', lambda name: None)
     with pytest.raises(ValueError, match=f'backend {backend}.*pip install'), workers(backend):
         pass
 
 
-@pytest.mark.parametrize(
+@for_each(
     'arguments, complaint',
     [
         (('loky', None, 'host:1'), 'scheduler is host:1.*must be dask, not loky'),
@@ -134,7 +135,7 @@ def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, c
         pass
 
 
-@pytest.mark.parametrize(
+@for_each(
     'error, told',
     [
         (ValueError('a robot met the impossible'), 'failed: a robot met the impossible'),
@@ -152,7 +153,7 @@ def test_a_trial_is_named_whatever_it_fails_of(scenario, monkeypatch, error, tol
         module._run(scenario, trial)
 
 
-@pytest.mark.parametrize('count', [0, 1025, 99999999999])
+@for_each('count', [0, 1025, 99999999999])
 def test_a_number_of_workers_that_no_machine_has_is_refused(count):
     pool = workers('loky', count)
     with pytest.raises(ValueError, match=f'workers is {count}: it must be from 1 to 1024'):

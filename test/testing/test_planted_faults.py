@@ -8,6 +8,7 @@ from kbnitp_ros.core import Belief, PLANNERS, update
 from kbnitp_ros.core.inference import KnownModel
 from kbnitp_ros.core.planning import Candidate, Regions
 from kbnitp_ros.testing import check_allocation, check_method, check_planner
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -146,7 +147,7 @@ def test_what_faults_are_planted_in_keeps_the_laws():
     check_allocation(independent, cases=5)
 
 
-@pytest.mark.parametrize('method, law', METHODS.items())
+@for_each('method, law', METHODS.items())
 def test_a_fault_of_a_method_is_found(method, law):
     with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*: ({law})'):
         check_method(method)
@@ -195,7 +196,7 @@ PLANS = {
 }
 
 
-@pytest.mark.parametrize('law, planner', PLANS.items())
+@for_each('law, planner', PLANS.items())
 def test_a_fault_of_a_planner_is_found(law, planner):
     with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*({law})'):
         check_planner(planner)
@@ -230,13 +231,13 @@ ALLOCATIONS = {
 }
 
 
-@pytest.mark.parametrize('law, allocation', ALLOCATIONS.items())
+@for_each('law, allocation', ALLOCATIONS.items())
 def test_a_fault_of_an_allocation_is_found(law, allocation):
     with pytest.raises(AssertionError, match=f'breaks a law in the case of seed .*: ({law})'):
         check_allocation(allocation)
 
 
-@pytest.mark.parametrize('check', [check_method, check_planner, check_allocation])
+@for_each('check', [check_method, check_planner, check_allocation])
 def test_what_is_none_at_all_is_told(check):
     with pytest.raises(AssertionError, match='is none: it is 3: it must be callable with'):
         check(3)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import kbnitp_ros.core
+from laws import for_each
 import numba
 import pytest
 
@@ -68,7 +69,7 @@ def test_compilation_can_be_switched_off(tmp_path):
     assert not warnings
 
 
-@pytest.mark.parametrize(
+@for_each(
     'before, remedy',
     [
         # A module that is None in sys.modules cannot be imported.
@@ -114,9 +115,7 @@ def replaced_by_a_folder(file):
     file.mkdir()
 
 
-@pytest.mark.parametrize(
-    'torn', [cut, emptied, overwritten, of_other_content, replaced_by_a_folder]
-)
+@for_each('torn', [cut, emptied, overwritten, of_other_content, replaced_by_a_folder])
 def test_torn_files_are_compiled_anew(tmp_path, torn):
     kept = tmp_path / 'kept'
     environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}

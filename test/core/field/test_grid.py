@@ -126,7 +126,7 @@ def test_steps_to_base_go_around_blocked_cells():
     assert wall.steps_to_base[[1, 6, 11, 12, 13, 3, 4]].tolist() == [1, 1, 2, 2, 3, 4, 4]
 
 
-@pytest.mark.parametrize('blocked', [(), (1, 6, 11, 16)], ids=['open', 'walled'])
+@for_each('blocked', [(), (1, 6, 11, 16)])
 @for_each('max_steps', [0, 1, 2, 3, 5, 1000])
 def test_what_is_in_reach_is_what_some_path_leads_through(max_steps, blocked):
     grid = Grid(5, 4, base=0, blocked=blocked)

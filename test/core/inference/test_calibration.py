@@ -13,6 +13,7 @@ import extent
 from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
 from kbnitp_ros.core.inference.sampling import gibbs
 from kbnitp_ros.core.inference.sampling.chains import Chains
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -114,7 +115,7 @@ def planted(name):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', UNKNOWNS.priors)
+@for_each('name', UNKNOWNS.priors)
 def test_an_error_in_the_draw_of_a_number_is_found(name, monkeypatch):
     monkeypatch.setattr(Chains, '_draw', planted(name))
     p, _ = worst()

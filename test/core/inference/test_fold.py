@@ -107,7 +107,7 @@ def tell(ledger, key, said):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 @given(arrivals())
 @settings(max_examples=150 if FULL else 40, deadline=None)
 def test_every_arrival_leaves_the_belief_of_the_evidence_so_far(method, messages):
@@ -140,7 +140,7 @@ def mission(robots, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
+@for_each('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'])
 @for_each('lateness', [2, 30, 1000])
 def test_a_long_mission_may_come_in_any_disorder(method, lateness):
     rng = np.random.default_rng(lateness)

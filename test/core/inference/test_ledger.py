@@ -16,6 +16,7 @@ from kbnitp_ros.core import (
     update,
 )
 from known_methods import LEARN_FROM_LOSSES
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -29,9 +30,13 @@ LOST = Report(False)
 RETURNED_SEEN, LOST_SEEN = Observation(PATH, True, [True, False, False]), Observation(PATH, False)
 
 
+def new_ledger():
+    return Ledger(GRID, 4, Estimator(PRIOR, MODEL, 'kappa_bnitp'))
+
+
 @pytest.fixture
 def ledger():
-    return Ledger(GRID, 4, Estimator(PRIOR, MODEL, 'kappa_bnitp'))
+    return new_ledger()
 
 
 def state(ledger):
@@ -104,8 +109,9 @@ def test_a_late_return_replaces_the_loss(ledger):
     assert state(ledger) == (folded(RETURNED_SEEN, LOST_SEEN), [A, B], (A, 7), 2, 0, 0)
 
 
-@pytest.mark.parametrize('reports', [(LOST, RETURNED), (RETURNED, LOST)])
-def test_of_a_loss_and_a_return_that_wait_the_return_counts(ledger, reports):
+@for_each('reports', [(LOST, RETURNED), (RETURNED, LOST)])
+def test_of_a_loss_and_a_return_that_wait_the_return_counts(reports):
+    ledger = new_ledger()
     for report in reports:
         ledger.record_report(A, report)
     assert ledger.pending == 2
@@ -131,7 +137,7 @@ def test_a_waiting_report_said_again_still_counts_once(ledger):
     assert state(ledger) == (folded(LOST_SEEN), [A], (A, 0), 1, 0, 0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'path, message',
     [
         ([4, 9, 4], 'path.*9'),
@@ -141,7 +147,8 @@ def test_a_waiting_report_said_again_still_counts_once(ledger):
         ([4] * 6, 'path has 5 steps.*4'),
     ],
 )
-def test_impossible_paths_are_refused(ledger, path, message):
+def test_impossible_paths_are_refused(path, message):
+    ledger = new_ledger()
     ledger.record_report(B, LOST)
     before = state(ledger)
     with pytest.raises(ValueError, match=message):
@@ -172,11 +179,10 @@ RETURNS = [
 ]
 
 
-@pytest.mark.parametrize('second', range(len(RETURNS)))
-@pytest.mark.parametrize('first', range(len(RETURNS)))
-def test_of_two_returns_that_with_more_readings_counts_whichever_comes_first(
-    ledger, first, second
-):
+@for_each('second', range(len(RETURNS)))
+@for_each('first', range(len(RETURNS)))
+def test_of_two_returns_that_with_more_readings_counts_whichever_comes_first(first, second):
+    ledger = new_ledger()
     ledger.record_path(A, PATH)
     assert ledger.record_report(A, RETURNS[first])
     before = state(ledger)
@@ -203,8 +209,9 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize('report, message', UNFIT)
-def test_a_report_that_does_not_fit_its_path_is_refused(ledger, report, message):
+@for_each('report, message', UNFIT)
+def test_a_report_that_does_not_fit_its_path_is_refused(report, message):
+    ledger = new_ledger()
     ledger.record_path(A, PATH)
     before = state(ledger)
     with pytest.raises(ValueError, match=message):
@@ -214,8 +221,9 @@ def test_a_report_that_does_not_fit_its_path_is_refused(ledger, report, message)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-@pytest.mark.parametrize('report, message', UNFIT)
-def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(ledger, report, message):
+@for_each('report, message', UNFIT)
+def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(report, message):
+    ledger = new_ledger()
     ledger.record_report(A, report)
     with pytest.raises(ValueError, match=message):
         ledger.record_path(A, PATH)
@@ -224,7 +232,7 @@ def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(ledger, report, 
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'readings',
     [
         ((1, True), (0, False), (4, False)),
@@ -234,7 +242,8 @@ def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(ledger, report, 
         ((4, -1),),
     ],
 )
-def test_the_walk_that_was_made_is_the_evidence(ledger, readings):
+def test_the_walk_that_was_made_is_the_evidence(readings):
+    ledger = new_ledger()
     ledger.record_path(A, PATH)
     assert ledger.record_report(A, Report(True, readings))
     assert not ledger.record_report(A, Report(True, readings, stamp=9))
@@ -281,14 +290,14 @@ def test_impossible_evidence_is_refused():
     assert ledger.record_report(A, RETURNED)
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 def test_a_return_that_makes_later_ones_impossible_is_refused(method):
     """The sensor never errs, so one cell had no target for A and has one for B."""
     model = SensorModel(0.5, true_positive=1.0, false_positive=0.0)
     assert_is_refused_before_two_returns(Report(True, ((0, False), (4, False))), model, method)
 
 
-@pytest.mark.parametrize('method', LEARN_FROM_LOSSES)
+@for_each('method', LEARN_FROM_LOSSES)
 def test_a_loss_that_makes_later_returns_impossible_is_refused(method):
     """Robots die in every hazard and of nothing else, so one cell took A and let B through."""
     model = SensorModel(1.0, malfunction=0.0, false_negative=0.0)

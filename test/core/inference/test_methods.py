@@ -35,7 +35,7 @@ def test_exact_update_is_the_enumeration_of_all_states(seed):
     np.testing.assert_allclose(after.joint, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize('method', ONE_PASS)
+@for_each('method', ONE_PASS)
 @for_each('seed', range(40))
 def test_cells_off_the_path_keep_their_bits(seed, method):
     joint, model, observation = deployments(seed, most_cells=4, most_steps=6)
@@ -119,7 +119,7 @@ def without_kappa(joint):
     return hazard[:, :, None] * target[:, None, :]
 
 
-@pytest.mark.parametrize('method', ['kappa_bnitp', 'relaxed_itp'])
+@for_each('method', ['kappa_bnitp', 'relaxed_itp'])
 @for_each('seed', range(100))
 def test_multi_universe_averaging_gives_the_exact_hazard(seed, method):
     joint, model, observation = deployments(2 * seed + 1, most_cells=6, most_steps=10)
@@ -130,14 +130,14 @@ def test_multi_universe_averaging_gives_the_exact_hazard(seed, method):
         np.testing.assert_allclose(after.hazard, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
+@for_each(
     'relaxed, correlated',
     [
         ('relaxed_itp', 'kappa_bnitp'),
         ('relaxed_bnitp', 'kappa_bnitp_published'),
     ],
 )
-@pytest.mark.parametrize('seed', range(60))
+@for_each('seed', range(60))
 def test_methods_without_kappa_start_from_kappa_equal_to_target(seed, relaxed, correlated):
     joint, model, observation = deployments(seed, most_cells=6, most_steps=10)
     estimator = Estimator(Belief(joint), model, relaxed)
@@ -210,13 +210,13 @@ IMPOSSIBLE_RETURNS = [
 ]
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 @for_each('sensors, hazard, observation', IMPOSSIBLE_RETURNS)
 def test_an_impossible_return_is_refused_and_changes_nothing(sensors, hazard, observation, method):
     assert_is_refused_and_changes_nothing(sensors, hazard, observation, method)
 
 
-@pytest.mark.parametrize('method', LEARN_FROM_LOSSES)
+@for_each('method', LEARN_FROM_LOSSES)
 @for_each('sensors, hazard, observation', IMPOSSIBLE_LOSSES)
 def test_an_impossible_loss_is_refused_and_changes_nothing(sensors, hazard, observation, method):
     assert_is_refused_and_changes_nothing(sensors, hazard, observation, method)
@@ -250,7 +250,7 @@ def test_an_unknown_method_is_refused_with_the_known_ones():
         Estimator(belief, SensorModel(0.5), 'kappa_magic')
 
 
-@pytest.mark.parametrize('method', ONE_PASS)
+@for_each('method', ONE_PASS)
 def test_the_estimator_folds_update(method):
     rng = np.random.default_rng(3)
     estimator = Estimator(Belief(brute_force.random_joint(rng, 9, 4)), SensorModel(0.5), method)

@@ -84,7 +84,7 @@ def enumerated(joint, model, seen):
     return after
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 @for_each('seed', range(5))
 def test_a_robot_type_is_its_model(seed, method):
     """A mission of one type is, bit for bit, that of robots all like it."""

@@ -5,7 +5,6 @@ import brute_force
 from kbnitp_ros.core import Belief, Estimator, Observation, SensorModel, update
 from laws import for_each
 import numpy as np
-import pytest
 
 
 @for_each('seed', range(300))
@@ -23,7 +22,7 @@ def test_averaging_universes_gives_the_exact_marginals(seed):
     np.testing.assert_allclose(averaged.joint, exact.joint, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize('method', ['relaxed_itp', 'relaxed_bnitp'])
+@for_each('method', ['relaxed_itp', 'relaxed_bnitp'])
 @for_each('seed', range(20))
 def test_hazard_and_target_stay_independent(seed, method):
     rng = np.random.default_rng(seed)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import brute_force
-from extent import FULL, some
+from extent import FULL
 from kbnitp_ros.core import (
     Belief,
     Beta,
@@ -160,15 +160,15 @@ def check_by_enumeration(name, seed, cells, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', EVERYTHING)
-@pytest.mark.parametrize('seed', range(3))
+@for_each('name', EVERYTHING)
+@for_each('seed', range(3))
 def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 4, monkeypatch)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['hazard_density', 'kappa', 'target_background'])
-@pytest.mark.parametrize('seed', some(range(3), 1))
+@for_each('name', ['hazard_density', 'kappa', 'target_background'])
+@for_each('seed', range(3))
 def test_cells_that_nobody_went_to_are_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 9, monkeypatch)
 
@@ -238,7 +238,7 @@ def test_a_mission_gives_what_it_gave():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('lethality', some([0.9, 0.1, 0.3, 0.5], 2))
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
     model = SensorModel(lethality)
@@ -251,7 +251,7 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('lethality', some([0.9, 0.1, 0.3, 0.5], 2))
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
 def test_a_lethality_that_nobody_knows_is_learnt(lethality):
     model = SensorModel(lethality)
     away, apart = [], []
@@ -306,8 +306,8 @@ def test_a_loss_with_two_explanations_is_explained_by_either():
     np.testing.assert_allclose(found, exact, rtol=0, atol=0.02)
 
 
-@pytest.mark.parametrize('malfunction, lethality', [(0.0, 1.0), (0.0, 0.4), (0.2, 1.0)])
-@pytest.mark.parametrize('seed', range(5))
+@for_each('malfunction, lethality', [(0.0, 1.0), (0.0, 0.4), (0.2, 1.0)])
+@for_each('seed', range(5))
 def test_what_is_certain_is_sampled_as_well(malfunction, lethality, seed):
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 6, 0)
@@ -499,7 +499,7 @@ def test_a_beta_that_is_none_is_refused(arguments):
         Beta(*arguments)
 
 
-@pytest.mark.parametrize('method', ['kappa_bnitp', 'kappa_bnitp_smoothed', 'relaxed_itp'])
+@for_each('method', ['kappa_bnitp', 'kappa_bnitp_smoothed', 'relaxed_itp'])
 def test_a_method_that_learns_no_numbers_refuses_to(method):
     with pytest.raises(ValueError, match=f'kappa cannot be unknown to {method}.*use {METHOD}'):
         Estimator(ENTROPIC, SensorModel(0.5), method, Unknowns(kappa=(0, 1)))

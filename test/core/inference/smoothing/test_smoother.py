@@ -8,7 +8,6 @@ import sys
 import tracemalloc
 
 import brute_force
-from extent import some
 from kbnitp_ros.core import (
     Belief,
     Estimator,
@@ -159,7 +158,7 @@ def divergence(exact, belief):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('lethality', some([0.9, 0.1, 0.3, 0.5], 2))
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
     model = SensorModel(lethality)
@@ -385,7 +384,7 @@ def test_a_mission_gives_what_it_gave():
     np.testing.assert_allclose(estimator.belief.hazard, recorded, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize('method', METHODS)
+@for_each('method', METHODS)
 def test_a_path_out_of_the_field_is_refused(method):
     estimator = Estimator(Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8), SensorModel(0.5), method)
     with pytest.raises(ValueError, match='path has the cell 9: the belief has the cells 0 to 8'):
