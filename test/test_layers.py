@@ -38,7 +38,8 @@ BELOW = {
         'core.planning.search',
         'core.planning.teams',
     },
-    'core': {'core.field', 'core.inference', 'core.planning'},
+    'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
+    'core': {'core.decision', 'core.field', 'core.inference', 'core.planning'},
     'testing': {
         'core',
         'core.inference',

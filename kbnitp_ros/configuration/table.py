@@ -300,6 +300,15 @@ TABLE = (
         per_agent=True,
     ),
     Parameter(
+        'minimum_survival',
+        0.0,
+        'Paths that a robot survives with a lower probability are refused; the mission is over '
+        'when none is left.',
+        ('planner',),
+        limits=PROBABILITY,
+        read_only=False,
+    ),
+    Parameter(
         'approval',
         False,
         'Whether robots leave only when the operator has approved of their paths, shown on '

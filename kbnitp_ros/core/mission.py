@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from kbnitp_ros.core.decision import Decision, Goal, HazardDraws, plan_round, Stop
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
     AS_ORDERED,
@@ -24,8 +25,8 @@ from kbnitp_ros.core.field import (
 from kbnitp_ros.core.inference import Estimator
 from kbnitp_ros.core.planning import (
     count_visits,
+    NoPathError,
     Plan,
-    plan_team,
     SearchOptions,
     Team,
     team_size,
@@ -52,6 +53,8 @@ class Deployment:
         What is known by then of each number that was not.
     world : World
         The field as it leaves it.
+    decision : Decision or None
+        What may be relied on by then, if the mission has a goal.
 
     """
 
@@ -61,6 +64,7 @@ class Deployment:
     model: SensorModel
     parameters: Mapping[str, Learnt]
     world: World
+    decision: Decision | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,8 @@ def run_mission(
     truth: Truth | None = None,
     learning: Learning | None = None,
     dynamics: Dynamics = STATIC,
+    goal: Goal | None = None,
+    stop: Stop | None = None,
 ) -> list[Deployment]:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
@@ -155,19 +161,27 @@ def run_mission(
     dynamics : Dynamics
         How hazards are believed to change. Robot k meets the field that robot k - 1 left; a
         changing one changes in between, by the second child of the generator of robot k.
+    goal : Goal, optional
+        What the mission is to make sure of, such as `Lane` or `Area`; by default the field is
+        mapped.
+    stop : Stop, optional
+        When the mission is over before; by default when the goal is reached.
 
     Returns
     -------
     list of Deployment
-        In order.
+        In order; fewer than `robots` if the mission was over before: the goal is reached at its
+        confidence, a stop came about, or no path is survived with the least probability allowed.
 
     Raises
     ------
     ValueError
-        If the world or the belief does not fit the grid, or an argument is out of range.
+        If the world or the belief does not fit the grid, an argument is out of range, the goal
+        cannot be reached, or the stops contradict each other.
 
     """
     team, truth, learning = team or Team(), truth or Truth(), learning or Learning()
+    stop = stop or Stop()
     rng = np.random.default_rng(rng)
     world.check(grid)
     estimator = Estimator(
@@ -176,13 +190,30 @@ def run_mission(
     possible = grid.may_be_hazardous & (belief.hazard > 0.0)
     robots = whole_number('robots', robots, 0)
     team_size(grid, team.agents)
+    stop.check(goal, robots)
+    if goal is not None:
+        goal.check(grid, options.max_steps)
     deployments: list[Deployment] = []
     visited = count_visits(grid, [])
-    while len(deployments) < robots:
+    lost = 0
+    draws, decision = decided(goal, grid, estimator, 0, options)
+    while len(deployments) < robots and not stop.why(decision, lost):
         leaving = team.first(robots - len(deployments))
-        planned = plan_team(
-            grid, estimator.belief, estimator.model, leaving, options, visited=visited
-        )
+        try:
+            planned = plan_round(
+                goal,
+                draws,
+                grid,
+                estimator.belief,
+                estimator.model,
+                leaving,
+                options,
+                visited=visited,
+            )
+        except NoPathError:
+            break
+        if stop.why_not_worth(planned):
+            break
         visited += count_visits(grid, [plan.path for plan in planned.plans])
         for plan, robot_type in zip(planned.plans, leaving.types):
             own = robot_type.model(truth.model or model)
@@ -197,6 +228,8 @@ def run_mission(
             )
             world = made.world
             estimator.assimilate(made.observation, robot_type)
+            lost += not made.observation.survived
+            draws, decision = decided(goal, grid, estimator, len(deployments) + 1, options)
             deployments.append(
                 Deployment(
                     plan,
@@ -205,6 +238,17 @@ def run_mission(
                     estimator.model,
                     estimator.parameters,
                     world,
+                    decision,
                 )
             )
     return deployments
+
+
+def decided(
+    goal: Goal | None, grid: Grid, estimator: Estimator, deployments: int, options: SearchOptions
+) -> tuple[HazardDraws | None, Decision | None]:
+    """Return what is known of the hazards for a goal, and what may be relied on, if there is."""
+    if goal is None:
+        return None, None
+    draws = HazardDraws.of(estimator, deployments)
+    return draws, goal.decide(grid, draws, estimator.model, options.max_steps)

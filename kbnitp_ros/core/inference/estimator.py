@@ -21,6 +21,8 @@ from kbnitp_ros.core.field import (
 )
 from kbnitp_ros.core.inference.methods import CALLED, dynamics_of, Inference, KNOWN, METHODS
 from kbnitp_ros.plugins import PluginError
+import numpy as np
+from numpy.typing import NDArray
 
 
 class Estimator:
@@ -164,6 +166,56 @@ class Estimator:
                 f'{self.prior.cells}',
             )
         return inference
+
+    @property
+    def draws_are_exact(self) -> bool:
+        """Whether `draws` come from the joint posterior itself, and not from an approximation."""
+        return bool(getattr(self._inference, 'draws_are_exact', False))
+
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
+        """
+        Draw the hazards of all cells together, as they may be given all deployments so far.
+
+        Only 'kappa_bnitp_sampled' draws from the joint posterior itself. 'kappa_bnitp_smoothed'
+        draws from its approximation of it: the few cells that it conditions on together, and all
+        others independently given these. One-pass methods, and those of other packages that have
+        no `draws` of their own, know of no tie between cells and draw each independently.
+
+        Parameters
+        ----------
+        count : int
+            How many draws to make, at least 1.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        Returns
+        -------
+        hazardous : ndarray of bool, shape (count, cells)
+            Where the hazards are in each draw.
+        independent : float
+            How many independent draws tell as much, at most `count`.
+
+        Raises
+        ------
+        ValueError
+            If `count` is out of range.
+        PluginError
+            If a method of another package breaks its rules.
+
+        """
+        count = whole_number('count', count, 1)
+        draw = getattr(self._inference, 'draws', None)
+        if draw is None:
+            return rng.random((count, self.belief.cells)) < self.belief.hazard, float(count)
+        with METHODS.blamed(self.method):
+            hazardous, independent = draw(count, rng)
+            if np.shape(hazardous) != (count, self.belief.cells):
+                raise METHODS.fault(
+                    self.method,
+                    f'draws hazards of shape {np.shape(hazardous)}: it must be '
+                    f'({count}, {self.belief.cells})',
+                )
+        return hazardous, float(independent)
 
     def copy(self) -> Estimator:
         """Return an estimator that goes on by itself from here; it costs next to no memory."""

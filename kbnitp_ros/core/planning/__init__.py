@@ -13,6 +13,7 @@ from kbnitp_ros.core.planning.objective import (
 )
 from kbnitp_ros.core.planning.search import (
     count_visits,
+    NoPathError,
     PathFinder,
     Plan,
     plan,
@@ -28,6 +29,7 @@ from kbnitp_ros.core.planning.teams import (
     team_size,
     TeamMember,
     TeamPlan,
+    without,
 )
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     'OBJECTIVES',
     'PLANNERS',
     'Candidate',
+    'NoPathError',
     'Objective',
     'PathFinder',
     'Plan',
@@ -53,4 +56,5 @@ __all__ = [
     'plan_team',
     'team_information',
     'team_size',
+    'without',
 ]

@@ -15,9 +15,15 @@ from kbnitp_ros.core.inference.sampling.chain_state import (
     Places,
 )
 from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.sampling.prior_map import CERTAIN_HAZARD, CERTAIN_TARGET, softplus
+from kbnitp_ros.core.inference.sampling.prior_map import (
+    CERTAIN_HAZARD,
+    CERTAIN_TARGET,
+    expit,
+    softplus,
+)
 from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
+from numpy.typing import NDArray
 
 # Swaps proposed in a sweep.
 SWAPS = 4
@@ -141,6 +147,13 @@ class Chains:
     def state(self) -> ChainState:
         """Where the chains are now; they are not to go on from there."""
         return ChainState(self._place, self._cells, self._hazardous)
+
+    def hazards(self) -> NDArray[np.bool_]:
+        """Return the hazards of all cells in each chain, shape (chains, cells)."""
+        prior = self._hypotheses.maps.hazard.at(self._place['hazard_density'])
+        hazards: NDArray[np.bool_] = self._rng.random((CHAINS, prior.shape[1])) < expit(prior)
+        hazards[:, self._cells] = self._hazardous
+        return hazards
 
     def joint(self) -> tuple[Floats, float]:
         """

@@ -23,6 +23,7 @@ from kbnitp_ros.core.inference.sampling.chains import Chains
 from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
 from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
+from numpy.typing import NDArray
 
 # Sweeps are made so many at a time until the belief has converged, and at most MOST_SWEEPS for a
 # deployment.
@@ -34,6 +35,9 @@ MOST_SWEEPS = 32
 # the belief by nats, so there more is left to chance.
 CONVERGED = 2.5e-4
 CONVERGED_LEARNING = 5e-3
+
+# The variance of a hazard below which a cell tells nothing of how much chains repeat themselves.
+TOLD_APART = 0.01
 
 # The most bytes that the chains may take, and how many they take for each of their cells.
 MOST_MEMORY = 1 << 31
@@ -91,6 +95,7 @@ class Sampler:
     """
 
     learns: ClassVar[bool] = True
+    draws_are_exact: ClassVar[bool] = True
     version: ClassVar[int] = 2
 
     def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
@@ -143,6 +148,26 @@ class Sampler:
         self.sampling_error, self.is_converged = error, error <= converged
         self.parameters = chains.learnt()
         self.model = chains.model()
+
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
+        """
+        Draw the hazards of all cells together, by chains that go on from here and are then left.
+
+        Chains are independent of each other. How much a chain repeats itself is told by how far
+        the averages of chains spread, in the cell where that is worst.
+        """
+        chains = Chains(self._hypotheses, self._tally, self._state, rng)
+        drawn = []
+        for _ in range(-(-count // CHAINS)):
+            chains.sweep()
+            drawn.append(chains.hazards())
+        hazardous = np.stack(drawn)
+        average = hazardous.mean(axis=(0, 1))
+        spread = average * (1.0 - average)
+        of_chains = hazardous.mean(axis=0).var(axis=0) * len(hazardous)
+        told = spread > TOLD_APART
+        repeats = max(1.0, float((of_chains[told] / spread[told]).max(initial=1.0)))
+        return hazardous.reshape(-1, average.size)[:count], count / repeats
 
     def copy(self) -> Sampler:
         """Return a sampler that goes on by itself from here."""

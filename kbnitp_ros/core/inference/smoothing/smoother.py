@@ -223,13 +223,36 @@ class Smoother(KnownModel):
             self._conditioned = self._conditioned.grown(self._losses, odds)
         self._fixed = fixed
         self._conditioned.propagate(conditioned, is_new)
-        weight = self._conditioned.log_evidence(conditioned)
-        weight -= softplus(np.where(values, -1.0, 1.0) * odds[fixed]).sum(axis=1)
-        total = conditioned + self._conditioned.rows.message_sums
+        weight, total = self._given_fixed(odds)
         hazardous: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(-total))
         safe: NDArray[np.float64] = np.logaddexp.reduce(weight[:, None] - softplus(total))
         is_open = np.isfinite(odds)
         return np.subtract(hazardous - safe, odds, out=np.zeros(odds.size), where=is_open)
+
+    def _given_fixed(
+        self, odds: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """
+        Return the log weight of each value of the fixed cells, and all log odds with it.
+
+        Equation :eq:`loss-cutset`. The shapes are (values,) and (values, cells of the losses).
+        """
+        values = gray_code(self._fixed.size)
+        conditioned = np.tile(odds, (len(values), 1))
+        conditioned[:, self._fixed] = np.where(values, np.inf, -np.inf)
+        weight = self._conditioned.log_evidence(conditioned)
+        weight -= softplus(np.where(values, -1.0, 1.0) * odds[self._fixed]).sum(axis=1)
+        return weight, conditioned + self._conditioned.rows.message_sums
+
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
+        """Draw the fixed cells together, and all others independently given these."""
+        log_odds = np.tile(self._odds, (count, 1))
+        if self._losses.factors:
+            weight, total = self._given_fixed(self._odds[self._losses.cells])
+            chance = np.exp(weight - np.logaddexp.reduce(weight))
+            value = np.searchsorted(np.cumsum(chance)[:-1], rng.random(count), 'right')
+            log_odds[:, self._losses.cells] = total[value]
+        return rng.random(log_odds.shape) < np.exp(-softplus(-log_odds)), float(count)
 
 
 def check_possible(odds: NDArray[np.float64], losses: Losses) -> None:

@@ -44,3 +44,7 @@ class Candidate(NamedTuple):
         interest = None if alpha == SHANNON else objective.interest
         information = added_information(belief, model, path, objective.outcomes, alpha, interest)
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
+
+    def survival(self, objective: Objective) -> float:
+        """Return the chance that the robot returns, by the belief of its objective."""
+        return float(np.exp(path_log_survival(objective.belief, objective.model, self.path)))

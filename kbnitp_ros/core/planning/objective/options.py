@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import log
 
-from kbnitp_ros.core.field import cost, RobotType, whole_number
+from kbnitp_ros.core.field import cost, probability, RobotType, whole_number
 
 # What is sought.
 OBJECTIVES = ('information', 'behavioral')
@@ -50,6 +50,8 @@ class SearchOptions:
         information.
     loss_cost : float
         The cost of a lost robot, nats of information, at least 0.
+    minimum_survival : float
+        Paths that a robot survives with less are refused, in [0, 1].
 
     Raises
     ------
@@ -65,11 +67,14 @@ class SearchOptions:
     objective: str = 'information'
     alpha: float = SHANNON
     loss_cost: float = 0.0
+    minimum_survival: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ('max_steps', 'width', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
         object.__setattr__(self, 'loss_cost', cost('loss_cost', self.loss_cost))
+        survival = probability('minimum_survival', self.minimum_survival)
+        object.__setattr__(self, 'minimum_survival', survival)
         if self.objective not in OBJECTIVES:
             raise ValueError(
                 f'objective is {self.objective!r}: it must be one of {", ".join(OBJECTIVES)}'

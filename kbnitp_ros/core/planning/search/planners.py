@@ -33,6 +33,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
+class NoPathError(ValueError):
+    """No path that was found is survived as probably as it must be."""
+
+
 @dataclass(frozen=True, eq=False)
 class PathFinder:
     """
@@ -78,6 +82,8 @@ class PathFinder:
 
         Raises
         ------
+        NoPathError
+            If none is survived with `minimum_survival`.
         PluginError
             If a planner of another package breaks its rules.
 
@@ -87,6 +93,14 @@ class PathFinder:
             candidates = PLANNERS[planner](self, objective)
             if planner not in PLANNERS.own:
                 self._check(candidates)
+        if least := self.options.minimum_survival:
+            survived = [each for each in candidates if each.survival(objective) >= least]
+            if not survived:
+                raise NoPathError(
+                    f'no path was found that a robot survives with minimum_survival = {least}: '
+                    'lower it, or max_steps'
+                )
+            return survived
         return candidates
 
     def check_path(self, path: ArrayLike) -> NDArray[np.intp]:

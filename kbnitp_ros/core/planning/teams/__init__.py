@@ -2,7 +2,7 @@
 """How robots that leave together share the work."""
 
 from kbnitp_ros.core.planning.teams.allocations import ALLOCATIONS
-from kbnitp_ros.core.planning.teams.keepout import keepout_cells
+from kbnitp_ros.core.planning.teams.keepout import keepout_cells, without
 from kbnitp_ros.core.planning.teams.regions import Regions
 from kbnitp_ros.core.planning.teams.team import check_team, plan_team, Team, team_size, TeamPlan
 from kbnitp_ros.core.planning.teams.team_member import TeamMember
@@ -17,4 +17,5 @@ __all__ = [
     'keepout_cells',
     'plan_team',
     'team_size',
+    'without',
 ]

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may be relied on, where robots go for it, and when to stop."""
+
+from kbnitp_ros.core.decision.area import Area
+from kbnitp_ros.core.decision.decision import Decision
+from kbnitp_ros.core.decision.flights import Flight, Situation
+from kbnitp_ros.core.decision.goals import Goal, GOALS
+from kbnitp_ros.core.decision.hazard_draws import DRAWS, HazardDraws
+from kbnitp_ros.core.decision.lane import Lane
+from kbnitp_ros.core.decision.lanes import safest_path, SafestPath
+from kbnitp_ros.core.decision.rounds import plan_round, Round
+from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.decision.targets import Target, targets
+
+__all__ = [
+    'DRAWS',
+    'GOALS',
+    'Area',
+    'Decision',
+    'Flight',
+    'Goal',
+    'HazardDraws',
+    'Lane',
+    'Round',
+    'SafestPath',
+    'Situation',
+    'Stop',
+    'Target',
+    'plan_round',
+    'safest_path',
+    'targets',
+]

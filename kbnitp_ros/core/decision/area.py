@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The goal to know where an area is free of hazards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from kbnitp_ros.core.decision.decision import check_confidence, Decision
+from kbnitp_ros.core.decision.flights import Flight, Situation
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
+from kbnitp_ros.core.decision.lane import there_and_back
+from kbnitp_ros.core.decision.lanes import cheapest_lanes, DECIMALS, LEAST, STEP_COST
+from kbnitp_ros.core.field import Belief, binary_entropy, Grid, SensorModel, whole_number
+from kbnitp_ros.core.planning import Objective, PathFinder
+import numpy as np
+
+# To how many cells of the area, the most uncertain ones, ways there and back are compared.
+DIRECT = 16
+# How many paths of a search for information on all hazards are compared with these.
+SEARCHED = 48
+
+
+@dataclass(frozen=True)
+class Area:
+    """
+    Cells that are to be free of hazards.
+
+    A robot flies where its return or loss is expected to tell most of the hazards of the area,
+    cell by cell.
+
+    Parameters
+    ----------
+    cells : iterable of int
+        Those of the area, at least one.
+    confidence : float, optional
+        The probability that all are free at which the mission is over, in (0, 1); by default the
+        mission goes on.
+
+    Raises
+    ------
+    ValueError
+        If the confidence is out of range or there are no cells.
+
+    """
+
+    name: ClassVar[str] = 'area'
+
+    cells: Iterable[int]
+    confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        cells = tuple(sorted({whole_number('goal', cell, 0) for cell in self.cells}))
+        if not cells:
+            raise ValueError('goal is an area without cells: give at least one')
+        object.__setattr__(self, 'cells', cells)
+        check_confidence(self.confidence)
+
+    def check(self, grid: Grid, max_steps: int) -> None:
+        """
+        Check that robots can come to all cells, and back.
+
+        Raises
+        ------
+        ValueError
+            If a cell is off the map, on an obstacle, or out of reach.
+
+        """
+        cells = cells_on(grid, list(self.cells), 'goal')
+        out = cells[~grid.in_reach(max_steps)[cells]]
+        if out.size:
+            raise ValueError(
+                f'goal has cell {out[0]}, and {out.size - 1} more, that no robot comes back from '
+                f'within max_steps = {max_steps}: raise max_steps or choose a smaller area'
+            )
+
+    def decide(
+        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
+    ) -> Decision:
+        """Return how probably all cells are free, and how many hazards remain in them."""
+        return Decision.about(self.name, draws, list(self.cells), self.confidence)
+
+    def flight(self, situation: Situation) -> Flight | None:
+        """Return the flight to make next; None if the robot may make none."""
+        paths = self._flights(situation)
+        survival = situation.draws.fates(paths, situation.model)
+        allowed = situation.is_allowed(survival)
+        if not allowed.any():
+            return None
+        here = situation.draws.hazardous[:, list(self.cells)].astype(np.float64)
+        gain = expected_certainty(here, survival, situation.outcomes)
+        best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
+        return Flight(paths[best], max(0.0, float(gain[best])))
+
+    def _flights(self, situation: Situation) -> list[Path]:
+        """Return closed paths for information on all hazards, and to cells of the area."""
+        grid, draws, options = situation.grid, situation.draws, situation.options
+        hazard = draws.p_hazard()
+        none = np.zeros(grid.cells)
+        belief = Belief.from_maps(hazard, none, none)
+        objective = Objective.alone(grid, belief, situation.model, options)
+        searched = PathFinder(grid, options).candidates(objective)[:SEARCHED]
+        with np.errstate(divide='ignore'):
+            cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
+        cells = np.array(self.cells)
+        cells = cells[grid.in_reach(options.max_steps)[cells]]
+        open_first = cells[np.argsort(-binary_entropy(hazard[cells]), kind='stable')]
+        lanes = [
+            cheapest_lanes(grid, cost[None], grid.base, cell, options.max_steps // 2)[0]
+            for cell in open_first[:DIRECT].tolist()
+            if cell != grid.base
+        ]
+        direct = [there_and_back(lane, lane) for lane in lanes]
+        return [each.path for each in searched] + [
+            path for path in direct if np.bincount(path[1:]).max() <= options.max_visits
+        ]
+
+
+def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
+    """
+    Return by how much a flight is expected to lower the entropies of some cells, (flights,) nats.
+
+    Equation :eq:`area-value`.
+
+    Parameters
+    ----------
+    here : ndarray, shape (draws, cells)
+        1 where a cell has a hazard.
+    survival : ndarray, shape (flights, draws)
+        The chance to survive each flight in each draw.
+    outcomes : ndarray, shape (outcomes, draws)
+        As of `Situation`.
+
+    """
+
+    def entropies(chance: Floats, hazards: Floats) -> Floats:
+        given = hazards / np.where(chance > 0.0, chance, 1.0)[:, None]
+        left: Floats = chance * binary_entropy(given.clip(0.0, 1.0)).sum(axis=1)
+        return left
+
+    gain = np.zeros(len(survival))
+    for each in outcomes:
+        all_hazards = each @ here
+        before = entropies(each.sum(keepdims=True), all_hazards[None])
+        back = survival * each
+        chance, hazards = back.sum(axis=1), back @ here
+        gain += before - entropies(chance, hazards)
+        gain -= entropies(each.sum() - chance, all_hazards - hazards)
+    return gain

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint draws of the hazards, and the probabilities that are counted in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from kbnitp_ros.core.field import frozen, Grid, SensorModel, times_log
+from kbnitp_ros.core.inference import Estimator
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# How many draws a decision is made with: of 0.5 % ten are left.
+DRAWS = 2048
+
+# The most bytes that draws may take.
+MOST_MEMORY = 1 << 30
+
+# Generators of draws are keyed by this, the seed of the estimator and the number of deployments.
+OWN_KEY = 0x44524157
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Path = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class HazardDraws:
+    """
+    States of all hazards, each as probable as its weight says.
+
+    What is asked of several cells together is counted in the draws, so it knows that a loss ties
+    the cells of its path together.
+
+    Parameters
+    ----------
+    hazardous : ndarray of bool, shape (draws, cells)
+        Where the hazards are in each draw, at least one draw.
+    independent : float
+        How many independent draws tell as much, positive; infinity if the draws are all states.
+    weight : ndarray, shape (draws,), optional
+        Of each draw, from 0, summing to 1; equal unless given.
+
+    """
+
+    hazardous: Bools
+    independent: float
+    weight: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        draws = len(self.hazardous)
+        if not self.weight.size:
+            object.__setattr__(self, 'weight', np.full(draws, 1.0 / draws))
+        frozen(self.hazardous)
+        frozen(self.weight)
+
+    @classmethod
+    def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
+        """
+        Draw from what an estimator knows; the same again for the same evidence.
+
+        Parameters
+        ----------
+        estimator : Estimator
+            Given the deployments so far.
+        deployments : int
+            How many these are.
+        count : int
+            How many draws to make, at least 1.
+
+        Raises
+        ------
+        ValueError
+            With an estimate, if the draws take more memory than is allowed.
+
+        """
+        if (estimate := count * estimator.belief.cells) > MOST_MEMORY:
+            raise ValueError(
+                f'{count} draws of {estimator.belief.cells} cells take about '
+                f'{estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB are allowed: '
+                'take a smaller field, or the goal map'
+            )
+        rng = np.random.default_rng([OWN_KEY, estimator.seed, deployments])
+        return cls(*estimator.draws(count, rng))
+
+    @property
+    def cells(self) -> int:
+        """How many cells the field has."""
+        return self.hazardous.shape[1]
+
+    def p_hazard(self) -> Floats:
+        """Return the probability of a hazard in each cell, shape (cells,)."""
+        probability: Floats = self.weight @ self.hazardous
+        return probability.clip(0.0, 1.0)
+
+    def is_free(self, cells: ArrayLike) -> Bools:
+        """Return in which draws none of some cells has a hazard, shape (draws,)."""
+        none: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
+        return none
+
+    def p_free(self, cells: ArrayLike) -> float:
+        """
+        Return the probability that none of some cells has a hazard.
+
+        Equation :eq:`set-free`.
+        """
+        return self._chance(self.is_free(cells))
+
+    def hazard_count(self, cells: ArrayLike) -> Floats:
+        """
+        Return how likely each number of hazards in some cells is, shape (different cells + 1,).
+
+        Equation :eq:`hazards-remaining`.
+        """
+        there = np.unique(cells)
+        count = self.hazardous[:, there].sum(axis=1)
+        chances: Floats = np.bincount(count, self.weight, there.size + 1).astype(np.float64)
+        return chances
+
+    def fates(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
+        """Return the chance to survive each path, (steps + 1,), in each draw, (paths, draws)."""
+        entered = [np.asarray(path)[1:] for path in paths]
+        safe, strike = model.log_survival
+        exposure = self._hazards_entered(entered)
+        steps = np.array([len(each) for each in entered])[:, None]
+        chances: Floats = np.exp(times_log(steps - exposure, safe) + times_log(exposure, strike))
+        return chances
+
+    def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
+        """Return in which draws each path is free of hazards, (paths, draws), 1 or 0."""
+        free: Floats = np.equal(self._hazards_entered([*map(np.asarray, paths)]), 0.0).astype(
+            float
+        )
+        return free
+
+    def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
+        """Return how many steps of each path lead into a hazard, shape (paths, draws)."""
+        cells, place = np.unique(np.concatenate(entered), return_inverse=True)
+        visits = np.zeros((len(entered), cells.size), dtype=np.float32)
+        path = np.repeat(np.arange(len(entered)), [len(each) for each in entered])
+        np.add.at(visits, (path, place), 1.0)
+        hazards = visits @ self.hazardous[:, cells].T.astype(np.float32)
+        return hazards.astype(np.float64)
+
+    def survival(self, path: ArrayLike, model: SensorModel) -> float:
+        """
+        Return the probability that a traveller survives a path, shape (steps + 1,).
+
+        Equation :eq:`traveller-survives`. The path may start and end anywhere; its first cell is
+        where the traveller is.
+        """
+        return self._chance(self.fates([path], model)[0])
+
+    def _chance(self, each: NDArray[np.bool_] | Floats) -> float:
+        return float(np.clip(self.weight @ each, 0.0, 1.0))
+
+
+def quantile(count: Floats, level: float) -> int:
+    """Return the least number that is not exceeded with a probability of `level` or more."""
+    return int(np.argmax(np.cumsum(count) >= level - 1e-12))
+
+
+def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
+    """
+    Return cells as an array, shape (cells,), if robots may enter all of them.
+
+    Raises
+    ------
+    ValueError
+        If there are none, one is off the map or on an obstacle; it is named.
+
+    """
+    array = np.atleast_1d(np.asarray(cells))
+    if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
+        raise ValueError(f'{what} is {cells!r}: it must be cells, at least one')
+    for cell in array.tolist():
+        if not 0 <= cell < grid.cells:
+            raise ValueError(
+                f'{what} is cell {cell}, off the map: allowed are 0 to {grid.cells - 1}'
+            )
+        if not grid.free[cell]:
+            raise ValueError(f'{what} is cell {cell}, an obstacle: choose one that is free')
+    return array.astype(np.intp)

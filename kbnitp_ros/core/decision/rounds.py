@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans of a round for a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kbnitp_ros.core.decision.flights import Situation
+from kbnitp_ros.core.decision.goals import Goal, GOALS
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws
+from kbnitp_ros.core.field import Belief, Grid, RobotType, SensorModel
+from kbnitp_ros.core.planning import NoPathError, Plan, plan_team, SearchOptions, Team, without
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """
+    Paths of robots that leave together.
+
+    Attributes
+    ----------
+    plans : tuple of Plan
+        One a robot, in their order.
+    gains : tuple of float
+        How much nearer the goal each is expected to bring, in its unit.
+
+    """
+
+    plans: tuple[Plan, ...]
+    gains: tuple[float, ...]
+
+
+def plan_round(
+    goal: Goal | None,
+    draws: HazardDraws | None,
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    team: Team,
+    options: SearchOptions,
+    *,
+    in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
+    visited: ArrayLike = (),
+    keepout: Sequence[int] | NDArray[np.intp] = (),
+) -> Round:
+    """
+    Plan a round for a goal, robot after robot, each for what it adds to those before it.
+
+    Parameters
+    ----------
+    goal : Goal or None
+        None to map the field, as `plan_team` does.
+    draws : HazardDraws or None
+        What is known of the hazards, if there is a goal.
+    grid, belief, model, team, options, in_flight, visited, keepout
+        As of `plan_team`.
+
+    Raises
+    ------
+    NoPathError
+        If a robot may take no path.
+    ValueError
+        As of `plan_team`.
+
+    """
+
+    def for_information() -> Round:
+        planned = plan_team(
+            grid,
+            belief,
+            model,
+            team,
+            options,
+            in_flight=in_flight,
+            visited=visited,
+            keepout=keepout,
+        )
+        return Round(planned.plans, tuple(plan.information for plan in planned.plans))
+
+    if goal is None or draws is None:
+        return for_information()
+    in_use = without(grid, keepout) if len(keepout) else grid
+    situation = Situation(in_use, draws, model, options, draws.weight[None])
+    for path, robot_type in in_flight:
+        situation = situation.with_sent(path, robot_type.model(model))
+    plans, gains = [], []
+    for robot_type in team.types:
+        own = situation.of_robot(robot_type.model(model), options.of_type(robot_type))
+        with GOALS.blamed(goal.name):
+            flight = goal.flight(own)
+        if flight is None and len(keepout):
+            # The operator keeps robots from where the goal is.
+            return for_information()
+        if flight is None:
+            raise NoPathError(
+                f'no path for the goal {goal.name} was found that a robot survives with '
+                f'minimum_survival = {own.options.minimum_survival} within max_steps = '
+                f'{own.options.max_steps} and max_visits = {own.options.max_visits}'
+            )
+        path = in_use.check_path(flight.path, own.options.max_steps)
+        plans.append(Plan.along(path, belief, own.model))
+        gains.append(flight.gain)
+        situation = situation.with_sent(path, own.model)
+    return Round(tuple(plans), tuple(gains))

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may be relied on equals what enumeration of all states says."""
+
+from itertools import product
+from math import inf
+
+from brute_force import adjacent, random_path, random_sensors, step_survival
+from extent import FULL
+from kbnitp_ros.core import (
+    Area,
+    Belief,
+    Estimator,
+    Grid,
+    HazardDraws,
+    Lane,
+    NoPathError,
+    Observation,
+    plan,
+    plan_round,
+    run_mission,
+    safest_path,
+    SearchOptions,
+    SensorModel,
+    Stop,
+    targets,
+    Team,
+    World,
+)
+from kbnitp_ros.core.decision.area import expected_certainty
+from kbnitp_ros.core.decision.decision import Decision
+from kbnitp_ros.core.decision.flights import information, Situation
+from kbnitp_ros.core.decision.lane import expected_best
+from laws import for_each
+import numpy as np
+import pytest
+
+SHAPES = ((3, 3), (4, 3), (4, 4))
+
+
+def posterior(rng, width, height, model, deployments):
+    """List all states of the hazards, and how probable each is after random deployments."""
+    cells = width * height
+    prior = rng.choice([0.0, 0.1, rng.uniform(), 0.9], cells)
+    prior[0] = 0.0
+    states = np.array(list(product((False, True), repeat=cells)))
+    states = states[~(states & (prior == 0.0)).any(axis=1)]
+    weight = np.where(states, prior, 1.0 - prior).prod(axis=1)
+    for _ in range(deployments):
+        path = random_path(rng, width, height, 0, int(rng.integers(1, 9)))
+        survival = survivals(states, path, model)
+        likelihood = survival if rng.random() < 0.5 else 1.0 - survival
+        if (weight * likelihood).sum() > 1e-9:
+            weight = weight * likelihood
+            weight /= weight.sum()
+    return states, weight
+
+
+def survivals(states, path, model):
+    """Return the chance to survive a path in each state."""
+    chances = np.ones(len(states))
+    for cell in path[1:]:
+        chances *= np.where(states[:, cell], *reversed(step_survival(model)))
+    return chances
+
+
+def ways(width, height, to, most):
+    """Return all ways from cell 0 that enter no cell twice."""
+    around = adjacent(width, height)
+    found, open_ways = [], [(0,)]
+    while open_ways:
+        way = open_ways.pop()
+        if way[-1] == to:
+            found.append(way)
+        elif len(way) <= most:
+            open_ways += [(*way, cell) for cell in around[way[-1]] if cell not in way]
+    return found
+
+
+def entropy(p):
+    """Return the entropy of a coin, nats."""
+    return -sum(side * np.log(side) for side in (p, 1.0 - p) if side > 1e-15)
+
+
+@for_each('seed', range(300), every=1 if FULL else 3)
+def test_numbers_are_those_of_all_states(seed):
+    rng = np.random.default_rng(seed)
+    width, height = SHAPES[seed % 3]
+    model = SensorModel(**random_sensors(rng))
+    states, weight = posterior(rng, width, height, model, int(rng.integers(0, 5)))
+    draws = HazardDraws(states, inf, weight)
+    some = rng.choice(width * height, int(rng.integers(1, 6)), replace=False)
+    count = states[:, some].sum(axis=1)
+    assert draws.p_hazard() == pytest.approx(weight @ states, abs=1e-9)
+    assert draws.p_free(some) == pytest.approx(weight[count == 0].sum(), abs=1e-9)
+    remaining = [weight[count == n].sum() for n in range(some.size + 1)]
+    assert draws.hazard_count(some) == pytest.approx(remaining, abs=1e-9)
+    path = random_path(rng, width, height, 0, int(rng.integers(1, 9)))
+    survived = survivals(states, path, model)
+    assert draws.survival(path, model) == pytest.approx(weight @ survived, abs=1e-9)
+
+    decision = Decision.about('area', draws, some, 0.5)
+    assert decision.hazards_mean == pytest.approx(weight @ count, abs=1e-9)
+    below = np.cumsum(remaining)
+    for level, told in ((0.05, decision.hazards_5), (0.95, decision.hazards_95)):
+        assert below[told] >= level - 1e-9
+        assert told == 0 or below[told - 1] < level + 1e-9
+    assert decision.reached == (decision.p_free >= 0.5)
+
+    flights = [random_path(rng, width, height, 0, int(rng.integers(1, 9))) for _ in range(3)]
+    lanes = [random_path(rng, width, height, 0, 3) for _ in range(3)]
+    free = np.array([~states[:, lane].any(axis=1) for lane in lanes], dtype=float)
+    chances = draws.fates(flights, model)
+    sent = Situation(Grid(width, height), draws, model, SearchOptions(), weight[None]).with_sent(
+        path, model
+    )
+    best = expected_best(free, chances, sent.outcomes)
+    certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
+    told = information(chances, sent.outcomes)
+    for flight, own_best, own_certain, own_told in zip(flights, best, certain, told):
+        fate = survivals(states, flight, model)
+        gained = fallen = heard = 0.0
+        for other in (weight * survived, weight * (1.0 - survived)):
+            outcomes = (other * fate, other * (1.0 - fate))
+            gained += sum((free @ each).max() for each in outcomes) - (free @ other).max()
+            for each, sign in ((other, 1.0), *((each, -1.0) for each in outcomes)):
+                if (total := each.sum()) > 1e-12:
+                    fallen += (
+                        sign * total * sum(entropy(p) for p in (each @ states[:, some]) / total)
+                    )
+            if (total := other.sum()) > 1e-12:
+                heard += total * entropy((other @ fate) / total)
+            heard -= sum(p * entropy(s) for p, s in zip(other, fate) if p > 0)
+        assert own_best == pytest.approx(gained, abs=1e-9)
+        assert own_certain == pytest.approx(fallen, abs=1e-9)
+        assert own_told == pytest.approx(heard, abs=1e-9)
+
+
+def test_safest_path_is_the_best_of_all_ways_nearly_always():
+    best_found = 0
+    cases = range(60)
+    for seed in cases:
+        rng = np.random.default_rng(seed)
+        model = SensorModel(**random_sensors(rng))
+        states, weight = posterior(rng, 3, 3, model, 3)
+        draws = HazardDraws(states, inf, weight)
+        most = int(rng.integers(2, 6))
+        found = safest_path(Grid(3, 3), draws, model, 0, 8, most)
+        probability = {
+            way: weight[~states[:, way].any(axis=1)].sum() for way in ways(3, 3, 8, most)
+        }
+        assert found.p_free == pytest.approx(probability[tuple(found.path)], abs=1e-9)
+        survived = survivals(states, found.path, model)
+        assert found.survival == pytest.approx(weight @ survived, abs=1e-9)
+        best_found += found.p_free >= max(probability.values()) - 1e-9
+    assert best_found >= 0.95 * len(cases)
+
+
+PATHS = ([0, 1, 2, 1, 0], [0, 3, 4, 1, 0], [0, 1, 4, 3, 0], [0, 4, 8, 4, 0])
+
+
+@pytest.mark.parametrize('method', ['kappa_bnitp_sampled', 'kappa_bnitp_smoothed', 'kappa_bnitp'])
+def test_draws_are_of_the_belief_and_those_of_sampling_of_the_joint_posterior(method):
+    hazard = np.array([0.0, *[0.3] * 8])
+    prior = Belief.from_maps(hazard, hazard, np.full(9, 0.5))
+    model = SensorModel(0.7)
+    estimator = Estimator(prior, model, method)
+    states = np.array(list(product((False, True), repeat=9)))
+    weight = np.where(states, hazard, 1.0 - hazard).prod(axis=1)
+    for path in PATHS:
+        estimator.assimilate(Observation(path, False))
+        weight *= 1.0 - survivals(states, path, model)
+    exact = HazardDraws(states, inf, weight / weight.sum())
+    draws = HazardDraws.of(estimator, len(PATHS), 20_000)
+    again = HazardDraws.of(estimator, len(PATHS), 20_000)
+    assert np.array_equal(draws.hazardous, again.hazardous)
+    assert 5_000 < draws.independent <= 20_000
+    error = 5.0 / np.sqrt(draws.independent)
+    assert draws.p_hazard() == pytest.approx(estimator.belief.hazard, abs=error)
+    lane = [0, 1, 4, 8]
+    assert estimator.draws_are_exact == (method == 'kappa_bnitp_sampled')
+    if estimator.draws_are_exact:
+        assert draws.p_free(lane) == pytest.approx(exact.p_free(lane), abs=error)
+        assert draws.hazard_count(range(9)) == pytest.approx(
+            exact.hazard_count(range(9)), abs=error
+        )
+    if method == 'kappa_bnitp':
+        product_of_cells = np.prod(1.0 - estimator.belief.hazard[lane])
+        assert draws.p_free(lane) == pytest.approx(product_of_cells, abs=error)
+
+
+def uniform(grid, hazard):
+    """Return a prior with this hazard in every cell but the base."""
+    maps = np.full(grid.cells, hazard)
+    maps[grid.base] = 0.0
+    return Belief.from_maps(maps, 0.8 * maps, np.full(grid.cells, 0.8))
+
+
+GRID = Grid(5, 5)
+PRIOR = uniform(GRID, 0.15)
+MODEL = SensorModel(0.6)
+NEAR = SearchOptions('relaxed', 12)
+
+
+@pytest.mark.parametrize('goal', [Lane(24), Area([6, 7, 12])])
+def test_a_mission_with_a_goal_is_decided_after_each_deployment(goal):
+    world = World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1)
+    robots = 6
+    first, again = (
+        run_mission(GRID, PRIOR, MODEL, world, robots, 7, options=NEAR, goal=goal)
+        for _ in range(2)
+    )
+    assert len(first) == robots
+    for each, other in zip(first, again):
+        assert not each.decision.reached
+        assert 0.0 <= each.decision.p_free <= 1.0
+        assert np.array_equal(each.plan.path, other.plan.path)
+        assert each.decision.p_free == other.decision.p_free
+        GRID.check_path(each.plan.path, 12)
+        if isinstance(goal, Lane):
+            path = each.decision.path
+            assert (path[0], path[-1]) == (0, 24)
+            assert len(path) - 1 <= 12
+        else:
+            assert each.decision.path.size == 0
+    assert not run_mission(GRID, PRIOR, MODEL, world, 0, 7, options=NEAR, goal=goal)
+
+
+def test_without_a_goal_a_mission_is_what_it_was():
+    world = World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1)
+    estimator = Estimator(PRIOR, MODEL)
+    rng = np.random.default_rng(7)
+    for each in run_mission(GRID, PRIOR, MODEL, world, 5, 7, options=NEAR):
+        path = plan(GRID, estimator.belief, MODEL, 12, 'relaxed').path
+        estimator.assimilate(world.traverse(path, MODEL, rng.spawn(1)[0]))
+        assert np.array_equal(each.plan.path, path)
+        assert np.array_equal(each.belief.joint, estimator.belief.joint)
+        assert each.decision is None
+
+
+def test_missions_stop_by_themselves():
+    safe = World(np.zeros(25, bool), np.zeros(25, bool))
+    certain = SensorModel(0.9, malfunction=0.0, false_negative=0.0)
+
+    def mission(goal=None, stop=None, world=safe, **own):
+        search = SearchOptions('relaxed', 12, **own)
+        told = {'options': search, 'goal': goal, 'stop': stop}
+        return run_mission(GRID, PRIOR, certain, world, 40, 1, **told)
+
+    reached = mission(Lane(24, 0.9))
+    assert 0 < len(reached) < 40
+    assert reached[-1].decision.reached
+    assert reached[-1].decision.p_free >= 0.9
+    assert not any(each.decision.reached for each in reached[:-1])
+    deadly = World(np.arange(25) > 0, np.zeros(25, bool))
+    lost = mission(Lane(24), Stop(losses=3), deadly)
+    assert [each.observation.survived for each in lost].count(False) == 3
+    assert not lost[-1].observation.survived
+    assert not mission(stop=Stop(gain=1e6))
+    assert not mission(Lane(24), minimum_survival=0.999)
+    for each in mission(minimum_survival=0.6, stop=Stop(losses=1)):
+        assert each.plan.survival >= 0.6
+    with pytest.raises(NoPathError, match='minimum_survival'):
+        plan(GRID, PRIOR, certain, 12, minimum_survival=1.0)
+
+
+def test_robots_of_a_round_are_sent_for_what_each_adds():
+    draws = HazardDraws.of(Estimator(PRIOR, MODEL), 0)
+    planned = plan_round(Lane(24), draws, GRID, PRIOR, MODEL, Team(8), NEAR)
+    assert len(planned.plans) == 8
+    assert len({plan.path.tobytes() for plan in planned.plans}) > 1
+
+
+@pytest.mark.parametrize(
+    'make, named',
+    [
+        (lambda: Lane(24, 1.0), 'confidence is 1.0'),
+        (lambda: Area([3], 0.0), 'confidence is 0.0'),
+        (lambda: Area([]), 'without cells'),
+        (lambda: Lane(0), 'the base'),
+        (lambda: Lane(25), 'off the map'),
+        (lambda: Lane(3), 'obstacle'),
+        (lambda: Lane(4), 'no way leads'),
+        (lambda: Lane(20), 'max_steps = 3'),
+        (lambda: Area([20]), 'max_steps = 3'),
+        (lambda: Lane(6, 0.999), 'independent draws'),
+    ],
+)
+def test_goals_that_cannot_be_reached_are_refused(make, named):
+    grid = Grid(5, 5, blocked=(3, 8, 9))
+    world = World(np.zeros(25, bool), np.zeros(25, bool))
+    with pytest.raises(ValueError, match=named):
+        run_mission(
+            grid, uniform(grid, 0.1), MODEL, world, 2, 1, options=SearchOptions(max_steps=3),
+            goal=make(),
+        )  # fmt: skip
+
+
+def test_contradictory_stops_are_refused():
+    world = World(np.zeros(25, bool), np.zeros(25, bool))
+    with pytest.raises(ValueError, match='stop.losses is 9'):
+        run_mission(GRID, PRIOR, MODEL, world, 2, 1, stop=Stop(losses=9))
+    for wrong in ({'gain': -1.0}, {'losses': -1}, {'losses': 1.5}):
+        with pytest.raises(ValueError, match='stop'):
+            Stop(**wrong)
+
+
+def test_targets_are_told_with_looks_and_misses():
+    belief = Belief.from_maps([0.0, 0.2, 0.2], [0.1, 0.5, 0.3], [0.1, 0.5, 0.5])
+    model = SensorModel(0.5, true_positive=0.9)
+    seen = Observation([0, 1, 2, 1, 0], True, [True, False, -1, False])
+    lost = Observation([0, 2, 0], False)
+    first, second, third = targets(belief, model, [seen, lost])
+    assert [first[:4], second[:4], third[:4]] == [
+        (1, pytest.approx(0.5), 1, 1),
+        (2, pytest.approx(0.3), 1, 0),
+        (0, pytest.approx(0.1), 1, 0),
+    ]
+    assert first.missed == pytest.approx(0.1)
+    assert targets(belief, model, [], least=0.4)[0].missed == 1.0
+    assert len(targets(belief, model, [], least=0.4)) == 1
