@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from math import nan
+from typing import NamedTuple
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import (
@@ -20,7 +21,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.messages.headers import header
 
 
-class State(IntEnum):
+class MissionState(IntEnum):
     """How far a mission is, as far as it is known."""
 
     UNKNOWN = Progress.UNKNOWN
@@ -28,6 +29,16 @@ class State(IntEnum):
     PAUSED = Progress.PAUSED
     DONE = Progress.DONE
     ENDED = Progress.ENDED
+
+
+class Standing(NamedTuple):
+    """The state of a mission, and why it is in that state; empty where that is plain."""
+
+    state: MissionState
+    reason: str
+
+
+NOT_KNOWN = Standing(MissionState.UNKNOWN, '')
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +68,11 @@ class Held:
 
 
 def progress_message(
-    ledger: Ledger, before: Held | None, world: World | None, stamp: int
+    ledger: Ledger,
+    before: Held | None,
+    world: World | None,
+    stamp: int,
+    standing: Standing = NOT_KNOWN,
 ) -> Progress:
     """
     Return the message of how a mission stands.
@@ -72,6 +87,8 @@ def progress_message(
         The truth, if it is known.
     stamp : int
         Of the belief that it goes with, in nanoseconds.
+    standing : Standing
+        As the planner tells it.
 
     """
     belief = ledger.belief
@@ -91,13 +108,9 @@ def progress_message(
         hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
         target_log_loss=log_loss(belief.target, world.target) if world else nan,
         upper_bound=nan,
-        state=state(ledger),
+        state=standing.state,
+        reason=standing.reason,
     )
-
-
-def state(ledger: Ledger) -> State:
-    """Return how far a mission is, as paths and reports tell it."""
-    return State.RUNNING if ledger.in_flight else State.UNKNOWN
 
 
 def expected(ledger: Ledger, before: Held | None) -> float:

@@ -10,7 +10,7 @@ from uuid import uuid4
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import TOPIC
+from kbnitp_ros.nodes.runtime.diagnostics import LARGEST_DIAGNOSTICS, TOPIC
 from kbnitp_ros.nodes.runtime.node import MissionNode
 
 INSTANCE = 'instance'
@@ -19,8 +19,7 @@ INSTANCE = 'instance'
 # killed for much longer, and one that lives says something every second.
 SILENT = 3.0
 
-# The most bytes of diagnostics, and of how many other instances the newest are kept.
-LARGEST = 2**20
+# Of how many other instances the newest are kept.
 MOST_INSTANCES = 10
 
 
@@ -69,7 +68,9 @@ class Instances:
         self.own = uuid4().hex
         self._is_meant = is_meant
         self._heard: dict[str, Instance] = {}
-        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST)
+        node.hear_newest(
+            DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST_DIAGNOSTICS
+        )
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -43,12 +43,19 @@ from kbnitp_ros.messages.deployments import (
 from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.operator_action import Action, OperatorAction
+from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.messages.sizes import largest_belief, largest_path, largest_report, RECORDED
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.recorders import records
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import done, State, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import (
+    done,
+    MISSION_REASON,
+    MISSION_STATE,
+    State,
+    waiting_for,
+)
 from kbnitp_ros.nodes.runtime.node import FieldNode, some
 from kbnitp_ros.nodes.runtime.process import run
 from nav_msgs.msg import Path
@@ -80,6 +87,10 @@ class Obstacle(Enum):
     PAUSED = auto()
     NO_FREE_AGENT = auto()
     UNAPPROVED = auto()
+
+
+# What keeps robots from leaving for a while in every mission.
+PLAIN = {Obstacle.UNREPORTED, Obstacle.BELIEF_BEHIND, Obstacle.ALL_LEFT}
 
 
 class PlannerNode(FieldNode):
@@ -368,7 +379,7 @@ class PlannerNode(FieldNode):
         """Send the next robots, unless something must come first."""
         newest = self._tracker.newest
         if obstacle := self._obstacle(newest.deployments if newest else None):
-            self.diagnostics.state = self._state_at(obstacle)
+            self._tell(obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
                 self._proposals.withdraw()
             if obstacle is Obstacle.ALL_DEPLOYED and not self.values['keep_running']:
@@ -377,10 +388,28 @@ class PlannerNode(FieldNode):
         assert newest is not None
         plans = self._next_plans(newest)
         if self.values['approval'] and not self._are_approved(plans):
-            self.diagnostics.state = self._state_at(Obstacle.UNAPPROVED)
+            self._tell(Obstacle.UNAPPROVED)
             return
         self._proposals.withdraw()
         self._send(plans, newest.mission)
+
+    def _tell(self, obstacle: Obstacle) -> None:
+        """Tell what keeps robots from leaving, and at once another state of the mission."""
+        self.diagnostics.state = self._state_at(obstacle)
+        state = MissionState.RUNNING
+        if self._operator.state.is_ended:
+            state = MissionState.ENDED
+        elif obstacle is Obstacle.ALL_DEPLOYED:
+            state = MissionState.DONE
+        elif self._operator.state.is_paused:
+            state = MissionState.PAUSED
+        before = self.diagnostics.values.get(MISSION_STATE)
+        self.diagnostics.values |= {
+            MISSION_STATE: state.name,
+            MISSION_REASON: '' if obstacle in PLAIN else self.diagnostics.state.sentence,
+        }
+        if state.name != before:
+            self.diagnostics.publish()
 
     def _next_plans(self, newest: Snapshot) -> Plans:
         """Return the plans of the robots to leave next; those that are proposed if they are it."""

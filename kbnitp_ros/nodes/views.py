@@ -6,12 +6,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import Ledger, World
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
-from kbnitp_ros.messages.progress import Held, progress_message, state
+from kbnitp_ros.messages.progress import Held, MissionState, NOT_KNOWN, progress_message, Standing
 from kbnitp_ros.messages.sizes import largest_belief
 from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import (
+    LARGEST_DIAGNOSTICS,
+    MISSION_REASON,
+    MISSION_STATE,
+    TOPIC,
+)
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -47,6 +54,7 @@ class Views:
         # a ledger is shown, so it still holds that belief when it is.
         self._pending: tuple[Ledger, Held | None, int] | None = None
         self._message = Progress()
+        self._standing = NOT_KNOWN
         self._is_progress_pending = False
         self._maps = {
             name: node.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
@@ -64,6 +72,26 @@ class Views:
                     qos.LATCHED,
                     largest_belief(node.grid.cells),
                 )
+
+        node.hear_newest(
+            DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST_DIAGNOSTICS
+        )
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        """Show what the planner of this namespace says of the state of the mission."""
+        own = self._node.get_namespace().rstrip('/')
+        for status in array.status:
+            values = {each.key: each.value for each in status.values}
+            state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
+            if state is None or status.name.rpartition('/')[0] != own:
+                continue
+            standing = Standing(state, values.get(MISSION_REASON, ''))
+            if standing != self._standing:
+                self._standing = standing
+                self._message.state, self._message.reason = standing
+                # There is none before the first belief.
+                self._is_progress_pending = self._newest is not None
+                self._publish_or_wait()
 
     def _on_truth(self, topic: str, name: str, message: OccupancyGrid) -> None:
         try:
@@ -87,7 +115,6 @@ class Views:
         """Show how many robots are in flight, if that has changed."""
         if ledger.in_flight != self._message.out:
             self._message.ordered, self._message.out = len(ledger.paths), ledger.in_flight
-            self._message.state = state(ledger)
             self._is_progress_pending = True
             self._publish_or_wait()
 
@@ -111,7 +138,7 @@ class Views:
                 values = getattr(ledger.belief, name)
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
             world = World(**self._truth) if len(self._truth) == 2 else None
-            self._message = progress_message(ledger, before, world, stamp)
+            self._message = progress_message(ledger, before, world, stamp, self._standing)
         if self._pending or self._is_progress_pending:
             self._progress.publish(self._message)
         self._pending, self._is_progress_pending = None, False

@@ -11,6 +11,7 @@ import subprocess
 
 from base import Base, GRID, PARAMETERS, SERVICES
 from documented import ROOT
+from kbnitp_msgs.msg import Progress
 from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.messages.operator_action import Action, read_operator_action
@@ -20,16 +21,35 @@ from std_srvs.srv import SetBool, Trigger
 import yaml
 
 
+def progress_of(field):
+    """Return what waits until `progress` has a state, and a reason for it."""
+    heard = field.listen(Progress, '/progress')
+
+    def until(state, reason):
+        field.until(
+            lambda: heard and (heard[-1].state, heard[-1].reason) == (state, reason),
+            f'progress in state {state}: {reason}',
+        )
+
+    return until
+
+
 def test_a_paused_mission_sends_nobody(field):
     base = Base(field)
+    until_progress = progress_of(field)
     base.until_sent(1)
+    until_progress(Progress.RUNNING, '')
     assert base.do('pause', data=True) == 'the operator paused the mission'
+    until_progress(Progress.PAUSED, '')
     assert base.do('pause', data=True) == 'the mission is paused already'
     base.come_back()
     base.until_held(1)
-    base.until_state('waiting for the operator to end the pause by the service /pause')
+    reason = 'waiting for the operator to end the pause by the service /pause'
+    base.until_state(reason)
+    until_progress(Progress.PAUSED, reason)
     assert len(base.sent()) == 1
     base.do('pause', data=False)
+    until_progress(Progress.RUNNING, '')
     assert base.do('pause', data=False) == 'the mission is not paused already'
     base.until_sent(2)
     report = base.replayed()
@@ -107,7 +127,10 @@ def test_an_ended_mission_is_over_when_its_robots_are_home(field):
         assert base.refused(service, **request) == 'the mission has been ended already'
     assert 'waiting for' in field.state('/planner')
     base.come_back()
-    base.until_state('done: 1 of 4 robots deployed, ended by the operator')
+    reason = 'done: 1 of 4 robots deployed, ended by the operator'
+    until_progress = progress_of(field)
+    base.until_state(reason)
+    until_progress(Progress.ENDED, reason)
     assert len(base.sent()) == 1
     assert [each.action for each in base.replayed().actions] == [Action.END]
 

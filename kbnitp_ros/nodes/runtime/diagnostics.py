@@ -19,6 +19,13 @@ TOPIC = '/diagnostics'
 
 PERIOD = 1.0  # seconds
 
+# The most bytes of diagnostics that are read.
+LARGEST_DIAGNOSTICS = 2**20
+
+# By which the planner tells the state of its mission, and why it is in that state.
+MISSION_STATE = 'mission_state'
+MISSION_REASON = 'mission_reason'
+
 # How many refusals are told at once in such a period, and how many characters are shown of each.
 # Those beyond are only counted: whoever floods a node with messages must not have it flood others.
 TOLD_AT_ONCE = 10
