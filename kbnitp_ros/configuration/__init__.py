@@ -17,7 +17,12 @@ from kbnitp_ros.configuration.known import (
     parameters_of,
     ROS_PARAMETERS,
 )
-from kbnitp_ros.configuration.models import execution_of, sensor_model_of, unknowns_of
+from kbnitp_ros.configuration.models import (
+    dynamics_of,
+    execution_of,
+    sensor_model_of,
+    unknowns_of,
+)
 from kbnitp_ros.configuration.names import nearest, own_name
 from kbnitp_ros.configuration.page import reference_page
 from kbnitp_ros.configuration.parameter import Parameter
@@ -47,6 +52,7 @@ __all__ = [
     'check_known',
     'check_own',
     'check_search',
+    'dynamics_of',
     'estimator_of',
     'execution_of',
     'grid_of',

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration.agents import robot_types_of
-from kbnitp_ros.configuration.models import sensor_model_of, unknowns_of
+from kbnitp_ros.configuration.models import dynamics_of, sensor_model_of, unknowns_of
 from kbnitp_ros.configuration.prior import prior_of
 from kbnitp_ros.core import Estimator, Grid
 
@@ -38,4 +38,5 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
         values['method'],
         unknowns,
         values['seed'],
+        dynamics=dynamics_of(values),
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration.table import LEARN
-from kbnitp_ros.core import Beta, Execution, SensorModel, Unknowns
+from kbnitp_ros.core import Beta, Dynamics, Execution, SensorModel, Unknowns
 
 
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
@@ -44,6 +44,24 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
         except ValueError as error:
             raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
     return Unknowns(**{name: priors[name] for name in learn})
+
+
+def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
+    """
+    Return how hazards change by these parameters.
+
+    Raises
+    ------
+    ValueError
+        If hazards that do not come and go are given rates.
+
+    """
+    try:
+        return Dynamics(
+            values['hazards.dynamics'], values['hazards.appear'], values['hazards.vanish']
+        )
+    except ValueError as error:
+        raise ValueError(f'parameter hazards.{error}') from error
 
 
 def execution_of(values: Mapping[str, Any]) -> Execution:

@@ -3,7 +3,7 @@
 
 from kbnitp_ros.configuration.names import NAME
 from kbnitp_ros.configuration.parameter import Parameter
-from kbnitp_ros.core import ALLOCATIONS, ALPHAS, METHODS, OBJECTIVES, PLANNERS
+from kbnitp_ros.core import ALLOCATIONS, ALPHAS, HAZARDS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
@@ -146,6 +146,29 @@ TABLE = (
         SENSING,
         limits=PROBABILITY,
         per_agent=True,
+    ),
+    Parameter(
+        'hazards.dynamics',
+        'static',
+        'What becomes of hazards: they stay, come and go from one deployment to the next, or are '
+        'used up when they strike. That of the agent is the truth, that of the estimator what '
+        'estimator and planner believe.',
+        SENSING,
+        choices=HAZARDS,
+    ),
+    Parameter(
+        'hazards.appear',
+        0.0,
+        'Probability per deployment that a free cell becomes a hazard, of changing hazards.',
+        SENSING,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'hazards.vanish',
+        0.0,
+        'Probability per deployment that a hazard disappears, of changing hazards.',
+        SENSING,
+        limits=PROBABILITY,
     ),
     Parameter(
         'prior.hazard',

@@ -164,7 +164,14 @@ class Fold:
 
     def _begin(self, prior: Snapshot) -> None:
         """Begin with the prior of an estimator."""
-        estimator = Estimator(prior.prior, prior.model, prior.method, prior.unknowns, prior.seed)
+        estimator = Estimator(
+            prior.prior,
+            prior.model,
+            prior.method,
+            prior.unknowns,
+            prior.seed,
+            dynamics=prior.dynamics,
+        )
         if prior.version != estimator.version:
             raise LogError(
                 f'beliefs are on record by version {prior.version} of {prior.method}: this '

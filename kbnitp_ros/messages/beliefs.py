@@ -18,8 +18,10 @@ from kbnitp_ros.core import (
     Belief,
     Beta,
     DeploymentKey,
+    Dynamics,
     Estimator,
     Grid,
+    HAZARDS,
     Ledger,
     RobotType,
     SensorModel,
@@ -61,10 +63,6 @@ class Assimilated(NamedTuple):
     report: int
 
 
-# How hazards change: not at all.
-STATIC = 'static'
-
-
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """
@@ -93,6 +91,8 @@ class Snapshot:
         Of the method's arithmetic.
     seed : int
         Of what the method draws at random.
+    dynamics : Dynamics
+        How hazards change.
     deployments : int
         How many it has assimilated.
     newest : DeploymentKey or None
@@ -114,6 +114,7 @@ class Snapshot:
     method: str
     version: int
     seed: int
+    dynamics: Dynamics
     deployments: int
     newest: DeploymentKey | None
     belief: Belief
@@ -132,6 +133,7 @@ class Snapshot:
             'own': dict(self.robot_types),
             'unknowns': unknowns,
             'seed': self.seed,
+            'dynamics': self.dynamics,
         }
 
 
@@ -186,9 +188,9 @@ def belief_fields(
             for agent, robot_type in sorted(ledger.robot_types.items())
             for name, value in robot_type.own.items()
         ],
-        dynamics=STATIC,
-        appear=0.0,
-        vanish=0.0,
+        dynamics=estimator.dynamics.kind,
+        appear=estimator.dynamics.appear,
+        vanish=estimator.dynamics.vanish,
         clustering=0.0,
         deployments=len(ledger.deployments),
         agent=newest.agent,
@@ -263,8 +265,8 @@ def read_belief_maps(message: Any) -> Snapshot:
     ------
     ValueError
         If it is in another frame, its geometry or sensor model is out of range, its joint is of
-        another size or no distribution, it holds deployments and names none, or its hazards are
-        said to change or to cluster.
+        another size or no distribution, it holds deployments and names none, there are no such
+        dynamics of hazards, or hazards are said to cluster.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -272,11 +274,12 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the newest one's"
         )
-    if message.dynamics != STATIC:
-        raise ValueError(f'dynamics is {shown(message.dynamics)}: known is only {STATIC!r}')
-    for name in ('appear', 'vanish', 'clustering'):
-        if getattr(message, name) != 0.0:
-            raise ValueError(f'{name} is {getattr(message, name)}: known is only 0')
+    if message.dynamics not in HAZARDS:
+        raise ValueError(
+            f'dynamics is {shown(message.dynamics)}: it must be one of {", ".join(HAZARDS)}'
+        )
+    if message.clustering != 0.0:
+        raise ValueError(f'clustering is {message.clustering}: known is only 0')
     grid = read_map_metadata(
         message.info,
         base=message.base,
@@ -299,6 +302,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         method=message.method,
         version=message.method_version,
         seed=message.seed,
+        dynamics=Dynamics(message.dynamics, message.appear, message.vanish),
         deployments=message.deployments,
         newest=newest_deployment(message),
         belief=belief,

@@ -11,7 +11,7 @@ from kbnitp_ros.log.deployments import read_deployments, read_mission
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.simulation import SimulatedAgent, Simulation
+from kbnitp_ros.nodes.simulation import AgentPaths, SimulatedAgent, Simulation
 
 
 class AgentNode(FieldNode):
@@ -19,14 +19,20 @@ class AgentNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('agent')
-        simulation = Simulation(self)
         log = self.values['resume']
-        rules = simulation.grid, self.values['max_steps'], robot_types_of(self.values)
+        rules = self.grid, self.values['max_steps'], robot_types_of(self.values)
         recorded = read_deployments(log, *rules) if log else {}
         mission = read_mission(log) if log else None
+        self._simulation = simulation = Simulation(self, recorded)
+        played = self._agents_played(simulation.agents)
         self._agents = [
-            SimulatedAgent(simulation, name, self._prefix(name), recorded, mission)
-            for name in self._agents_played(simulation.agents)
+            SimulatedAgent(simulation, name, self._prefix(name), mission, recorded)
+            for name in played
+        ]
+        # Robots of other nodes change the field as well, unless hazards stay.
+        others = () if simulation.field.is_static else set(simulation.agents).difference(played)
+        self._others = [
+            AgentPaths(simulation, name, self._prefix(name), mission) for name in sorted(others)
         ]
         self._is_deaf = True
         self.create_poll(self._look)
@@ -52,8 +58,10 @@ class AgentNode(FieldNode):
     def _prefix(self, name: str) -> str:
         """Return what the names of an agent's topics begin with."""
         # In the namespace of its name an agent's topics are not below that name once more.
-        is_in_own = self.values['agent'] and self.get_namespace().endswith(f'/{name}')
-        return '' if is_in_own else f'{name}/'
+        own, namespace = self.values['agent'], self.get_namespace()
+        if not (own and namespace.endswith(f'/{own}')):
+            return f'{name}/'
+        return '' if name == own else f'{namespace.removesuffix(own)}{name}/'
 
     def _look(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""
@@ -62,9 +70,14 @@ class AgentNode(FieldNode):
                 self.diagnostics.state = waiting_for(missing)
                 return
             self._is_deaf = False
-            for agent in self._agents:
+            for agent in (*self._agents, *self._others):
                 agent.listen()
-        awaited = [agent.awaited for agent in self._agents if agent.awaited]
+        awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
+        if agent_awaited := self._simulation.field.awaited:
+            awaited.append(
+                f'the path of {agent_awaited} in the same round: robots change the field in their '
+                'order (parameter hazards.dynamics)'
+            )
         names = ', '.join(agent.name for agent in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
         self.diagnostics.state = (

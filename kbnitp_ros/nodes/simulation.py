@@ -9,19 +9,21 @@ from functools import partial
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.configuration import (
     agents_of,
+    dynamics_of,
     execution_of,
     robot_types_of,
     sensor_model_of,
     value_for,
 )
 from kbnitp_ros.configuration.world_file import read_world
-from kbnitp_ros.core import DeploymentKey, Observation, World
+from kbnitp_ros.core import DeploymentKey, Observation, Traverse, World
 from kbnitp_ros.log.deployments import RecordedDeployment
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
+from kbnitp_ros.nodes.hidden_field import HiddenField
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -39,20 +41,34 @@ from visualization_msgs.msg import Marker
 class Simulation:
     """The field as it really is, the same for all agents of a team."""
 
-    def __init__(self, node: FieldNode) -> None:
+    def __init__(self, node: FieldNode, recorded: dict[DeploymentKey, RecordedDeployment]) -> None:
         self.node = node
         self.grid = node.grid
         common = sensor_model_of(node.values)
         robot_types = robot_types_of(node.values)
-        self.models = {
-            agent: robot_type.model(common) for agent, robot_type in robot_types.items()
-        }
-        self.execution = execution_of(node.values)
         self.agents = agents_of(node.values, self.grid)
         self._seeds = np.random.SeedSequence(node.values['seed'])
-        self.world = self._hidden_world()
-        if node.values['publish_truth']:
-            self._publish_truth()
+        self.field = HiddenField(
+            self.grid,
+            self._hidden_world(),
+            dynamics_of(node.values),
+            execution_of(node.values),
+            {agent: robot_type.model(common) for agent, robot_type in robot_types.items()},
+            self.agents,
+            self.generator,
+        )
+        self._truth = {
+            name: node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
+            for name in ('hazard', 'target')
+            if node.values['publish_truth']
+        }
+        # What became of robots on record that have not reported.
+        self._out: dict[DeploymentKey, Traverse] = {}
+        for key, deployment in recorded.items():
+            self._restore(key, deployment)
+        self._publish_truth()
+        # What becomes of robots that leave, by agent; of those of other nodes nothing is told.
+        self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
 
     def _hidden_world(self) -> World:
         values = self.node.values
@@ -67,10 +83,38 @@ class Simulation:
         )
 
     def _publish_truth(self) -> None:
-        for name in ('hazard', 'target'):
-            truth = occupancy_grid(self.grid, getattr(self.world, name), self.node.now())
-            publisher = self.node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
-            publisher.publish(truth)
+        for name, publisher in self._truth.items():
+            truth = getattr(self.field.world, name)
+            publisher.publish(occupancy_grid(self.grid, truth, self.node.now()))
+
+    def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        """Have a robot leave when those before it have left that may change the field."""
+        if key in self._out:
+            self.leave[key.agent](key, self._out.pop(key))
+            return
+        before = self.field.world
+        leaving = self.field.take(key, path)
+        if not np.array_equal(before.hazard, self.field.world.hazard):
+            self._publish_truth()
+        for robot, made in leaving:
+            if robot.agent in self.leave:
+                self.leave[robot.agent](robot, made)
+
+    def is_over(self, deployment: RecordedDeployment) -> bool:
+        """Whether nothing more is to be heard of a robot on record."""
+        # A silent robot was only given up: it may be on its way home.
+        observation = deployment.observation
+        return observation is not None and (
+            observation.survived or not self.node.values['silent_loss']
+        )
+
+    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
+        """Take note of a deployment on record."""
+        if self.field.is_static and self.is_over(deployment):
+            self.field.pass_over(key.agent)
+            return
+        for robot, made in self.field.take(key, deployment.path):
+            self._out[robot] = made
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
         """
@@ -85,9 +129,9 @@ class Simulation:
         )
 
 
-class SimulatedAgent:
+class AgentPaths:
     """
-    Sends a simulated robot along each path that one agent is given, and reports how it ended.
+    The paths of one agent, each told to the simulation.
 
     Parameters
     ----------
@@ -97,50 +141,22 @@ class SimulatedAgent:
         The agent's.
     prefix : str
         What the names of its topics begin with.
-    recorded : dict
-        The deployments on record of the mission that is gone on with.
     mission : int or None
-        When that began, in nanoseconds; None as long as no robot has left.
+        When the mission began that is gone on with, in nanoseconds; None as long as no robot has
+        left.
 
     """
 
     def __init__(
-        self,
-        simulation: Simulation,
-        name: str,
-        prefix: str,
-        recorded: dict[DeploymentKey, RecordedDeployment],
-        mission: int | None,
+        self, simulation: Simulation, name: str, prefix: str, mission: int | None
     ) -> None:
+        self.name = name
         self._simulation = simulation
         self._node = simulation.node
-        self.name = name
-        self._prefix = prefix
         self._mission = mission
         self._max_steps = value_for(self._node.values, 'max_steps', name)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-        # Which of its robots takes a deployment, counted from 0.
-        self._robots: dict[DeploymentKey, int] = {}
         self._sent = RecordedPaths(self._node, name, prefix, self._read_path, self._take_path)
-        self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
-        self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
-        if self._node.values['publish_pose']:
-            self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
-        for key, deployment in recorded.items():
-            if key.agent == name:
-                self._restore(key, deployment)
-
-    def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
-        return self._node.create_publisher(message_type, self._prefix + topic, profile)
-
-    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
-        """Publish a report on record again, and do not make that deployment once more."""
-        self._robots[key] = len(self._robots)
-        observation = deployment.observation
-        # A silent robot was only given up: it may be on its way home.
-        if observation and (observation.survived or not self._node.values['silent_loss']):
-            self._known[key] = deployment.path
-            self.reports.publish(report_message(key, observation, deployment.reported))
 
     def listen(self) -> None:
         """Take paths from now on."""
@@ -176,15 +192,51 @@ class SimulatedAgent:
         check_mission(mission, self._mission)
         self._mission = mission
         self._known[key] = path
-        self._leave(key)
+        self._simulation.take(key, path)
 
-    def _leave(self, key: DeploymentKey) -> None:
-        simulation, path = self._simulation, self._known[key]
-        robot = self._robots.setdefault(key, len(self._robots))
-        rng = simulation.generator(self.name, robot)
-        made = simulation.execution.traverse(
-            simulation.world, simulation.grid, path, simulation.models[self.name], rng
-        )
+
+class SimulatedAgent(AgentPaths):
+    """
+    Sends a simulated robot along each path that one agent is given, and reports how it ended.
+
+    Parameters
+    ----------
+    simulation, name, prefix, mission
+        As of `AgentPaths`.
+    recorded : dict
+        The deployments on record of the mission that is gone on with.
+
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        name: str,
+        prefix: str,
+        mission: int | None,
+        recorded: dict[DeploymentKey, RecordedDeployment],
+    ) -> None:
+        super().__init__(simulation, name, prefix, mission)
+        self._prefix = prefix
+        simulation.leave[name] = self._leave
+        self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
+        self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        if self._node.values['publish_pose']:
+            self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
+        for key, deployment in recorded.items():
+            if key.agent == name and simulation.is_over(deployment):
+                self._restore(key, deployment)
+
+    def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
+        return self._node.create_publisher(message_type, self._prefix + topic, profile)
+
+    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
+        """Publish a report on record again, and do not make that deployment once more."""
+        self._known[key] = deployment.path
+        assert deployment.observation
+        self.reports.publish(report_message(key, deployment.observation, deployment.reported))
+
+    def _leave(self, key: DeploymentKey, made: Traverse) -> None:
         period = value_for(self._node.values, 'step_period', self.name)
         if period == 0.0:
             self._return(key, made.observation)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_ros.configuration import (
+    dynamics_of,
     estimator_of,
     execution_of,
     grid_of,
@@ -83,6 +84,7 @@ def core_mission(parameters):
         ),
         truth=Truth(execution=execution_of(values)),
         learning=Learning(unknowns_of(values), values['seed']),
+        dynamics=dynamics_of(values),
     )
 
 

@@ -40,6 +40,9 @@ ODD = {
     'method': 'kappa_bnitp_published',
     'beam_width': 4,
     'max_visits': 2,
+    'hazards.dynamics': 'changing',
+    'hazards.appear': 0.02,
+    'hazards.vanish': 0.1,
 }
 LARGE = {
     'grid.width': 100,
@@ -132,7 +135,14 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         {**HUGE, 'seed': 8, 'robots': 3},
         pytest.param({'planner': 'coverage', 'seed': 9, 'robots': 10}, marks=pytest.mark.full),
-        {**SMALL, 'objective': 'behavioral', 'alpha': 2.0, 'seed': 10, 'robots': 10},
+        {
+            **SMALL,
+            'hazards.dynamics': 'used_up',
+            'objective': 'behavioral',
+            'alpha': 2.0,
+            'seed': 10,
+            'robots': 10,
+        },
     ],
     ids=['default', 'odd', 'learning', 'wilful', 'large', 'huge', 'coverage', 'behavioral'],
 )

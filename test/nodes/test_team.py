@@ -107,7 +107,7 @@ class Team:
 
 
 def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
-    team = Team(field, 8, {'robots': 20}, processes=True)
+    team = Team(field, 8, {'robots': 20, 'hazards.dynamics': 'used_up'}, processes=True)
     team.until_done()
     expected = core_mission(team.parameters)
     assert [report.survived for _, report in team.told] == [

@@ -4,7 +4,7 @@
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
 from kbnitp_ros.core.field.compiled import compiled, while_compiling
-from kbnitp_ros.core.field.dynamics import Dynamics, KINDS, STATIC
+from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
 from kbnitp_ros.core.field.grid import Grid
@@ -19,7 +19,7 @@ from kbnitp_ros.core.field.world import World
 __all__ = [
     'ALL_KNOWN',
     'AS_ORDERED',
-    'KINDS',
+    'HAZARDS',
     'ORDINARY',
     'STATIC',
     'Belief',

@@ -9,7 +9,7 @@ from kbnitp_ros.core.field.check import probability
 import numpy as np
 from numpy.typing import NDArray
 
-KINDS = ('static', 'changing', 'used_up')
+HAZARDS = ('static', 'changing', 'used_up')
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Dynamics:
     vanish: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f'dynamics is {self.kind!r}: it must be one of {", ".join(KINDS)}')
+        if self.kind not in HAZARDS:
+            raise ValueError(f'dynamics is {self.kind!r}: it must be one of {", ".join(HAZARDS)}')
         for name in ('appear', 'vanish'):
             rate = probability(name, getattr(self, name))
             if rate and self.kind != 'changing':

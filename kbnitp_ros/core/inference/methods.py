@@ -13,7 +13,7 @@ from typing import cast, Protocol
 from kbnitp_ros.core.field import (
     Belief,
     Dynamics,
-    KINDS,
+    HAZARDS,
     Learnt,
     Observation,
     RobotType,
@@ -114,10 +114,10 @@ def as_method(given: object) -> Method:
     """
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
     if dynamics := dynamics_of(given):
-        others = [kind for kind in dynamics if kind not in KINDS]
+        others = [kind for kind in dynamics if kind not in HAZARDS]
         if others:
             raise TypeError(
-                f'it takes hazards that are {others[0]!r}: known are {", ".join(KINDS)}'
+                f'it takes hazards that are {others[0]!r}: known are {", ".join(HAZARDS)}'
             )
         takes(given, ('belief', 'model', 'unknowns', 'seed', 'dynamics'))
     if not isinstance(getattr(given, 'learns', None), bool):

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The field as it really is, which robots and time may change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from kbnitp_ros.core import (
+    deployment_order,
+    DeploymentKey,
+    Dynamics,
+    Execution,
+    Grid,
+    SensorModel,
+    Traverse,
+    World,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+
+class HiddenField:
+    """
+    What becomes of robots in a field, as core's run_mission has it.
+
+    Where hazards stay, a robot leaves as soon as it has its path. Where they do not, the field is
+    a fold of all paths in deployment order, and a robot leaves when those before it are known. All
+    agents take part in each round in their order, so robot n of an agent, counted from 0, waits
+    for n + 1 paths of each agent before it and n of each one after it.
+
+    Parameters
+    ----------
+    grid : Grid
+        Where the robots go.
+    world : World
+        Before the first deployment.
+    dynamics : Dynamics
+        How hazards change.
+    execution : Execution
+        How robots depart from their orders.
+    models : mapping of str to SensorModel
+        What the robots of each agent are like.
+    agents : sequence of str
+        Of the team, in their order.
+    generator : callable
+        Returns the randomness of an agent's robot, counted from 0.
+
+    Attributes
+    ----------
+    world : World
+        The field by now.
+
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        world: World,
+        dynamics: Dynamics,
+        execution: Execution,
+        models: Mapping[str, SensorModel],
+        agents: Sequence[str],
+        generator: Callable[[str, int], np.random.Generator],
+    ) -> None:
+        self.world = world
+        self._grid = grid
+        self._dynamics = dynamics
+        self._execution = execution
+        self._models = models
+        self._agents = agents
+        self._generator = generator
+        # Paths known, and how many of them were made, by agent; those that wait for others.
+        self._known = dict.fromkeys(agents, 0)
+        self._made = dict.fromkeys(agents, 0)
+        self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
+
+    def take(
+        self, key: DeploymentKey, path: NDArray[np.intp]
+    ) -> list[tuple[DeploymentKey, Traverse]]:
+        """Take note of a path; return the robots that leave now, and what becomes of them."""
+        if key in self._waiting:
+            return []
+        self._known[key.agent] += 1
+        self._waiting[key] = path
+        leaving = []
+        while self._waiting:
+            first = min(self._waiting, key=deployment_order)
+            if self.is_static:
+                first = key
+            elif self.awaited:
+                break
+            leaving.append((first, self._leave(first)))
+        return leaving
+
+    def pass_over(self, agent: str) -> None:
+        """Count a robot whose fate is known, where hazards stay."""
+        self._known[agent] += 1
+        self._made[agent] += 1
+
+    @property
+    def is_static(self) -> bool:
+        """Whether hazards stay."""
+        return self._dynamics.effect == 'static'
+
+    @property
+    def awaited(self) -> str:
+        """Return the agent whose path the next robot waits for; empty when it waits for none."""
+        if not self._waiting or self.is_static:
+            return ''
+        agent = min(self._waiting, key=deployment_order).agent
+        place, robot = self._agents.index(agent), self._made[agent]
+        for number, other in enumerate(self._agents):
+            if self._known[other] < robot + (number < place):
+                return other
+        return ''
+
+    def _leave(self, key: DeploymentKey) -> Traverse:
+        robot = self._made[key.agent]
+        is_first = not any(self._made.values())
+        made = self._execution.traverse(
+            self.world,
+            self._grid,
+            self._waiting.pop(key),
+            self._models[key.agent],
+            self._generator(key.agent, robot),
+            self._dynamics,
+            changing=None if is_first else self._grid.may_be_hazardous,
+        )
+        self._made[key.agent] = robot + 1
+        self.world = made.world
+        return made
