@@ -73,7 +73,11 @@ def repair(
     if not contents.messages:
         target.unlink()
         raise LogError(f'{path} has no message that could be saved')
-    write_metadata(target.parent, [contents])
+    try:
+        write_metadata(target.parent, [contents])
+    except OSError:
+        target.unlink()
+        raise
     return Repaired(contents.messages, lost)
 
 

@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 
 OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
 
+# How often a mission goes on after a pause, and how often proposals are refused, at the most:
+# whoever calls these services for ever fills neither the memory of the planner nor the disk.
+MOST_TIMES = 1000
+REPEATED = (Action.RESUME, Action.REFUSE)
+
 Paths = Mapping[DeploymentKey, NDArray[np.intp]]
 
 
@@ -53,6 +58,25 @@ class OperatorState:
         elif action.action == Action.END:
             self.is_ended = True
         return True
+
+    def check_times(self, what: Action) -> None:
+        """
+        Check that an action was not taken too often.
+
+        To pause and to end the mission is always possible.
+
+        Raises
+        ------
+        ValueError
+            If it was.
+
+        """
+        times = sum(each.action == what for each in self.actions.values())
+        if what in REPEATED and times >= MOST_TIMES:
+            raise ValueError(
+                f'{what.name} was taken {times} times, and is not again: the service end_mission '
+                'ends this mission; begin another one'
+            )
 
     def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
         """Return the rounds of paths that were refused since the last robot left."""

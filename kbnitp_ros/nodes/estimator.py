@@ -133,6 +133,9 @@ class EstimatorNode(FieldNode):
         key, cells = read_path(self._ledger.grid, agent, message)
         self._ledger.grid.check_path(cells, self._ledger.most_steps(key))
         mission = mission_of_path(message)
+        if not self._is_begun_by(mission):
+            # The recorder never names one of another mission.
+            check_mission(mission, self._mission)
         if mission == self._mission and key in self._ledger.paths:
             self._accept(key, self._ledger.record_path(key, cells))
             return None
@@ -158,13 +161,20 @@ class EstimatorNode(FieldNode):
         else:
             self._accept(key, changed)
 
-    def _join(self, mission: int) -> None:
+    def _is_begun_by(self, mission: int) -> bool:
         """
-        Take part in a mission, unless it is another one than that of the paths held.
+        Return whether a path of a mission ends the one of the paths held.
 
         Those heard before the first belief is published may be of several, such as of an old bag
         that is played: then the newest counts. Whatever it is, a planner that names the time of
         this estimator's own prior has begun a mission on it.
+        """
+        is_newer = self._mission is not None and mission > self._mission
+        return (is_newer and not self._started) or 0 < mission == self._started != self._mission
+
+    def _join(self, mission: int) -> None:
+        """
+        Take part in a mission, unless it is another one than that of the paths held.
 
         Raises
         ------
@@ -172,8 +182,7 @@ class EstimatorNode(FieldNode):
             If it is another one.
 
         """
-        is_newer = self._mission is not None and mission > self._mission
-        if (is_newer and not self._started) or 0 < mission == self._started != self._mission:
+        if self._is_begun_by(mission):
             ledger = self._prior.copy()
             ledger.copy_pending_of(self._ledger)
             self._ledger = ledger

@@ -182,6 +182,10 @@ class Operator:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
             return answered(response, False, f'waiting for {self.awaited}: ask again when it is')
+        try:
+            self.state.check_times(what)
+        except ValueError as error:
+            return answered(response, False, str(error))
         stamp = next_name(self._node.now(), *self.state.actions)
         action = OperatorAction(stamp, what, self._in_flight.left, dict(paths or {}), steps)
         message = operator_action_message(self._grid, action)

@@ -147,7 +147,8 @@ class PlannerNode(FieldNode):
                     qos.EVIDENCE,
                     RECORDED,
                 )
-        self.create_poll(self._look)
+        self.create_look(self._look_at_graph)
+        self.create_poll(self._go_on)
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
@@ -237,7 +238,7 @@ class PlannerNode(FieldNode):
             Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE, largest
         )
 
-    def _look(self) -> None:
+    def _look_at_graph(self) -> None:
         self._peers.look_for_agents()
         self._peers.look_for_planners()
         if self._peers.look_for_estimators():
@@ -245,6 +246,8 @@ class PlannerNode(FieldNode):
         if self.values['recorded']:
             self._peers.look_for_recorders()
         self._peers.look_for_unknown_agents()
+
+    def _go_on(self) -> None:
         self._give_up_overdue()
         self._deploy()
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -96,6 +97,10 @@ LARGEST = {
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
 
+# Of how many topics that are none of the mission's it is asked at a look who publishes them: with
+# thousands of them in the graph each answer takes half a millisecond.
+LOOKED_AT_ONCE = 500
+
 # How long a belief waits for the paths of its deployments, in seconds, and how many do.
 PATIENCE = 2.0
 MOST_EARLY = 20
@@ -143,6 +148,7 @@ class RecorderNode(MissionNode):
         self._topics: dict[str, Topic] = {}
         # Topics whose publishers are all heard, and what cannot be recorded.
         self._settled: set[str] = set()
+        self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
         # Beliefs that came before the paths of their deployments, and until when they wait.
         self._early: list[tuple[Message, float]] = []
@@ -151,7 +157,8 @@ class RecorderNode(MissionNode):
         )
         self.diagnostics.state = self._state()
         self._on_parameters(self.get_fully_qualified_name(), self.values)
-        self.create_poll(self._discover)
+        self.create_poll(self._check_log)
+        self.create_look(self._discover)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SYNC_PERIOD, self._sync, clock=steady)
 
@@ -177,30 +184,55 @@ class RecorderNode(MissionNode):
         finally:
             super().close()
 
-    def _discover(self) -> None:
-        """Subscribe to what is published and not heard yet."""
+    def _check_log(self) -> None:
+        """See that the log is where it was and no other recorder's; write what waited for it."""
         self._log.check_in_place()
         self._precedence.check()
         self._write_early()
+
+    def _discover(self) -> None:
+        """Subscribe to what is published and not heard yet."""
         # The estimator publishes as soon as belief has its readers, so the maps, which it created
         # before, must be known and subscribed to before belief is: two looks that agree show all
         # that was created before anything they show, and belief comes last backwards.
         found: dict[str, Any] = {}
-        while found.keys() != (looked := self._unheard()).keys():
-            found = looked
+        others: list[str] = []
+        looked = True
+        while looked:
+            before = found.keys()
+            own, others = self._unheard()
+            found = self._published(own)
+            looked = found.keys() != before
         self._watch.look()
+        found |= self._published(self._next_of(others))
         for topic in sorted(found, reverse=True):
             self._hear(topic, found[topic])
 
-    def _unheard(self) -> dict[str, Any]:
-        """Return the publishers of each topic of which some may not be heard."""
-        topics = [
-            topic
-            for topic, types in self.get_topic_names_and_types()
-            if self._is_ours(topic) and (topic not in self._settled or len(types) > 1)
-        ]
+    def _unheard(self) -> tuple[list[str], list[str]]:
+        """Return the topics of which publishers may not be heard: the mission's, and others."""
+        own: list[str] = []
+        others: list[str] = []
+        for topic, types in self.get_topic_names_and_types():
+            if self._is_ours(topic) and not self._is_settled(topic, types):
+                (own if self._type_of(topic) else others).append(topic)
+        return own, others
+
+    def _is_settled(self, topic: str, types: Sequence[str]) -> bool:
+        heard = self._topics[topic].type_name if topic in self._settled else None
+        return all(each == heard or (topic, each) in self._refused for each in types)
+
+    def _published(self, topics: Iterable[str]) -> dict[str, Any]:
+        """Return the publishers of those topics that have any."""
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in topics}
         return {topic: known for topic, known in publishers.items() if known}
+
+    def _next_of(self, topics: list[str]) -> list[str]:
+        """Return the topics, or, of very many, those that come after the last ones returned."""
+        ordered = sorted(topics)
+        start = bisect_right(ordered, self._last_looked)
+        taken = (ordered[start:] + ordered[:start])[:LOOKED_AT_ONCE]
+        self._last_looked = taken[-1] if taken else ''
+        return taken
 
     def _is_ours(self, topic: str) -> bool:
         return topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT)

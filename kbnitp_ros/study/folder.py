@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 import fcntl
+from math import prod
 import os
 from pathlib import Path
 from typing import BinaryIO
@@ -16,6 +17,9 @@ from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
 from kbnitp_ros.study.trial import LEARNT, MEASURES, Outcome, Trial, trials_of
 import numpy as np
 import yaml
+
+# The most bytes that say of what kind and shape the arrays of a file are.
+HEADERS = 10_000
 
 
 class Folder:
@@ -79,15 +83,18 @@ class Folder:
 
     def _read(self, file: BinaryIO) -> Outcome:
         """Return the outcome in a file; fails if it is damaged or of another scenario."""
-        with np.load(file, allow_pickle=False) as arrays:
-            outcome = Outcome(**arrays)
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
-        shapes = (rows, len(MEASURES)), maps, maps, (rows, numbers, len(LEARNT)), (numbers,)
-        kinds = [array.dtype.str for array in outcome]
-        wanted = ['<f8', '<f8', '|b1', '<f8', '<f8']
-        if tuple(array.shape for array in outcome) != shapes or kinds != wanted:
+        shapes = [(rows, len(MEASURES)), maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
+        kinds = ['<f8', '<f8', '|b1', '<f8', '<f8']
+        largest = sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in zip(kinds, shapes))
+        with np.load(file, allow_pickle=False) as arrays:
+            # A small file may hold arrays that no memory has room for.
+            if sum(each.file_size for each in arrays.zip.infolist()) > largest + HEADERS:
+                raise ValueError('its arrays are too large')
+            outcome = Outcome(**arrays)
+        if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, kinds)]:
             raise ValueError('its arrays are of another shape')
         return outcome
 

@@ -66,6 +66,15 @@ def test_a_disk_that_has_no_room_is_left_without_the_file(folder, tmp_path):
     assert list(target.parent.iterdir()) == []
 
 
+def test_a_log_that_cannot_be_described_is_not_left_half_repaired(folder, tmp_path):
+    target = tmp_path / 'repaired' / 'mission.mcap'
+    # In the place of what is to be written.
+    target.parent.joinpath('mission.mcap.metadata.yaml.new').mkdir(parents=True)
+    with pytest.raises(OSError, match=r'metadata\.yaml\.new'):
+        repair(folder, target)
+    assert not target.exists()
+
+
 def test_a_disk_that_has_no_room_for_the_description_keeps_the_old_one(folder):
     before = folder.joinpath('metadata.yaml').read_text()
     names = sorted(folder.iterdir())

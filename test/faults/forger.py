@@ -318,7 +318,8 @@ class Forger:
         types = [*HOSTILE, *('strangers::msg::dds_::Unknown_',) * round(1000 * scale)]
         for number, type_name in enumerate(types):
             self._stranger.announce(f'rt{self._namespace}/stranger_{number}', type_name)
-        return {'recorder': len(types)}
+        # Of very many it looks at some after others.
+        return {'recorder': min(len(types), 1000)}
 
     def parameters(self, scale):
         """Send what no parameter is, and what no node is called."""

@@ -21,14 +21,7 @@ def undisturbed(tmp_path_factory):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    'kind',
-    [
-        # A mission into which an old bag is played alone may wait for minutes.
-        pytest.param(kind, marks=[pytest.mark.campaign] if kind == 'bag' else [])
-        for kind in FORGERIES
-    ],
-)
+@pytest.mark.parametrize('kind', FORGERIES)
 def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, kind):
     outcome = run_forged(tmp_path, [kind], SCALE)
     outcome.compare_memory(undisturbed)
@@ -36,9 +29,7 @@ def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, ki
 
 
 def test_a_mission_survives_all_of_it(tmp_path, undisturbed):
-    # The discovery of a thousand topics takes the two cores from the mission for minutes.
-    kinds = [kind for kind in FORGERIES if kind != 'topics']
-    outcome = run_forged(tmp_path, kinds, SCALE, seed=2)
+    outcome = run_forged(tmp_path, FORGERIES, SCALE, seed=2)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
 
@@ -48,6 +39,13 @@ def test_with_a_second_planner_the_belief_is_that_of_the_log(tmp_path):
     outcome = run_forged(tmp_path, ['second_planner'])
     # Not that of core, which has one planner.
     assert {kind for kind, _ in outcome.findings} <= {'belief'}, outcome
+
+
+@pytest.mark.full
+@pytest.mark.campaign
+def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
+    outcome = run_forged(tmp_path, ['topics'], 10.0)
+    assert not outcome.findings, outcome
 
 
 @pytest.mark.full

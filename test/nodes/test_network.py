@@ -134,12 +134,17 @@ def test_a_report_of_50_megabytes_is_shown_in_a_line(field):
     assert len(told) < 200
 
 
-def test_paths_of_another_mission_are_refused(field):
+@pytest.mark.parametrize('recorded', [False, True])
+def test_paths_of_another_mission_are_refused(field, recorded):
     beliefs = field.listen(BeliefMaps, '/belief')
-    field.start('estimator', {**FIELD, 'await_nodes': ['test']})
+    field.start('estimator', {**FIELD, 'await_nodes': ['test'], 'recorded': recorded})
     field.until(lambda: beliefs, 'prior')
     paths = field.talk(Path, '/scout_1/path')
-    paths.publish(path_message(GRID, HOME, key(2).stamp, key(1).stamp))
+    first = path_message(GRID, HOME, key(2).stamp, key(1).stamp)
+    paths.publish(first)
+    if recorded:
+        # Nobody acknowledges the others.
+        field.talk(Recorded, '/scout_1/recorded').publish(on_disk(first))
     field.until(lambda: field.count('/estimator', 'accepted') == 1, 'path')
     paths.publish(path_message(GRID, HOME, key(4).stamp, key(3).stamp))
     told = field.until_refused('/estimator', 1)

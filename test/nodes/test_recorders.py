@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from signal import SIGCONT, SIGSTOP
+import time
 
 from base import Base
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +14,7 @@ from kbnitp_ros.bag.log_files import parts_of
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.nodes import recorders
+from kbnitp_ros.nodes.instances import SILENT
 from kbnitp_ros.nodes.runtime import qos
 import pytest
 import rclpy
@@ -103,6 +105,7 @@ def test_a_recorder_that_stood_still_gives_way_and_no_deployment_is_lost(field):
     field.until(lambda: base.recorded(1), 'first path on disk')
     first = field.processes.started['/recorder']
     first.send_signal(SIGSTOP)
+    stopped = time.monotonic()
     field.set_aside('/recorder')
     second = field.folder / 'second.mcap'
     field.start('recorder', {'file': str(second)})
@@ -115,6 +118,8 @@ def test_a_recorder_that_stood_still_gives_way_and_no_deployment_is_lost(field):
         base.until_sent(number + 1)
     field.until(lambda: base.recorded(3), 'third path on disk')
     base.come_back()
+    # One that stood still for less goes on, and the second one ends.
+    field.until(lambda: time.monotonic() > stopped + SILENT + 1.0, 'silence of the first recorder')
     first.send_signal(SIGCONT)
     assert until_ended(field, first) == 1
     assert f'node /recorder has recorded for longer, to {second}' in field.said('/recorder')

@@ -16,6 +16,7 @@ from kbnitp_ros.bag.reader import is_finished
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given
 from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+from kbnitp_ros.nodes.recorders import LOG
 from kbnitp_ros.nodes.runtime import signals
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from laws import for_each
@@ -146,6 +147,8 @@ def test_a_signal_ends_every_node_well(field, number):
     nodes = {name: field.start(name, {'file': str(log)}) for name in names}
     for name in names:
         field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
+    # It opens its log when it has heard of no other recorder.
+    field.until(lambda: field.told('/recorder', LOG), 'log')
     for process in nodes.values():
         process.send_signal(number)
     for name, process in nodes.items():
@@ -194,7 +197,7 @@ def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
 
 def test_the_second_signal_changes_nothing(field):
     recorder = field.start('recorder', {'file': str(field.folder / 'mission.mcap')})
-    field.until(lambda: field.diagnosed('/recorder').values, 'diagnostics')
+    field.until(lambda: field.told('/recorder', LOG), 'log')
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         os.kill(recorder.pid, number)
     assert recorder.wait(timeout=60) == 0

@@ -36,6 +36,9 @@ from rclpy.timer import Timer
 SPIN = 0.2
 POLL = 0.05
 
+# After a look at the graph the node does something else for so many times as long as it took.
+REST = 4.0
+
 # How long a node waits for the readers of its last messages, in seconds: they may have died.
 FAREWELL = 0.3
 
@@ -211,6 +214,26 @@ class MissionNode(GraphNode):
     def create_poll(self, callback: Callable[[], None]) -> Timer:
         """Call back every `POLL` seconds, also when simulated time stands still."""
         return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def create_look(self, look: Callable[[], None]) -> Timer:
+        """
+        Call back as `create_poll` does, but rarely when it takes long.
+
+        A look at a graph of thousands of topics takes a hundredth of a second and more, and
+        anybody can announce so many: they must not keep the node from its messages.
+        """
+        due = 0.0
+
+        def look_if_due() -> None:
+            nonlocal due
+            if time.monotonic() < due:
+                return
+            # Time that other processes took does not count.
+            begun = time.thread_time()
+            look()
+            due = time.monotonic() + REST * (time.thread_time() - begun)
+
+        return self.create_poll(look_if_due)
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
         """
