@@ -51,8 +51,6 @@ ROOT = Path(__file__).parents[2]
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
 PATIENCE = 180.0
 
-# A demo of 8 robots by the version 2fccc0f.
-
 
 def run_demo(*options):
     return subprocess.run(
@@ -95,31 +93,35 @@ def nodes_of(process):
 
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
-    """Return the folder of a whole mission."""
+    """Return the folder of a whole mission, and what the demo printed."""
     out = tmp_path_factory.mktemp('made') / 'by demo'
     done = run_demo(
-        '--robots', 6, '--lethality', 0.3, '--size', '5x4', '--max-steps', 8,
-        '--method', 'kappa_bnitp_published', '--planner', 'relaxed', '--seed', 3, '--out', out,
+        '--robots', 6, '--lethality', 0.9, '--size', '6x4', '--max-steps', 6,
+        '--planner', 'relaxed', '--seed', 3, '--out', out,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert '/belief: 7 of 7 reproduced' in done.stdout
-    return out
+    return out, done.stdout
 
 
 @pytest.mark.processes
-def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole):
+def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
+    out, _ = whole
     for name in ('maps.png', 'progress.png'):
-        assert (whole / 'report' / name).read_bytes().startswith(b'\x89PNG')
+        assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
 
-    grid, model = Grid(5, 4), SensorModel(0.3)
+    grid, model = Grid(6, 4), SensorModel(0.9)
     rng = np.random.default_rng(3)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    method = 'kappa_bnitp_published'
     expected = run_mission(
-        grid, prior, model, world, 6, rng, method, SearchOptions('relaxed', max_steps=8)
-    )
-    history = read_history(whole / 'mission.mcap')
+        grid, prior, model, world, 6, rng, 'kappa_bnitp_sampled',
+        SearchOptions('relaxed', max_steps=6),
+        learning=Learning(
+            Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=3
+        ),
+    )  # fmt: skip
+    history = read_history(out / 'mission.mcap')
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]
@@ -128,14 +130,13 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole):
     assert np.array_equal(history.world.hazard, world.hazard)
     assert np.array_equal(history.world.target, world.target)
 
-    again = run_demo('--robots', 1, '--out', whole)
-    assert again.returncode == 2
-    assert str(whole) in again.stderr
+    assert main(['--robots', '1', '--out', str(out)]) == 2
+    assert str(out) in capsys.readouterr().err
 
 
 @pytest.mark.processes
-def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
-    options = ['--robots', '40', '--size', '5', '--max-steps', '8', '--lethality', '0.3']
+def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, capsys):
+    options = ['--robots', '40', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
     killed = subprocess.Popen(
         [*DEMO, *options, '--seed', '7', '--out', str(tmp_path)],
         stderr=subprocess.DEVNULL,
@@ -154,13 +155,13 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert '40 deployments' in resumed.stdout
     history = read_history(log)
-    grid, model = Grid(5, 5), SensorModel(0.3)
+    grid, model = Grid(4, 4), SensorModel(0.3)
     rng = np.random.default_rng(7)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior = Belief.prior(grid, 0.5, 0.45, 0.8)
     expected = run_mission(
         grid, prior, model, world, 40, rng, 'kappa_bnitp_sampled',
-        SearchOptions(max_steps=8),
+        SearchOptions(max_steps=6),
         learning=Learning(
             Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=7
         ),
@@ -171,10 +172,9 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path):
     assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
     assert history.learnt[-1]['lethality'].mean == expected[-1].parameters['lethality'].mean
 
-    both = run_demo('--resume', log, '--robots', 50)
-    assert both.returncode == 2
-    assert both.stderr.startswith('demo: --resume goes alone')
-    assert run_demo('--resume', tmp_path / 'none.mcap').returncode == 2
+    assert main(['--resume', str(log), '--robots', '50']) == 2
+    assert capsys.readouterr().err.startswith('demo: --resume goes alone')
+    assert main(['--resume', str(tmp_path / 'none.mcap')]) == 2
 
 
 @pytest.mark.processes
@@ -186,18 +186,16 @@ def test_a_mission_that_lives_is_not_resumed(tmp_path):
             assert 'mission.mcap is being written by another recorder' in done.stderr
 
 
-@pytest.mark.processes
-def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path):
+def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path, capsys):
     LogWriter(tmp_path / 'mission.mcap').close()
-    done = run_demo('--resume', tmp_path)
-    assert done.returncode == 2
-    assert 'mission.mcap ends before the first robot left' in done.stderr
+    assert main(['--resume', str(tmp_path)]) == 2
+    assert 'mission.mcap ends before the first robot left' in capsys.readouterr().err
 
 
 @pytest.mark.processes
 @pytest.mark.full
 def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_path):
-    begun = [each for each in read_recorded(whole) if isinstance(each, RecordedMetadata)]
+    begun = [each for each in read_recorded(whole[0]) if isinstance(each, RecordedMetadata)]
     log = tmp_path / 'mission.mcap'
     copy(begun, log, log.name, 'none', pytest.fail)
     resumed = run_demo('--resume', log)
@@ -209,7 +207,7 @@ def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_p
 @pytest.mark.full
 def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
     def hidden():
-        for each in read_recorded(whole):
+        for each in read_recorded(whole[0]):
             if not isinstance(each, RecordedMetadata):
                 if '/truth/' not in each.channel.topic:
                     yield each
@@ -332,27 +330,25 @@ def test_lethality_and_hazard_density_are_learnt_unless_something_else_is_said(
 
 
 @pytest.mark.processes
-def test_a_demo_says_how_far_its_paths_reach_learns_two_numbers_and_shows_them(tmp_path):
-    done = run_demo(
-        '--robots', 6, '--size', '6x4', '--max-steps', 6, '--planner', 'relaxed',
-        '--lethality', 0.9, '--out', tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[0] == (
+def test_a_demo_says_how_far_its_paths_reach_learns_two_numbers_and_shows_them(whole):
+    out, printed = whole
+    assert printed.splitlines()[0] == (
         '6 steps reach 4x4 of 6x4 cells, 16 of 24: max_steps 10 reaches them all.'
     )
-    assert '/model: 7 of 7 reproduced' in done.stdout
-    history = read_history(tmp_path)
+    assert '/model: 7 of 7 reproduced' in printed
+    history = read_history(out)
     assert len(history.learnt) == len(history.beliefs) == 7
     low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles
     told = f'lethality learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}; it is 0.9'
-    assert told in done.stdout.splitlines()
-    assert re.search(r'^hazard_density learnt: .* it is 0\.15$', done.stdout, re.M)
-    assert (tmp_path / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
+    assert told in printed.splitlines()
+    assert re.search(r'^hazard_density learnt: .* it is 0\.15$', printed, re.M)
+    assert (out / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
     # Nobody but the robots was told.
     assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.full
 def test_what_the_demo_learns_is_true_in_ten_worlds():
     within = {'lethality': 0, 'hazard_density': 0}
     loss = 0.0
@@ -382,12 +378,10 @@ def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
     assert 'kappa' not in known
 
 
-@pytest.mark.processes
-def test_a_simulated_clock_is_refused(tmp_path):
+def test_a_simulated_clock_is_refused(tmp_path, capsys):
     (tmp_path / 'mine.yaml').write_text('/**: {ros__parameters: {use_sim_time: true}}')
-    done = run_demo('--params', tmp_path / 'mine.yaml', '--out', tmp_path / 'out')
-    assert done.returncode == 2
-    assert 'use_sim_time is true' in done.stderr
+    assert main(['--params', str(tmp_path / 'mine.yaml'), '--out', str(tmp_path / 'out')]) == 2
+    assert 'use_sim_time is true' in capsys.readouterr().err
 
 
 @pytest.mark.processes

@@ -188,8 +188,8 @@ def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
 
 
 @pytest.mark.processes
-def test_workers_leave_interrupts_to_the_study(start, scenario, tmp_path):
-    process = start(scenario, tmp_path, 1)
+def test_workers_leave_interrupts_to_the_study(start, tmp_path):
+    process = start(write(tmp_path / 'mine.yaml', trials=4), tmp_path / 'out', 1)
     children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
     assert len(children) >= 2
     for child in children:

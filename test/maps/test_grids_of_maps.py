@@ -69,7 +69,7 @@ def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
 
 
 @pytest.mark.slow
-@for_each('seed', range(200))
+@for_each('seed', range(200), every=4)
 def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
     """Neither by its orders nor by the detours that it makes."""
     rng = np.random.default_rng(seed)

@@ -22,8 +22,6 @@ from rclpy.clock_type import ClockType
 import rosgraph_msgs.msg
 from unbroken import core_mission
 
-pytestmark = pytest.mark.interpreter
-
 MAPS = ('hazard', 'target', 'kappa')
 
 SMALL = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8}
@@ -128,7 +126,8 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
 @pytest.mark.parametrize(
     'parameters',
     [
-        {'seed': 3, 'robots': 40 if FULL else 15},
+        # As users start nodes.
+        pytest.param({'seed': 3, 'robots': 40 if FULL else 15}, marks=pytest.mark.interpreter),
         {**ODD, 'seed': 4, 'robots': 25},
         pytest.param({**LEARNING, 'seed': 5, 'robots': 25}, marks=pytest.mark.full),
         {**WILFUL, 'seed': 6, 'robots': 25},

@@ -9,9 +9,9 @@ import re
 import shlex
 import signal
 import subprocess
-import sys
 
 from extent import some
+from forked import ForkedProcess
 from kbnitp_ros.bag.reader import is_finished
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given
@@ -23,68 +23,81 @@ from laws import for_each
 from nav_msgs.msg import Path
 import pytest
 
-pytestmark = pytest.mark.interpreter
+
+@pytest.fixture
+def run(server, tmp_path):
+    """
+    Return a function that runs commands at once, and returns of each exit code and words.
+
+    A node that cannot start waits for a moment to be heard.
+    """
+
+    def run(commands):
+        started = []
+        for number, arguments in enumerate(commands):
+            said = tmp_path / f'said_{number}.txt'
+            said.write_text('')
+            started.append((ForkedProcess(arguments, dict(os.environ), str(said)), said))
+        return [(process.wait(timeout=60), said.read_text()) for process, said in started]
+
+    return run
 
 
-def run(*arguments):
-    """Run a command of the package that ends by itself."""
-    return subprocess.run(
-        [sys.executable, '-m', 'kbnitp_ros', *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+def complaints(said, told='[INFO]'):
+    """Return the lines of a node that tell of no wait and of no deployment."""
+    return [line for line in said.splitlines() if not line.startswith(told)]
+
+
+CANNOT_START = [
+    ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
+    ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
+    ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
+    ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
+    (
+        'agent',
+        'sensor.lethality:=1.5',
+        'sensor.lethality is 1.5: it must be from 0.0 to 1.0',
+    ),
+    ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
+    ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
+    ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
+    ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
+    ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
+    ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
+    ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
+    (
+        'estimator',
+        'learn:=[lethalty]',
+        "learn is 'lethalty': did you mean lethality? it must",
+    ),
+    (
+        'estimator',
+        'learn:=[kappa]',
+        'kappa cannot be unknown to kappa_bnitp, which takes all',
+    ),
+    ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
+    ('recorder', 'file:=/', "'/'"),
+    ('recorder', 'file', "Couldn't parse parameter override rule"),
+    ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+    (
+        'recorder',
+        'step_period:=1.0',
+        'step_period is unknown to the recorder: it is one of',
+    ),
+]
 
 
 @pytest.mark.processes
-@for_each(
-    'name, given, told',
-    [
-        ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
-        ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
-        ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
-        ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
-        (
-            'agent',
-            'sensor.lethality:=1.5',
-            'sensor.lethality is 1.5: it must be from 0.0 to 1.0',
-        ),
-        ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
-        ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
-        ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
-        ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
-        ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
-        ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
-        ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
-        (
-            'estimator',
-            'learn:=[lethalty]',
-            "learn is 'lethalty': did you mean lethality? it must",
-        ),
-        (
-            'estimator',
-            'learn:=[kappa]',
-            'kappa cannot be unknown to kappa_bnitp, which takes all',
-        ),
-        ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
-        ('recorder', 'file:=/', "'/'"),
-        ('recorder', 'file', "Couldn't parse parameter override rule"),
-        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-        (
-            'recorder',
-            'step_period:=1.0',
-            'step_period is unknown to the recorder: it is one of',
-        ),
-    ],
-    every=2,
-)
-def test_a_node_that_cannot_start_says_why_in_one_line(name, given, told):
-    ended = run(name, '--ros-args', '--disable-rosout-logs', '-p', given)
-    assert ended.returncode == 2
-    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
-    assert len(complaint) == 1, ended.stderr
-    assert complaint[0].startswith(f'{name}: ')
-    assert told in complaint[0]
+def test_a_node_that_cannot_start_says_why_in_one_line(run):
+    commands = [
+        [name, '--ros-args', '--disable-rosout-logs', '-p', given]
+        for name, given, _ in CANNOT_START
+    ]
+    for (name, given, told), (code, said) in zip(CANNOT_START, run(commands)):
+        assert code == 2, given
+        (complaint,) = complaints(said, '[')
+        assert complaint.startswith(f'{name}: ')
+        assert told in complaint
 
 
 @for_each('name', NODES)
@@ -96,55 +109,53 @@ def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
 
 
 @pytest.mark.processes
-@for_each('name', NODES)
-def test_help_tells_what_a_node_does_and_what_can_be_given(name):
-    ended = run(name, '--help')
-    assert ended.returncode == 0
-    assert ended.stdout.startswith(f'usage: {name}')
-    assert '--ros-args -p NAME:=VALUE' in ended.stdout
-    told = ' '.join(ended.stdout.split())
-    for parameter in parameters_of(name).values():
-        assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
-    # The example can be typed.
-    check_given(name, shlex.split(ended.stdout.splitlines()[-1])[4:])
+def test_help_tells_what_a_node_does_and_what_can_be_given(run):
+    for name, (code, said) in zip(NODES, run([name, '--help'] for name in NODES)):
+        assert code == 0, name
+        assert said.startswith(f'usage: {name}')
+        assert '--ros-args -p NAME:=VALUE' in said
+        told = ' '.join(said.split())
+        for parameter in parameters_of(name).values():
+            assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
+        # The example can be typed.
+        check_given(name, shlex.split(said.splitlines()[-1])[4:])
 
 
 @pytest.mark.processes
-@for_each('name', NODES)
-def test_a_file_that_is_not_there_is_no_errno(tmp_path, name):
-    ended = run(name, '--ros-args', '--params-file', 'nothere.yaml')
-    assert ended.returncode == 2
-    complaint = [line for line in ended.stderr.splitlines() if not line.startswith('[')]
-    assert complaint == [f'{name}: parameter file nothere.yaml: No such file or directory']
+def test_a_file_that_is_not_there_is_no_errno(run):
+    ended = run([name, '--ros-args', '--params-file', 'nothere.yaml'] for name in NODES)
+    for name, (code, said) in zip(NODES, ended):
+        assert code == 2, name
+        (told,) = complaints(said, '[')
+        assert told == f'{name}: parameter file nothere.yaml: No such file or directory'
 
 
 @pytest.mark.processes
-@for_each('name', ['planner', 'agent', 'recorder'])
-def test_a_log_that_is_not_there_is_no_errno(name):
-    ended = run(name, '--ros-args', '-p', 'resume:=nothere.mcap')
-    assert ended.returncode == 2
-    assert re.search(rf'(?m)^{name}: nothere.mcap.*: No such file or directory$', ended.stderr)
-    assert 'Errno' not in ended.stderr
+def test_a_log_that_is_not_there_is_no_errno(run):
+    names = ['planner', 'agent', 'recorder']
+    ended = run([name, '--ros-args', '-p', 'resume:=nothere.mcap'] for name in names)
+    for name, (code, said) in zip(names, ended):
+        assert code == 2, name
+        assert re.search(rf'(?m)^{name}: nothere.mcap.*: No such file or directory$', said)
+        assert 'Errno' not in said
 
 
 @pytest.mark.processes
-def test_arguments_that_are_not_for_ros_are_refused():
-    ended = run('planner', '--robots', '3')
-    assert ended.returncode == 2
-    assert 'unrecognized arguments: --robots 3' in ended.stderr
+def test_arguments_that_are_not_for_ros_are_refused(run):
+    ((code, said),) = run([['planner', '--robots', '3']])
+    assert code == 2
+    assert 'unrecognized arguments: --robots 3' in said
 
 
-def complaints(said):
-    """Return the lines of a node that tell of no wait and of no deployment."""
-    return [line for line in said.splitlines() if not line.startswith('[INFO]')]
-
-
+@pytest.mark.interpreter
 @pytest.mark.parametrize('number', some([signal.SIGTERM, signal.SIGINT], 2), ids=lambda s: s.name)
 def test_a_signal_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
     # A robot would answer for the agent as well.
     names = [name for name in NODES if name != 'robot']
-    nodes = {name: field.start(name, {'file': str(log)}) for name in names}
+    # A belief ahead of its path would be told of.
+    parameters = {'file': str(log), 'recorded': True}
+    nodes = {name: field.start(name, parameters) for name in names}
     for name in names:
         field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
     # It opens its log when it has heard of no other recorder.
@@ -181,6 +192,7 @@ def nothing_compiled(tmp_path, monkeypatch):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
 
 
+@pytest.mark.interpreter
 def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
     paths = field.listen(Path, '/scout_1/path')
     field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6})
@@ -204,6 +216,7 @@ def test_the_second_signal_changes_nothing(field):
     assert is_finished(field.folder / 'mission.mcap')
 
 
+@pytest.mark.interpreter
 @pytest.mark.parametrize('gap', some([0.0, 0.3, 0.6, 0.9], 2))
 def test_interrupts_do_not_kill_what_ends_well(field, gap):
     agent = field.start('agent')
@@ -216,6 +229,7 @@ def test_interrupts_do_not_kill_what_ends_well(field, gap):
     assert agent.returncode == 0
 
 
+@pytest.mark.interpreter
 def test_a_node_that_waits_to_be_made_ends_well_however_often_it_is_told(field):
     planner = field.start('planner', {'map_topic': '/map'})
     field.until(lambda: 'waiting for a map' in field.state('/planner'), 'waiting planner')

@@ -175,8 +175,8 @@ from kbnitp_ros.core import Belief, Grid, plan, SensorModel
 import numpy as np
 
 for seed, lethality in enumerate((0.5, 1.0)):
-    belief = Belief(brute_force.random_joint(np.random.default_rng(seed), 9, 4))
-    found = plan(Grid(3, 3, base=4), belief, SensorModel(lethality), 3, loss_cost=0.2, bound=True)
+    belief = Belief(brute_force.random_joint(np.random.default_rng(seed), 4, 0))
+    found = plan(Grid(2, 2), belief, SensorModel(lethality), 3, loss_cost=0.2, bound=True)
     print(found.upper_bound.hex(), found.gap.hex())
 """
 

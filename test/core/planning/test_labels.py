@@ -39,10 +39,10 @@ for seed, lethality in enumerate((0.0, 0.5, 1.0)):
     rng = np.random.default_rng(seed)
     belief, model = Belief(brute_force.random_joint(rng, 20, 7)), SensorModel(lethality)
     for planner, width in (('relaxed', 1), ('beam', 5)):
-        found = plan(grid, belief, model, 9, planner, width=width)
+        found = plan(grid, belief, model, 7, planner, width=width)
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
 for allocation in ('greedy', 'voronoi'):
-    options = SearchOptions(max_steps=6, width=3, loss_cost=0.2)
+    options = SearchOptions(max_steps=5, width=3, loss_cost=0.2)
     team = plan_team(grid, belief, model, Team(5, allocation), options)
     print([planned.path.tolist() for planned in team.plans], team.information.hex())
 print('numba' in sys.modules and sys.modules['numba'] is not None, file=sys.stderr)
