@@ -106,4 +106,5 @@ clean:
 
 install/.done: .venv/.run $(SOURCES)
 	. ./env.sh && colcon build --base-paths . msg_defs wheels/*
+	echo '$(CURDIR)/build/kbnitp_ros' > "$$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/kbnitp_ros.pth"
 	touch $@

@@ -2,10 +2,31 @@
 """Set up the ament_python package kbnitp_ros."""
 
 from glob import glob
+import sys
 
 from setuptools import find_packages, setup
 
 package_name = 'kbnitp_ros'
+
+# What colcon installs into lib/kbnitp_ros, where `ros2 run` looks. pip would put these names into
+# bin/, so a wheel has the command kbnitp alone.
+executables = [
+    'agent',
+    'demo',
+    'estimator',
+    'planner',
+    'recorder',
+    'replay',
+    'report',
+    'robot',
+    'study',
+]
+if {'bdist_wheel', 'dist_info', 'editable_wheel'} & set(sys.argv):
+    executables = []
+
+shown = ['matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
+studies = ['joblib', 'threadpoolctl']
+logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'zstandard']
 
 setup(
     name=package_name,
@@ -22,24 +43,22 @@ setup(
         (f'share/{package_name}/security', glob('security/*.policy.xml')),
         (f'share/{package_name}/scenarios', glob('scenarios/*.yaml')),
     ],
-    install_requires=['setuptools'],
-    extras_require={'test': ['pytest']},
-    zip_safe=True,
+    python_requires='>=3.10',
+    install_requires=['numba', 'numpy', 'PyYAML'],
+    extras_require={
+        'study': [*shown, *studies],
+        'report': [*shown, *logs],
+        'all': [*shown, *studies, *logs],
+    },
+    zip_safe=False,
     maintainer='kbnitp_ros maintainers',
     maintainer_email='maintainers@example.org',
     description='Informative path planning from robots that do not all come back.',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'agent = kbnitp_ros.starting:agent',
-            'demo = kbnitp_ros.starting:demo',
-            'estimator = kbnitp_ros.starting:estimator',
-            'planner = kbnitp_ros.starting:planner',
-            'recorder = kbnitp_ros.starting:recorder',
-            'replay = kbnitp_ros.starting:replay',
-            'report = kbnitp_ros.starting:report',
-            'robot = kbnitp_ros.starting:robot',
-            'study = kbnitp_ros.starting:study',
+            'kbnitp = kbnitp_ros.__main__:main',
+            *(f'{name} = kbnitp_ros.starting:{name}' for name in executables),
         ],
     },
 )

@@ -8,7 +8,11 @@ from functools import partial
 from importlib import import_module
 import os
 import signal
+import sys
 from types import FrameType
+
+# What pip installs of the packages that a command imports; all others need ROS 2.
+EXTRAS = {'study': 'study', 'replay': 'report', 'report': 'report'}
 
 # Each module has main(argv=None), whose result is the exit status.
 COMMANDS = {
@@ -44,12 +48,17 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Its exit status.
+        Its exit status; 2 if a package is missing that it needs.
 
     """
     handler = _end_well if name in NODES else _end_as_interrupted
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
+    try:
+        main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
+    except ModuleNotFoundError as error:
+        extra = f"pip install 'kbnitp_ros[{EXTRAS[name]}]'" if name in EXTRAS else 'source ROS 2'
+        print(f'{name}: {error}; {extra}', file=sys.stderr)
+        return 2
     if name in COMMANDS:
         # A node takes signals in its own way at once, a command as it would without this.
         for number, each in before.items():

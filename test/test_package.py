@@ -55,7 +55,7 @@ ACTIONS = {
 }
 
 # Imported only by those who ask for them.
-OPTIONAL = {'distributed', 'ray'}
+OPTIONAL = {'distributed', 'pandas', 'ray'}
 
 
 def imported_by(*folders):
@@ -153,9 +153,20 @@ def test_every_command_is_installed_as_an_executable():
     scripts = metadata.distribution('kbnitp_ros').entry_points.select(group='console_scripts')
     known = {script.name: script.value for script in scripts}
     expected = {name: f'kbnitp_ros.starting:{name}' for name in EXECUTABLES}
+    expected['kbnitp'] = 'kbnitp_ros.__main__:main'
     assert known == expected, 'setup.py has changed: build again'
     folder = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
     assert all(os.access(folder / name, os.X_OK) for name in EXECUTABLES)
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(ROOT.joinpath('.venv').is_symlink(), reason='another tree built .venv')
+def test_python_of_the_environment_imports_the_package_without_env_sh():
+    python = ROOT / '.venv/bin/python'
+    if not python.exists():
+        pytest.skip('the wheels are not used')
+    done = subprocess.run([python, '-c', 'import kbnitp_ros.core'], env={}, cwd='/')
+    assert done.returncode == 0
 
 
 @for_each('module', EXECUTABLES.values())

@@ -17,7 +17,7 @@ import time
 from types import TracebackType
 from typing import Any, IO
 
-from ament_index_python.packages import get_package_share_directory
+from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.transport import udp_only
 
 # Domains beyond 101 use ports that Linux hands out to others.
@@ -29,12 +29,6 @@ END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
 # How long nodes may take to end after a signal, in seconds. A planner first completes its plan,
 # and on a busy machine everything takes ten times as long.
 PATIENCE = 30.0
-
-
-def share(relative: str) -> Path:
-    """Return where a file of the package is: in the source tree, or installed."""
-    source = Path(__file__).parents[2] / relative
-    return source if source.exists() else Path(get_package_share_directory('kbnitp_ros'), relative)
 
 
 def environment(domain: int) -> dict[str, str]:

@@ -11,7 +11,7 @@ import signal
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.cli.processes import share
+from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report

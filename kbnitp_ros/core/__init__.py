@@ -52,7 +52,7 @@ from kbnitp_ros.core.inference import (
     Report,
     update,
 )
-from kbnitp_ros.core.mission import Deployment, Learning, run_mission, Truth
+from kbnitp_ros.core.mission import Deployment, Learning, run_mission, SimulatedMission, Truth
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
     ALPHAS,
@@ -75,6 +75,7 @@ from kbnitp_ros.core.planning import (
     team_size,
     TeamPlan,
 )
+from kbnitp_ros.core.table import deployments_table
 
 __all__ = [
     'ALLOCATIONS',
@@ -118,6 +119,7 @@ __all__ = [
     'SafestPath',
     'SearchOptions',
     'SensorModel',
+    'SimulatedMission',
     'Stop',
     'Target',
     'Team',
@@ -132,6 +134,7 @@ __all__ = [
     'check_team',
     'count_visits',
     'deployment_order',
+    'deployments_table',
     'keepout_cells',
     'log_loss',
     'observation_of',

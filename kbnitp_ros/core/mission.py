@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core.decision import Decision, Goal, HazardDraws, plan_round, Stop
 from kbnitp_ros.core.field import (
@@ -19,6 +20,7 @@ from kbnitp_ros.core.field import (
     SensorModel,
     STATIC,
     Unknowns,
+    Value,
     whole_number,
     World,
 )
@@ -31,11 +33,15 @@ from kbnitp_ros.core.planning import (
     Team,
     team_size,
 )
+from kbnitp_ros.core.table import deployments_table
 import numpy as np
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
-@dataclass(frozen=True, eq=False)
-class Deployment:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Deployment(Value):
     """
     One robot's part of a mission.
 
@@ -65,6 +71,37 @@ class Deployment:
     parameters: Mapping[str, Learnt]
     world: World
     decision: Decision | None = None
+
+
+class SimulatedMission(list[Deployment]):
+    """The deployments of a mission in order."""
+
+    def __repr__(self) -> str:
+        lost = sum(not each.observation.survived for each in self)
+        return f'SimulatedMission({len(self)} robots, {lost} lost)'
+
+    def to_dataframe(self) -> DataFrame:
+        """
+        Return one row a deployment.
+
+        Returns
+        -------
+        pandas.DataFrame
+            As `deployments_table`, with the columns ``information`` in nats and ``survival`` that
+            were expected, and the mean and standard deviation of each number that is learnt.
+
+        """
+        table = deployments_table(
+            [each.observation for each in self],
+            [each.belief for each in self],
+            [each.world for each in self],
+        )
+        table['information'] = [each.plan.information for each in self]
+        table['survival'] = [each.plan.survival for each in self]
+        for name in self[0].parameters if self else ():
+            table[name] = [each.parameters[name].mean for each in self]
+            table[f'{name}_sd'] = [each.parameters[name].sd for each in self]
+        return table
 
 
 @dataclass(frozen=True)
@@ -114,7 +151,7 @@ def run_mission(
     world: World,
     robots: int,
     rng: np.random.Generator | int,
-    method: str = 'kappa_bnitp',
+    method: str | Callable[..., Any] = 'kappa_bnitp',
     options: SearchOptions = SearchOptions(),
     *,
     team: Team | None = None,
@@ -123,7 +160,7 @@ def run_mission(
     dynamics: Dynamics = STATIC,
     goal: Goal | None = None,
     stop: Stop | None = None,
-) -> list[Deployment]:
+) -> SimulatedMission:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
 
@@ -147,7 +184,7 @@ def run_mission(
     rng : int or numpy.random.Generator
         The only source of randomness, as `numpy.random.default_rng` takes it:
         ``rng.spawn(1)`` for each robot.
-    method : str
+    method : str or callable
         The estimator's, one of `METHODS`.
     options : SearchOptions
         Of the search for paths.
@@ -169,9 +206,10 @@ def run_mission(
 
     Returns
     -------
-    list of Deployment
-        In order; fewer than `robots` if the mission was over before: the goal is reached at its
-        confidence, a stop came about, or no path is survived with the least probability allowed.
+    SimulatedMission
+        Its deployments in order; fewer than `robots` if the mission was over before: the goal is
+        reached at its confidence, a stop came about, or no path is survived with the least
+        probability allowed.
 
     Raises
     ------
@@ -236,12 +274,12 @@ def run_mission(
                     made.observation,
                     estimator.belief,
                     estimator.model,
-                    estimator.parameters,
+                    dict(estimator.parameters),
                     world,
                     decision,
                 )
             )
-    return deployments
+    return SimulatedMission(deployments)
 
 
 def decided(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How figures look: colours, line styles and markers, sizes, files."""
+"""How figures look: the field from above, colours, line styles and markers, sizes, files."""
 
+from kbnitp_ros.figures.field import draw_map, draw_paths, extent, hatch, plot
 from kbnitp_ros.figures.files import FORMATS, LETTERS, save, WIDTH
 from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, SERIES, Style, UNVISITED
 
@@ -14,5 +15,10 @@ __all__ = [
     'UNVISITED',
     'WIDTH',
     'Style',
+    'draw_map',
+    'draw_paths',
+    'extent',
+    'hatch',
+    'plot',
     'save',
 ]

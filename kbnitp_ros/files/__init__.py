@@ -2,6 +2,7 @@
 """Files from elsewhere: opened only if they have an end, YAML of bounded size, what went wrong."""
 
 from kbnitp_ros.files.regular import open_file
+from kbnitp_ros.files.share import share
 from kbnitp_ros.files.words import in_words, naming
 from kbnitp_ros.files.yaml_text import KeyTwiceError, NotYamlError, parse_yaml, read_yaml
 
@@ -13,4 +14,5 @@ __all__ = [
     'open_file',
     'parse_yaml',
     'read_yaml',
+    'share',
 ]

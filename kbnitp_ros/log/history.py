@@ -7,15 +7,27 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
-from kbnitp_ros.core import Belief, deployment_order, DeploymentKey, Grid, Observation, World
+from kbnitp_ros.core import (
+    Belief,
+    deployment_order,
+    DeploymentKey,
+    deployments_table,
+    Grid,
+    Observation,
+    World,
+)
 from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import Known, read_model_belief
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 # Of all beliefs on record, which are held as joints and as maps.
 MOST_BYTES = 4 * 2**30
@@ -86,6 +98,21 @@ class History:
     def beliefs(self) -> list[Belief]:
         """Those on record, the prior first."""
         return [each.snapshot.belief for each in self.heard]
+
+    def to_dataframe(self) -> DataFrame:
+        """
+        Return one row a deployment that ended, as `kbnitp_ros.core.deployments_table`.
+
+        The entropies and losses are those of the first belief on record that holds so many
+        deployments; a log without late returns has one for each.
+        """
+        first = {each.snapshot.deployments: each.snapshot.belief for each in reversed(self.heard)}
+        ended = sorted(self.evidence.reports, key=deployment_order)
+        beliefs = [first.get(number) for number in range(1, len(ended) + 1)]
+        table = deployments_table(self.observations, beliefs, [self.world] * len(ended))
+        table.insert(0, 'agent', [key.agent for key in ended])
+        table.insert(1, 'stamp', [key.stamp for key in ended])
+        return table
 
     @property
     def observations(self) -> list[Observation]:

@@ -12,7 +12,7 @@ from importlib.metadata import entry_points, EntryPoint
 from inspect import signature
 import re
 from types import MappingProxyType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 from warnings import warn
 
 Entry = TypeVar('Entry')
@@ -99,19 +99,26 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def __hash__(self) -> int:
         return id(self)
 
-    def find(self, name: str) -> Entry:
+    def find(self, given: str | Callable[..., Any]) -> Entry:
         """
-        Return the entry of a name.
+        Return the entry of a name, or what is given in place of one.
 
         Raises
         ------
         ValueError
             If there is none; it says which there are, or why this one is refused.
+        TypeError
+            If what is given lacks something that an entry must have.
 
         """
-        if name not in self:
-            raise ValueError(f'{self.kind} is {name!r}: {self.why_not(name)}')
-        return self[name]
+        if callable(given):
+            try:
+                return self._check(given)
+            except TypeError as error:
+                raise TypeError(f'{self.kind} {name_of(given)}: {error}') from error
+        if given not in self:
+            raise ValueError(f'{self.kind} is {given!r}: {self.why_not(given)}')
+        return self[given]
 
     def why_not(self, name: object, *others: str) -> str:
         """Return why a name is none: it is refused, or known are only these and the others."""
@@ -119,12 +126,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         reason = self._refused.get(name) if isinstance(name, str) else None
         return f'{reason}; {known}' if reason else known
 
-    def source(self, name: str) -> str:
-        """Return where an entry comes from: the distribution and its entry point."""
-        return self._sources[name]
+    def source(self, given: str | Callable[..., Any]) -> str:
+        """Return where an entry comes from: the distribution and its entry point, or a module."""
+        return str(given.__module__) if callable(given) else self._sources[given]
 
     @contextmanager
-    def blamed(self, name: str) -> Iterator[None]:
+    def blamed(self, given: str | Callable[..., Any]) -> Iterator[None]:
         """
         Name the package whose entry breaks while it is used.
 
@@ -139,14 +146,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         except (ValueError, PluginError):
             raise
         except Exception as error:
-            if name in self.own:
+            if given in self.own:
                 raise
-            raise self.fault(name, f'failed: {in_words(error)}') from error
+            raise self.fault(given, f'failed: {in_words(error)}') from error
 
-    def fault(self, name: str, words: str) -> PluginError:
+    def fault(self, given: str | Callable[..., Any], words: str) -> PluginError:
         """Return the error that says what an entry did wrong."""
         return PluginError(
-            f'{self.kind} {name!r} of {self.source(name)} {words}; '
+            f'{self.kind} {name_of(given)!r} of {self.source(given)} {words}; '
             f'kbnitp_ros.testing.check_{self.kind} finds such faults'
         )
 
@@ -181,6 +188,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._sources[name] = source
 
 
+def name_of(given: str | Callable[..., Any]) -> str:
+    """Return the name of an entry, or of what is given in place of one."""
+    if isinstance(given, str):
+        return given
+    return str(getattr(given, '__qualname__', type(given).__qualname__))
+
+
 def takes(given: object, arguments: Iterable[str]) -> None:
     """
     Check that something can be called with so many arguments.
@@ -197,7 +211,8 @@ def takes(given: object, arguments: Iterable[str]) -> None:
         raise TypeError(f'it is {given!r}: {how}')
     try:
         signature(given).bind(*names)
-    except TypeError as error:
+    # Some builtins have no signature.
+    except (TypeError, ValueError) as error:
         raise TypeError(f'{how}: {error}') from error
 
 

@@ -7,9 +7,8 @@ from html import escape
 from math import isnan
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.figures import LOST, MAPS, RETURNED, SERIES
+from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES
 from kbnitp_ros.report.curves import Curves
-from kbnitp_ros.report.maps_figure import extent
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.progress_figure import panels_of, quantiles_of
 import numpy as np

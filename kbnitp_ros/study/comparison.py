@@ -199,7 +199,7 @@ def own(name: str) -> Told:
 
 def planner_of(team: Strategy, scenario: Scenario) -> str:
     """Return the planner of a strategy."""
-    return scenario.options(team).planner
+    return str(scenario.options(team).planner)
 
 
 def objective_of(team: Strategy, _: Scenario) -> str:

@@ -14,6 +14,7 @@ from kbnitp_ros.core.field.robot_type import of_each, ORDINARY, RobotType
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others, times_log
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Beta, Bins, Learnt, Unknowns
+from kbnitp_ros.core.field.value import Value
 from kbnitp_ros.core.field.world import World
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     'SensorModel',
     'Traverse',
     'Unknowns',
+    'Value',
     'Visits',
     'World',
     'as_path',

@@ -9,6 +9,7 @@ from functools import cached_property
 from kbnitp_ros.core.field.check import frozen, probability_map
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,8 +20,8 @@ TOLERANCE = 1e-12
 SHOWN = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Belief:
+@dataclass(frozen=True, eq=False, repr=False)
+class Belief(Value):
     """
     Independent cells, each with a joint distribution of its hazard Z and its target X.
 
@@ -54,6 +55,9 @@ class Belief:
             )
         frozen(joint)
         object.__setattr__(self, 'joint', joint)
+
+    def __repr__(self) -> str:
+        return f'Belief({self.cells} cells, {self.entropy():.4g} nats)'
 
     @classmethod
     def from_maps(cls, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:

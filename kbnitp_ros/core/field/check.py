@@ -10,6 +10,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
+def as_number(name: str, value: object) -> float:
+    """
+    Return `value` as a float if it is a number.
+
+    Raises
+    ------
+    TypeError
+        If it is something else, such as text.
+
+    """
+    try:
+        if not isinstance(value, str):
+            return float(value)  # type: ignore[arg-type]
+    except TypeError:
+        pass
+    raise TypeError(f'{name} is {value!r}: it must be a number')
+
+
 def probability(name: str, value: float) -> float:
     """
     Return `value` as a float if it is a probability.
@@ -20,7 +38,7 @@ def probability(name: str, value: float) -> float:
         If it is NaN or outside [0, 1].
 
     """
-    number = float(value)
+    number = as_number(name, value)
     if not 0.0 <= number <= 1.0:
         raise ValueError(f'{name} is {value}: it must be a probability in [0, 1]')
     return number
@@ -82,6 +100,7 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
         If it is not whole or out of range.
 
     """
+    as_number(name, value)
     if not (value >= low and (high is None or value <= high) and value == value // 1):
         allowed = f'at least {low}' if high is None else f'from {low} to {high}'
         raise ValueError(f'{name} is {value}: it must be a whole number {allowed}')
@@ -98,7 +117,7 @@ def cost(name: str, value: float) -> float:
         If it is NaN or out of range.
 
     """
-    number = float(value)
+    number = as_number(name, value)
     if not 0.0 <= number <= 1e9:
         raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')
     return number

@@ -10,13 +10,14 @@ from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.value import Value
 from kbnitp_ros.core.field.world import World
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-@dataclass(frozen=True, eq=False)
-class Traverse:
+@dataclass(frozen=True, eq=False, repr=False)
+class Traverse(Value):
     """
     One robot's way through a world.
 
@@ -77,7 +78,7 @@ class Execution:
         grid: Grid,
         path: ArrayLike,
         model: SensorModel,
-        rng: np.random.Generator,
+        rng: np.random.Generator | int,
         dynamics: Dynamics = STATIC,
         changing: NDArray[np.bool_] | None = None,
     ) -> Traverse:
@@ -96,7 +97,7 @@ class Execution:
             Its orders.
         model : SensorModel
             What the robot, its sensor and the hazards are really like.
-        rng : numpy.random.Generator
+        rng : int or numpy.random.Generator
             The only source of randomness: of what happens in the steps made, and its first child
             of all that is told here, its second of how hazards change.
         dynamics : Dynamics
@@ -111,6 +112,7 @@ class Execution:
 
         """
         ordered = grid.check_path(path)
+        rng = np.random.default_rng(rng)
         own = rng.spawn(1)[0]
         if changing is not None and dynamics.effect == 'changing':
             world = world.after_change(dynamics, changing, rng.spawn(1)[0])

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field.check import frozen, whole_number, yes_no_or_unseen, yes_or_no
+from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,8 +31,8 @@ def as_path(path: ArrayLike) -> NDArray[np.intp]:
     return np.array(array, dtype=np.intp)
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Value):
     """
     The outcome of one deployment.
 

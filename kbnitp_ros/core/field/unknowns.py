@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeAlias
 
 from kbnitp_ros.core.field.check import frozen, probability
+from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,8 +76,8 @@ class Beta:
         return Bins(bounds[::POINTS], values, np.log(weight / weight.sum()))
 
 
-@dataclass(frozen=True, eq=False)
-class Bins:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bins(Value):
     """
     The values a number may have.
 
@@ -105,8 +106,8 @@ class Bins:
         return cls(np.array([value, value]), np.array([value]), np.zeros(1))
 
 
-@dataclass(frozen=True, eq=False)
-class Learnt:
+@dataclass(frozen=True, eq=False, repr=False)
+class Learnt(Value):
     """
     What is known of a number by now.
 
@@ -124,6 +125,9 @@ class Learnt:
     bins: Bins
     weights: NDArray[np.float64]
     effective_samples: float = np.inf
+
+    def __repr__(self) -> str:
+        return f'Learnt(mean={self.mean:.4g}, sd={self.sd:.2g})'
 
     @classmethod
     def by_groups(cls, bins: Bins, weights: NDArray[np.float64]) -> Learnt:

@@ -10,12 +10,13 @@ from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-@dataclass(frozen=True, eq=False)
-class World:
+@dataclass(frozen=True, eq=False, repr=False)
+class World(Value):
     """
     Where the hazards and the targets really are.
 
@@ -48,11 +49,15 @@ class World:
                 f'target of a world has {self.target.size} cells, its hazard {self.hazard.size}'
             )
 
+    def __repr__(self) -> str:
+        hazards, targets = self.hazard.sum(), self.target.sum()
+        return f'World({self.hazard.size} cells, {hazards} hazards, {targets} targets)'
+
     @classmethod
     def random(
         cls,
         grid: Grid,
-        rng: np.random.Generator,
+        rng: np.random.Generator | int,
         hazard_density: float,
         kappa: float,
         target_background: float,
@@ -64,7 +69,7 @@ class World:
         ----------
         grid : Grid
             Its base gets no hazard, its blocked cells get nothing.
-        rng : numpy.random.Generator
+        rng : int or numpy.random.Generator
             The only source of randomness.
         hazard_density : float
             P(Z = 1) in [0, 1].
@@ -79,7 +84,7 @@ class World:
             If a probability is out of range.
 
         """
-        drawn = rng.random((2, grid.cells))
+        drawn = np.random.default_rng(rng).random((2, grid.cells))
         hazard = drawn[0] < probability('hazard_density', hazard_density)
         hazard &= grid.free
         hazard[grid.base] = False
@@ -113,7 +118,7 @@ class World:
             )
 
     def traverse(
-        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator
+        self, path: ArrayLike, model: SensorModel, rng: np.random.Generator | int
     ) -> Observation:
         """
         Send a robot along a path.
@@ -126,7 +131,7 @@ class World:
             Cells, the base first and last.
         model : SensorModel
             What the robot, its sensor and the hazards are really like.
-        rng : numpy.random.Generator
+        rng : int or numpy.random.Generator
             The only source of randomness.
 
         Raises
@@ -136,7 +141,7 @@ class World:
 
         """
         cells = as_path(path)
-        survived, readings, _ = self.steps(cells, model, rng)
+        survived, readings, _ = self.steps(cells, model, np.random.default_rng(rng))
         returned = bool(survived.all())
         return Observation(cells, returned, readings if returned else None)
 

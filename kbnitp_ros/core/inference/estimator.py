@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
+from typing import Any
 
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
@@ -20,7 +21,7 @@ from kbnitp_ros.core.field import (
     whole_number,
 )
 from kbnitp_ros.core.inference.methods import CALLED, dynamics_of, Inference, KNOWN, METHODS
-from kbnitp_ros.plugins import PluginError
+from kbnitp_ros.plugins import name_of, PluginError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,8 +36,8 @@ class Estimator:
         The prior. A method without kappa starts from its hazard and target maps alone.
     model : SensorModel
         What the robots and their sensors are believed to be like.
-    method : str
-        One of `METHODS`.
+    method : str or callable
+        One of `METHODS`, or what makes an `Inference` as those do, such as a class.
     unknowns : Unknowns
         Which numbers of the two are not known, for a method that can learn them.
     seed : int
@@ -65,7 +66,7 @@ class Estimator:
         self,
         belief: Belief,
         model: SensorModel,
-        method: str = 'kappa_bnitp',
+        method: str | Callable[..., Any] = 'kappa_bnitp',
         unknowns: Unknowns = ALL_KNOWN,
         seed: int = 0,
         *,
@@ -75,13 +76,14 @@ class Estimator:
         if unknowns.priors and not start.learns:
             learners = [name for name, each in METHODS.items() if each.learns]
             raise ValueError(
-                f'{" and ".join(unknowns.priors)} cannot be unknown to {method}, which takes all '
-                f'numbers for right: use {" or ".join(learners)}'
+                f'{" and ".join(unknowns.priors)} cannot be unknown to {name_of(method)}, which '
+                f'takes all numbers for right: use {" or ".join(learners)}'
             )
         if dynamics.effect != 'static' and dynamics.effect not in dynamics_of(start):
             able = [name for name, each in METHODS.items() if dynamics.effect in dynamics_of(each)]
             raise ValueError(
-                f'{method} does not take hazards that are {dynamics.effect}: use {", ".join(able)}'
+                f'{name_of(method)} does not take hazards that are {dynamics.effect}: '
+                f'use {", ".join(able)}'
             )
         self.prior = belief
         self.method = method
@@ -96,6 +98,9 @@ class Estimator:
                 self._inference = self._checked(start(belief, model, unknowns, self.seed, *told))
         except PluginError as error:
             raise ValueError(str(error)) from error
+
+    def __repr__(self) -> str:
+        return f'Estimator({name_of(self.method)}, {self.belief!r})'
 
     @property
     def belief(self) -> Belief:

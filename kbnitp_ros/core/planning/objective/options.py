@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import log
+from typing import Any
 
 from kbnitp_ros.core.field import cost, probability, RobotType, whole_number
 
@@ -32,11 +34,12 @@ class SearchOptions:
 
     Parameters
     ----------
-    planner : str
-        One of `PLANNERS`. 'relaxed' keeps the best label of each cell and step, 'beam' the best
-        `width`. The others seek no information and serve as baselines: 'random' draws a closed
-        walk, 'coverage' ploughs the field where earlier paths left off, and 'shortest_unvisited'
-        goes to the nearest cell that was visited least, and on to the next.
+    planner : str or callable
+        One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns closed
+        paths, the best first. 'relaxed' keeps the best label of each cell and step, 'beam' the
+        best `width`. The others seek no information and serve as baselines: 'random' draws a
+        closed walk, 'coverage' ploughs the field where earlier paths left off, and
+        'shortest_unvisited' goes to the nearest cell that was visited least, and on to the next.
     max_steps : int
         The most steps of a path, at least 1.
     width : int
@@ -60,7 +63,7 @@ class SearchOptions:
 
     """
 
-    planner: str = 'beam'
+    planner: str | Callable[..., Any] = 'beam'
     max_steps: int = 18
     width: int = 16
     max_visits: int = 3

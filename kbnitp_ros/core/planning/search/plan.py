@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel
+from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, Value
 from kbnitp_ros.core.planning.objective.information import path_information, path_log_survival
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
@@ -17,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Value):
     """
     A path for one robot and what is expected of it.
 
@@ -59,7 +60,7 @@ def plan(
     belief: Belief,
     model: SensorModel,
     max_steps: int,
-    planner: str = 'beam',
+    planner: str | Callable[..., Any] = 'beam',
     *,
     visited: ArrayLike = (),
     bound: bool = False,

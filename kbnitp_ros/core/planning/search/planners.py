@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
-from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.field import Grid, Value
 from kbnitp_ros.core.planning.objective.behavioral import powers_of
 from kbnitp_ros.core.planning.objective.candidate import Candidate
 from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
@@ -37,8 +37,8 @@ class NoPathError(ValueError):
     """No path that was found is survived as probably as it must be."""
 
 
-@dataclass(frozen=True, eq=False)
-class PathFinder:
+@dataclass(frozen=True, eq=False, repr=False)
+class PathFinder(Value):
     """
     A planner on a grid.
 
@@ -90,7 +90,7 @@ class PathFinder:
         """
         planner = self.options.planner
         with PLANNERS.blamed(planner):
-            candidates = PLANNERS[planner](self, objective)
+            candidates = PLANNERS.find(planner)(self, objective)
             if planner not in PLANNERS.own:
                 self._check(candidates)
         if least := self.options.minimum_survival:
@@ -265,7 +265,7 @@ BASELINES = ('random', 'coverage', 'shortest_unvisited')
 
 
 # The width of the label searches among them.
-LABELS: dict[str, Callable[[SearchOptions], int]] = {
+LABELS: dict[object, Callable[[SearchOptions], int]] = {
     'relaxed': lambda _: 1,
     'beam': lambda options: options.width,
 }

@@ -10,7 +10,7 @@ file and one line here, or an entry point of another package.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import Any, cast
 
 from kbnitp_ros.core.planning.teams import greedy, independent, voronoi
 from kbnitp_ros.core.planning.teams.regions import Regions
@@ -48,7 +48,7 @@ ALLOCATIONS = Registry(
 
 
 def allocated(
-    name: str, robots: Sequence[TeamMember]
+    allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
 ) -> tuple[list[NDArray[np.intp]], Regions | None]:
     """
     Return a path for each robot, and the regions if the allocation divides the field.
@@ -59,29 +59,29 @@ def allocated(
         If an allocation of another package breaks its rules.
 
     """
-    with ALLOCATIONS.blamed(name):
-        paths, regions = ALLOCATIONS[name](robots)
-        if name not in ALLOCATIONS.own:
-            _check_allocated(name, robots, paths, regions)
+    with ALLOCATIONS.blamed(allocation):
+        paths, regions = ALLOCATIONS.find(allocation)(robots)
+        if allocation not in ALLOCATIONS.own:
+            _check_allocated(allocation, robots, paths, regions)
     return paths, regions
 
 
 def _check_allocated(
-    name: str,
+    allocation: str | Callable[..., Any],
     robots: Sequence[TeamMember],
     paths: Sequence[NDArray[np.intp]],
     regions: Regions | None,
 ) -> None:
     """Refuse what another package's allocation may not return."""
     if len(paths) != len(robots):
-        raise ALLOCATIONS.fault(name, f'returns {len(paths)} paths for {len(robots)} robots')
+        raise ALLOCATIONS.fault(allocation, f'returns {len(paths)} paths for {len(robots)} robots')
     for number, (robot, path) in enumerate(zip(robots, paths)):
         try:
             robot.finder.check_path(path)
         except ValueError as error:
             words = f'returns a path for robot {number} that is none: {error}'
-            raise ALLOCATIONS.fault(name, words) from error
+            raise ALLOCATIONS.fault(allocation, words) from error
     cells = robots[0].finder.grid.cells
     if regions is not None and regions.owner.shape != (cells,):
         words = f'divides {regions.owner.size} cells where the field has {cells}'
-        raise ALLOCATIONS.fault(name, words)
+        raise ALLOCATIONS.fault(allocation, words)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import frozen, Grid
+from kbnitp_ros.core.field import frozen, Grid, Value
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +17,8 @@ SWEEPS = 50
 TURN = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Regions:
+@dataclass(frozen=True, eq=False, repr=False)
+class Regions(Value):
     """
     A partition of the cells that robots can visit and come back from.
 

@@ -3,10 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from kbnitp_ros.core.field import Belief, Grid, of_each, RobotType, SensorModel, whole_number
+from kbnitp_ros.core.field import (
+    Belief,
+    Grid,
+    of_each,
+    RobotType,
+    SensorModel,
+    Value,
+    whole_number,
+)
 from kbnitp_ros.core.planning.objective import SearchOptions, team_information
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
 from kbnitp_ros.core.planning.objective.readings import Camera, check_cameras
@@ -44,7 +53,7 @@ class Team:
     """
 
     agents: int = 1
-    allocation: str = 'greedy'
+    allocation: str | Callable[..., Any] = 'greedy'
     types: tuple[RobotType, ...] = ()
 
     def __post_init__(self) -> None:
@@ -57,8 +66,8 @@ class Team:
         return replace(self, agents=len(types), types=types)
 
 
-@dataclass(frozen=True, eq=False)
-class TeamPlan:
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamPlan(Value):
     """
     Paths for robots that leave together and what is expected of them.
 

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The field as seen from above: what is believed, what is true, where robots went."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from kbnitp_ros.core import Belief, Grid, Observation, World
+from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, Style, UNVISITED
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Cells are told apart by lines where there are at most so many a side.
+MOST_LINED = 20
+
+# How dark a path is drawn if it is the only one; those of many robots let each other show through.
+DARKEST = 0.9
+
+
+def plot(
+    grid: Grid,
+    belief: Belief,
+    world: World | None = None,
+    paths: Iterable[ArrayLike | Observation] = (),
+    axes: Sequence[Axes] | None = None,
+) -> NDArray[Any]:
+    """
+    Draw the hazard, target and kappa maps of a belief.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    belief : Belief
+        What is believed of it.
+    world : World, optional
+        The truth, a cross in each cell with a hazard and a ring in each with a target.
+    paths : iterable of array_like of int or Observation
+        What is drawn over the hazard map: plans, or deployments, of which losses are dashed.
+    axes : sequence of three Axes, optional
+        Where to draw; in a new figure of pyplot when None.
+
+    Returns
+    -------
+    ndarray of Axes, shape (3,)
+        What was drawn on.
+
+    Raises
+    ------
+    ValueError
+        If belief, world or a path does not fit the grid, or there are not three axes.
+
+    """
+    if belief.cells != grid.cells:
+        raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
+    if world is not None:
+        world.check(grid)
+    given = list(paths)
+    walks = [
+        grid.check_path(each.path if isinstance(each, Observation) else each) for each in given
+    ]
+    if axes is None:
+        # Only a figure that pyplot makes is shown by notebooks.
+        from matplotlib import pyplot
+
+        axes = pyplot.subplots(1, 3, figsize=(10.5, 3.2), layout='constrained')[1]
+    if len(axes) != len(MAPS):
+        raise ValueError(f'axes are {len(axes)}: there must be {len(MAPS)}')
+    for panel, (name, colours) in zip(axes, MAPS.items()):
+        draw_map(panel, grid, getattr(belief, name), colours, name)
+    for each, walk in zip(given, walks):
+        lost = isinstance(each, Observation) and not each.survived
+        style = LOST if lost else RETURNED
+        axes[0].plot(*grid.centers(walk).T, color=style.colour, linestyle=style.dash)
+    if world is not None:
+        hazards, targets = np.flatnonzero(world.hazard), np.flatnonzero(world.target)
+        axes[0].plot(*grid.centers(hazards).T, 'x', color='black')
+        axes[1].plot(*grid.centers(targets).T, 'o', color='black', markerfacecolor='none')
+    return np.asarray(axes)
+
+
+def draw_map(
+    axes: Axes, grid: Grid, values: NDArray[np.float64], colours: str, title: str
+) -> None:
+    """
+    Draw one probability a cell as the field is seen from above, the base as a white square.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where.
+    grid : Grid
+        The field.
+    values : ndarray, shape (cells,)
+        In [0, 1]; cells without a value are white, blocked ones grey.
+    colours : str
+        A matplotlib colour map.
+    title : str
+        Above the map.
+
+    """
+    image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
+    drawn = axes.imshow(
+        image, origin='lower', cmap=colours, vmin=0.0, vmax=1.0, extent=extent(grid)
+    )
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.7)
+    draw_field(axes, grid)
+    axes.set_title(title, fontsize='medium')
+
+
+def extent(grid: Grid) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top of a grid in metres."""
+    left, bottom = grid.origin
+    right, top = left + grid.width * grid.resolution, bottom + grid.height * grid.resolution
+    return left, right, bottom, top
+
+
+def draw_field(axes: Axes, grid: Grid) -> None:
+    """Draw base, blocked cells and, where there are few, the lines between cells."""
+    left, right, bottom, top = extent(grid)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect('equal')
+    axes.add_patch(PathPatch(outlines(grid, ~grid.free), facecolor='0.6', linewidth=0))
+    if max(grid.width, grid.height) <= MOST_LINED:
+        columns = left + np.arange(1, grid.width) * grid.resolution
+        rows = bottom + np.arange(1, grid.height) * grid.resolution
+        axes.vlines(columns, bottom, top, color='0.75', linewidth=0.4)
+        axes.hlines(rows, left, right, color='0.75', linewidth=0.4)
+    ((x, y),) = grid.centers([grid.base])
+    axes.plot(x, y, 's', color='white', markeredgecolor='black', zorder=5)
+    axes.set_xlabel('x (m)')
+    axes.set_ylabel('y (m)')
+    axes.locator_params(nbins=3)
+    axes.tick_params(labelsize='small')
+
+
+def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Path:
+    """Return the outlines of some cells as one path, which has one hatching."""
+    corner = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) - 0.5
+    centers = grid.centers(np.flatnonzero(cells)).reshape(-1, 1, 2)
+    codes = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
+    vertices = (centers + corner * grid.resolution).reshape(-1, 2)
+    return Path(vertices, codes * len(centers)) if len(centers) else Path(np.empty((0, 2)))
+
+
+def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
+    """Hatch some cells, with dark lines within light ones, which show on light and dark maps."""
+    if cells.any():
+        for colour, width in zip(UNVISITED, (1.4, 0.5)):
+            axes.add_patch(
+                PathPatch(
+                    outlines(grid, cells),
+                    facecolor='none',
+                    edgecolor=colour,
+                    hatch='////',
+                    hatch_linewidth=width,
+                    linewidth=0.0,
+                )
+            )
+
+
+def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], style: Style) -> None:
+    """
+    Draw where robots went, or were sent.
+
+    Of a lost robot a dot marks how far it is known to have come, if that is known.
+    """
+    draw_field(axes, grid)
+    axes.add_collection(
+        LineCollection(
+            [grid.centers(each.path) for each in observations],
+            colors=style.colour,
+            linestyles=[style.dash],
+            linewidths=1.0,
+            alpha=max(0.08, DARKEST / max(1, len(observations)) ** 0.5),
+        )
+    )
+    heard = [each.path[each.steps_survived] for each in observations if each.steps_survived]
+    if heard:
+        axes.plot(*grid.centers(heard).T, style.marker, color=style.colour, markersize=3)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the core returns can be kept, copied, compared and shown, and takes functions for names."""
+
+from copy import deepcopy
+import pickle
+
+from kbnitp_ros import core
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    Learning,
+    Observation,
+    plan_team,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Team,
+    Unknowns,
+    update,
+    World,
+)
+from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core.planning.search.planners import shortest_unvisited
+from kbnitp_ros.figures import plot
+from kbnitp_ros.plugins import PluginError
+from laws import for_each
+import numpy as np
+import pytest
+
+GRID = Grid(4, 4, blocked=[6])
+PRIOR = Belief.from_maps(
+    np.where(np.arange(16) > 0, 0.15, 0.0), np.full(16, 0.2), np.full(16, 0.8)
+)
+MODEL = SensorModel(0.5)
+WORLD = World.random(GRID, 1, 0.15, 0.8, 0.1)
+OPTIONS = SearchOptions(max_steps=8)
+
+
+def mission(method='kappa_bnitp', options=OPTIONS, robots=4, **other):
+    return run_mission(GRID, PRIOR, MODEL, WORLD, robots, 1, method, options, **other)
+
+
+class Ignorant(KnownModel):
+    """Learn from returns alone."""
+
+    def __init__(self, belief, model, unknowns, seed):
+        super().__init__(belief, model)
+
+    def assimilate(self, observation, robot_type):
+        if observation.survived:
+            self.belief = update(self.belief, robot_type.model(self.model), observation)
+
+
+LEARNING = Learning(Unknowns(lethality=(0.0, 1.0)))
+LEARNT = mission('kappa_bnitp_sampled', learning=LEARNING)
+VALUES = [
+    GRID,
+    PRIOR,
+    MODEL,
+    WORLD,
+    OPTIONS,
+    LEARNING,
+    LEARNT,
+    LEARNT[0],
+    LEARNT[0].parameters['lethality'],
+    LEARNT[0].observation,
+    plan_team(GRID, PRIOR, MODEL, Team(2, 'voronoi'), OPTIONS),
+    Team(2),
+    core.Execution(detour=0.1).traverse(WORLD, GRID, LEARNT[0].plan.path, MODEL, 3),
+    core.Truth(),
+    core.RobotType(),
+]
+
+
+@for_each('value', VALUES)
+def test_a_copy_is_equal_and_another_value_is_not(value):
+    for copied in (pickle.loads(pickle.dumps(value)), deepcopy(value)):
+        assert (copied == value) is True
+        assert type(copied) is type(value)
+    assert (value == object()) is False
+    assert len(repr(value)) < 700
+
+
+def test_beliefs_that_differ_in_the_last_bit_are_different():
+    joint = PRIOR.joint.copy()
+    joint[3] = np.nextafter(joint[3], 1.0)
+    assert Belief(joint) != PRIOR
+    assert LEARNT[0] != LEARNT[1]
+
+
+def test_estimators_are_copied_with_all_they_know():
+    for method in core.METHODS:
+        estimator = Estimator(PRIOR, MODEL, method)
+        lost = Observation([0, 1, 2, 1, 0], survived=False)
+        estimator.assimilate(lost)
+        for copied in (pickle.loads(pickle.dumps(estimator)), deepcopy(estimator)):
+            again = estimator.copy()
+            for each in (copied, again):
+                each.assimilate(Observation([0, 1, 0], survived=True, readings=[1, 0]))
+            assert copied.belief == again.belief, method
+        assert method in repr(estimator)
+
+
+def test_all_public_names_are_there():
+    assert sorted(core.__all__) == sorted(set(core.__all__))
+    assert [name for name in core.__all__ if not hasattr(core, name)] == []
+
+
+def test_the_same_seed_is_the_same_world_as_its_generator():
+    assert World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1) == WORLD
+    path = [0, 1, 0]
+    assert WORLD.traverse(path, MODEL, 5) == WORLD.traverse(path, MODEL, np.random.default_rng(5))
+
+
+def test_functions_and_classes_stand_for_names():
+    by_name = mission(options=SearchOptions('shortest_unvisited', 8))
+    assert mission(options=SearchOptions(shortest_unvisited, 8)) == by_name
+    returned = [each.belief for each in mission(Ignorant)]
+    assert returned[0] == Estimator(PRIOR, MODEL, Ignorant).belief or by_name[0] != returned[0]
+    assert 'Ignorant' in repr(Estimator(PRIOR, MODEL, Ignorant))
+
+    def both_alike(robots):
+        return [robot.finder.grid.base * np.ones(2, dtype=int) for robot in robots], None
+
+    planned = plan_team(GRID, PRIOR, MODEL, Team(2, both_alike), OPTIONS)
+    assert [each.path.tolist() for each in planned.plans] == [[0, 0], [0, 0]]
+
+
+def nonsense(finder, objective):
+    return []
+
+
+def test_a_function_that_returns_nonsense_is_named():
+    with pytest.raises(PluginError, match="planner 'nonsense' of test_objects returns no path"):
+        mission(options=SearchOptions(nonsense, 8))
+    with pytest.raises(TypeError, match=r'planner .*<lambda>: it must be callable with \(finder'):
+        mission(options=SearchOptions(lambda: 3, 8))
+    with pytest.raises(TypeError, match='method dict: it must'):
+        Estimator(PRIOR, MODEL, dict)
+
+
+@for_each(
+    'make, words',
+    [
+        (lambda: Grid('4', 4), "grid width is '4': it must be a number"),
+        (lambda: SensorModel('a'), "lethality is 'a': it must be a number"),
+        (lambda: SensorModel(0.5, malfunction=None), 'malfunction is None: it must be a number'),
+        (lambda: SearchOptions(max_steps=[3]), 'max_steps is .3.: it must be a number'),
+    ],
+)
+def test_a_wrong_type_is_named(make, words):
+    with pytest.raises(TypeError, match=words):
+        make()
+
+
+def test_a_mission_is_a_table():
+    table = LEARNT.to_dataframe()
+    assert table.index.tolist() == [1, 2, 3, 4]
+    assert table['survived'].tolist() == [each.observation.survived for each in LEARNT]
+    assert table['path'].tolist() == [each.plan.path.tolist() for each in LEARNT]
+    assert table['lethality'].tolist() == [each.parameters['lethality'].mean for each in LEARNT]
+    assert table['hazard_log_loss'].iloc[-1] == core.log_loss(
+        LEARNT[-1].belief.hazard, WORLD.hazard
+    )
+    assert len(mission(robots=0).to_dataframe()) == 0
+
+
+def test_a_belief_is_drawn_with_the_truth_and_paths():
+    axes = plot(GRID, PRIOR, WORLD, [[0, 1, 0], LEARNT[0].observation])
+    assert [each.get_title() for each in axes] == ['hazard', 'target', 'kappa']
+    # The base, two paths and the true hazards.
+    assert len(axes[0].lines) == 4
+    with pytest.raises(ValueError, match='belief has 16 cells: the grid has 4'):
+        plot(Grid(2, 2), PRIOR)
+    with pytest.raises(ValueError, match='axes are 1: there must be 3'):
+        plot(GRID, PRIOR, axes=axes[:1])
