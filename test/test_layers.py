@@ -56,7 +56,7 @@ BELOW = {
     'study': {'files', 'core', 'figures'},
     'report': {'core', 'maps', 'messages', 'log', 'bag', 'figures'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
-    'base': {'core', 'messages', 'configuration'},
+    'base': {'core', 'messages', 'log', 'configuration'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {
         'files',

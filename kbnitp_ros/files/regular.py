@@ -9,7 +9,7 @@ from pathlib import Path
 import stat
 from typing import BinaryIO
 
-KINDS = {
+FILE_TYPES = {
     stat.S_IFDIR: 'a folder',
     stat.S_IFIFO: 'a pipe',
     stat.S_IFCHR: 'a device',
@@ -30,8 +30,10 @@ def open_file(path: str | Path) -> BinaryIO:
     """
     # Without O_NONBLOCK a pipe is waited for until someone writes to it.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
-    if kind != stat.S_IFREG:
+    file_type = stat.S_IFMT(os.fstat(descriptor).st_mode)
+    if file_type != stat.S_IFREG:
         os.close(descriptor)
-        raise OSError(errno.EINVAL, f'it is {KINDS.get(kind, "no file")}, not a file', str(path))
+        raise OSError(
+            errno.EINVAL, f'it is {FILE_TYPES.get(file_type, "no file")}, not a file', str(path)
+        )
     return os.fdopen(descriptor, 'rb')

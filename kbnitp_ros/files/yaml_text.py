@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Read YAML that may be damaged or hostile.
+Read YAML that may be corrupt or hostile.
 
 A few hundred bytes of YAML can stand for any number of values, by aliases of aliases, and deep
 nesting exhausts the stack of libyaml. So a text is read twice: first event by event, which keeps

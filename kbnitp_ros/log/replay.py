@@ -10,7 +10,6 @@ Where a belief is missing, those after it are not compared, up to one that names
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from hashlib import blake2b
 from pathlib import Path
@@ -18,10 +17,11 @@ from typing import Any
 
 from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.core import DeploymentKey, Estimator, Grid, Ledger
-from kbnitp_ros.log.compare import content_digest, Difference, differences
+from kbnitp_ros.log.compare import differences
 from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
 from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replayed_views import ReplayedViews
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
     belief_fields,
@@ -32,19 +32,12 @@ from kbnitp_ros.messages.beliefs import (
     Snapshot,
 )
 from kbnitp_ros.messages.fields import Fields
-from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
-from kbnitp_ros.messages.models import model_fields
 from kbnitp_ros.messages.operator_action import read_operator_action
 
 # What the paths of a log without a belief would be judged by.
 NO_RULES = Grid(1, 1), 1
-
-VIEWS = ('hazard', 'target', 'kappa')
-
-# Which fields a grid has.
-ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
 
 
 def replay(
@@ -79,7 +72,7 @@ def replay(
             if logged.type_name == BELIEF:
                 evidence.pass_belief(logged.message)
             elif logged.type_name in (GRID, MODEL):
-                fold.note_view(logged)
+                fold.views.note(logged)
             elif logged.type_name != OPERATOR:
                 evidence.take(logged)
             elif is_operator_action(logged):
@@ -106,17 +99,7 @@ class Fold:
         self._is_up_to_date = False
         self._index = -1
         self._seen: set[bytes] = set()
-        self._views: dict[str, list[tuple[int, Any]]] = defaultdict(list)
-        # What the views of beliefs show, by topic and stamp; beliefs may share one.
-        self._shown: dict[tuple[str, int], list[tuple[DeploymentKey | None, Any]]] = defaultdict(
-            list
-        )
-
-    def note_view(self, logged: LoggedMessage) -> None:
-        """Keep a view until all beliefs are computed; of a grid what identifies its content."""
-        message = logged.message
-        kept = message if logged.type_name == MODEL else grid_digest(message)
-        self._views[logged.topic].append((from_stamp(message.header.stamp), kept))
+        self.views = ReplayedViews()
 
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate what a belief names, and compare it; errors are those of `replay`."""
@@ -219,38 +202,23 @@ class Fold:
         self.report.compared[self.topic] += 1
         learnt = self._ledger.estimator.unknowns.priors
         found = tuple(differences(belief, computed, TOLERANCE, learnt))
-        if found and is_rounded(found):
+        is_equal = all(each.is_rounding for each in found)
+        if found and is_equal:
             # Its maps follow from its joint by sums and quotients, which no processor rounds
             # otherwise.
             maps = read_joint('joint', belief.joint, self._ledger.grid)
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
         if found:
-            self._add(Finding(self.topic, self._index, newest, found))
+            self.report.add(Finding(self.topic, self._index, newest, found))
         # The grids of a belief that was rounded otherwise show that one.
-        seen = belief if is_rounded(found) else self._ledger.belief
-        for name in VIEWS:
-            grid = occupancy_fields(self._ledger.grid, getattr(seen, name), stamp)
-            self._shown[f'{self.topic}/{name}', stamp].append((newest, grid_digest(grid)))
-        if learnt:
-            topic = f'{self.topic.rpartition("/")[0]}/model'
-            self._shown[topic, stamp].append((newest, model_fields(self._ledger, stamp)))
-
-    def _add(self, finding: Finding) -> None:
-        """Note a message that is not identical."""
-        report = self.report
-        is_equal = is_rounded(finding.differences)
-        (report.roundings if is_equal else report.mismatches).append(finding)
+        seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
+        self.views.expect(self.topic, self._ledger, seen, newest, stamp)
 
     def finish(self) -> None:
         """Compare the views with the beliefs that they show, and find deployments in no belief."""
-        for topic, views in self._views.items():
-            by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
-            for index, (stamp, view) in enumerate(views):
-                by_stamp[stamp].append((index, view))
-            for stamp, indexed in by_stamp.items():
-                self._compare_views(topic, indexed, self._shown.get((topic, stamp), []))
         report = self.report
+        self.views.compare(report)
         for key, reported in report.evidence.reports.items():
             if (
                 self._ledger
@@ -265,40 +233,3 @@ class Fold:
             # A belief that is missing, or was not compared, may hold them.
             report.not_yet_held[:0] = report.passed_over
             report.passed_over = []
-
-    def _compare_views(
-        self,
-        topic: str,
-        views: list[tuple[int, Any]],
-        shown: list[tuple[DeploymentKey | None, Any]],
-    ) -> None:
-        """Compare the views of a time with the beliefs of that time; one may be missing."""
-        unseen, others = [*shown], []
-        for index, view in views:
-            place = next((n for n, each in enumerate(unseen) if not differs(view, each[1])), None)
-            if place is not None:
-                del unseen[place]
-            elif all(differs(view, computed) for _, computed in shown):
-                others.append((index, view))
-                continue
-            self.report.compared[topic] += 1
-        for (index, view), (newest, computed) in zip(others, unseen):
-            self.report.compared[topic] += 1
-            self._add(Finding(topic, index, newest, differs(view, computed)))
-
-
-def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return how a view differs from that of a belief; of grids only the digests are known."""
-    if not isinstance(view, bytes):
-        return tuple(differences(view, computed, TOLERANCE))
-    return () if view == computed else (Difference('data', 'is not that of the belief'),)
-
-
-def is_rounded(found: Iterable[Difference]) -> bool:
-    """Return whether a message differs only as another processor rounds."""
-    return all(each.is_rounding for each in found)
-
-
-def grid_digest(view: Any) -> bytes:
-    """Return a digest of a nav_msgs/OccupancyGrid or its fields."""
-    return content_digest(view, ANY_GRID)

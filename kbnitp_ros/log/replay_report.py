@@ -99,6 +99,11 @@ class ReplayReport:
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
     finished: bool = False
 
+    def add(self, finding: Finding) -> None:
+        """Note a message that is not identical."""
+        is_equal = all(each.is_rounding for each in finding.differences)
+        (self.roundings if is_equal else self.mismatches).append(finding)
+
     @property
     def method(self) -> str:
         """Return the method of the estimator; empty if no prior is on record."""

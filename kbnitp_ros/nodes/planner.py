@@ -12,13 +12,13 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.reachability import cut_off_note, reach_note
+from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import (
     agents_of,
     check_search,
     most_steps,
     parameter_of,
-    robot_types_of,
     value_for,
 )
 from kbnitp_ros.core import (
@@ -28,9 +28,7 @@ from kbnitp_ros.core import (
     observation_of,
     ORDINARY,
 )
-from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
 from kbnitp_ros.log.evidence import BELIEF
-from kbnitp_ros.log.operator_state import read_operator_actions
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import (
@@ -40,7 +38,7 @@ from kbnitp_ros.messages.deployments import (
     report_message,
     Source,
 )
-from kbnitp_ros.messages.headers import LAST_COUNTED_ON, next_name, read_name
+from kbnitp_ros.messages.headers import next_name, read_name
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.operator_action import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
@@ -152,47 +150,21 @@ class PlannerNode(FieldNode):
 
     def _restore(self, log: str) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        deployments = read_deployments(
-            log, self.grid, self.values['max_steps'], robot_types_of(self.values)
-        )
-        for action, message in read_operator_actions(log, self.grid):
+        resumed = Resumption(log, self.grid, self.values, self._agents)
+        for action, message in resumed.actions:
             self._operator.restore(action, message)
-        given_up = self._operator.state.given_up
-        for key, recorded in deployments.items():
-            if key.agent not in self._paths:
-                raise ValueError(
-                    f'{log} has deployments of {key.agent}: the parameter agents names only '
-                    f'{", ".join(self._agents)}'
-                )
+        for key, recorded in resumed.deployments.items():
             self._paths[key.agent].publish(recorded.message)
-            self._in_flight.leave(key, recorded.path, recorded.content)
-            self._rounds.note_path(recorded.path)
-            self._in_flight.record(key, recorded.content)
-            if recorded.observation is not None:
-                self._in_flight.end(key)
-                is_own = self.values['silent_loss'] or key in given_up
-                if is_own and not recorded.observation.survived:
-                    # Said by the planner before this one.
-                    source = Source.OPERATOR if key in given_up else Source.SILENCE
-                    again = report_message(key, recorded.observation, recorded.reported, source)
-                    self._losses[key.agent].publish(again)
-            if key.stamp <= LAST_COUNTED_ON:
-                self._last_stamp = key.stamp
-        for key, steps_survived in given_up.items():
+        resumed.note(self._in_flight, self._rounds)
+        for key, report in resumed.losses():
+            self._losses[key.agent].publish(report)
+        self._last_stamp = resumed.last_stamp
+        for key, steps_survived in resumed.operator.given_up.items():
             if key in self._in_flight:
                 self._give_up(key, Source.OPERATOR, steps_survived)
-        self._tracker.mission = read_mission(log)
-        # Of one robot, or where each leaves by itself, no part can be missing.
-        if len(self._agents) == 1 or self.values['rolling']:
-            return
-        if self._operator.state.is_paused or self._operator.state.is_ended:
-            return
-        if newest_round := read_newest_round(log, deployments):
-            planned_on, keys = newest_round
-            recorded_paths = {key: deployments[key].path for key in keys}
-            refused = self._operator.state.refused(planned_on.deployments)
-            missing = self._rounds.missing(planned_on, self._agents, recorded_paths, refused)
-            self._send(missing, planned_on.mission)
+        self._tracker.mission = resumed.mission
+        if missing := resumed.missing(self._rounds):
+            self._send(*missing)
 
     def _log_reachability(self) -> None:
         """Say what no path comes to; a warning if that is most of the field."""

@@ -22,7 +22,7 @@ from kbnitp_ros.log.deployments import read_mission, read_paths
 from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.log.log_path import new_log
 from kbnitp_ros.log.operator_state import OPERATOR
-from kbnitp_ros.log.replay import VIEWS
+from kbnitp_ros.log.replayed_views import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report

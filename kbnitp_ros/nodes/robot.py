@@ -98,9 +98,9 @@ class RobotNode(FieldNode):
 
     def _resume(self) -> None:
         """Go on from the journal: say again what was said, and be where the robot was."""
-        if self._journal.damage:
-            self.get_logger().warning(self._journal.damage)
-            self.diagnostics.values['journal'] = self._journal.damage
+        if self._journal.corruption:
+            self.get_logger().warning(self._journal.corruption)
+            self.diagnostics.values['journal'] = self._journal.corruption
         for deployment in self._journal.deployments:
             if deployment.is_home:
                 self._report(deployment)

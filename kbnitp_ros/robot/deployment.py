@@ -83,8 +83,8 @@ class Deployment:
             How many steps it may tell of: of a longer walk loops are left out, see `steps_within`.
 
         """
-        told = steps_within(self.cells, most)
-        steps = [self.steps[number - 1] for number in told] or [Step(self.base, 0)]
+        kept = steps_within(self.cells, most)
+        steps = [self.steps[number - 1] for number in kept] or [Step(self.base, 0)]
         walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)
         readings = np.array([step.reading for step in steps], dtype=np.int8)
         return Observation(walk, True, readings)

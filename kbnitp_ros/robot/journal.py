@@ -50,7 +50,7 @@ class Journal:
         The file.
     deployments : list of Deployment
         The deployments on record, in order.
-    damage : str
+    corruption : str
         What was cut off when it was opened, and where that is kept; empty when nothing.
 
     Raises
@@ -65,7 +65,7 @@ class Journal:
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
         self.deployments: list[Deployment] = []
-        self.damage = ''
+        self.corruption = ''
         # What is not on the disk yet, for want of room there.
         self._unwritten: deque[dict[str, Any]] = deque()
         self._check = 0
@@ -88,7 +88,7 @@ class Journal:
             ) from error
 
     def _read(self, expected: dict[str, Any]) -> None:
-        """Take in what is on the disk; what is damaged is cut off, and kept beside."""
+        """Read what is on the disk; cut off what is corrupt, and keep it beside."""
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
         *lines, rest = content.split(b'\n')
@@ -154,21 +154,21 @@ class Journal:
         else:
             self.deployments[-1].is_home = entry['home'] >= 0
 
-    def _cut(self, damaged: bytes) -> None:
+    def _cut(self, corrupt: bytes) -> None:
         """Cut off what no journal has written, but keep it if it is more than a torn line."""
-        if not damaged:
+        if not corrupt:
             return
-        self.damage = f'journal {self.path}: its last {len(damaged)} bytes were cut off'
-        if b'\n' in damaged:
-            kept = self.path.with_name(f'{self.path.name}.damaged-{self._size}')
+        self.corruption = f'journal {self.path}: its last {len(corrupt)} bytes were cut off'
+        if b'\n' in corrupt:
+            kept = self.path.with_name(f'{self.path.name}.corrupt-{self._size}')
             with naming(kept), kept.open('wb') as file:
-                file.write(damaged)
+                file.write(corrupt)
                 file.flush()
                 os.fsync(file.fileno())
             sync_folder(self.path.parent)
-            self.damage += f', since they are damaged, and kept as {kept}'
+            self.corruption += f', since they are corrupt, and kept as {kept}'
         else:
-            self.damage += ': the power was lost while they were written'
+            self.corruption += ': the power was lost while they were written'
         with naming(self.path):
             os.ftruncate(self._file, self._size)
             os.fsync(self._file)

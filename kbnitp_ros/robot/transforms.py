@@ -82,8 +82,8 @@ class Transforms:
 
         """
         for transform in message.transforms:
-            child, told = transform.child_frame_id.lstrip('/'), transform.transform
-            move, turn = told.translation, told.rotation
+            child, pose = transform.child_frame_id.lstrip('/'), transform.transform
+            move, turn = pose.translation, pose.rotation
             translation = np.array([move.x, move.y, move.z])
             rotation = np.array([turn.x, turn.y, turn.z, turn.w])
             length = float(np.linalg.norm(rotation))
@@ -127,14 +127,14 @@ class Transforms:
                     f'{frame!r} is'
                 )
             passed.add(frame)
-            told = now if link.stamp is None else link.stamp
-            if now - told > oldest * SECOND:
+            changed = now if link.stamp is None else link.stamp
+            if now - changed > oldest * SECOND:
                 raise ValueError(
                     f'the last transform from {link.parent!r} to {frame!r} is of more than '
                     f'{oldest} s ago (parameter tf_timeout)'
                 )
             place = link.translation + rotated(place, link.rotation)
-            frame, stamp = link.parent, min(stamp, told)
+            frame, stamp = link.parent, min(stamp, changed)
             odometry = link.stamp if odometry is None else odometry
         return Place(
             float(place[0]), float(place[1]), stamp, now if odometry is None else odometry

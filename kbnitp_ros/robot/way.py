@@ -67,7 +67,7 @@ def steps_within(cells: Sequence[int], most: int) -> list[int]:
 
     What is left is a walk from the same start to the same end, of steps that were made: the walk
     as far as it goes, and from there the last way out of each cell, which leads home without
-    loops. A step that is left out is evidence that is not told; no other is told in its place.
+    loops. A step that is left out is evidence that is not reported; no other takes its place.
 
     Parameters
     ----------
@@ -92,12 +92,12 @@ def steps_within(cells: Sequence[int], most: int) -> list[int]:
         if last[cells[number]] == number:
             steps_home[cells[number]] = 1 + steps_home[cells[number + 1]]
     kept = max(number for number in range(most + 1) if number + steps_home[cells[number]] <= most)
-    told = list(range(1, kept + 1))
+    numbers = list(range(1, kept + 1))
     at = last[cells[kept]]
     while at < steps:
-        told.append(at + 1)
+        numbers.append(at + 1)
         at = last[cells[at + 1]]
-    return told
+    return numbers
 
 
 def shortest_way(grid: Grid, start: int, end: int) -> list[int]:

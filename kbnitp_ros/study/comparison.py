@@ -36,7 +36,7 @@ from kbnitp_ros.study.summary import (
 )
 from kbnitp_ros.study.teams import common_rounds, differ_in_size, team_rows
 
-Told = Callable[[Strategy, Scenario], Any]
+Stated = Callable[[Strategy, Scenario], Any]
 Measured = Callable[[Results, 'float | None', str, Strategy, Strategy], Mean]
 
 # A column of a table: its head, and the format of a value or the decimals of means.
@@ -104,11 +104,11 @@ def cells_of(value: Any, form: str | int) -> list[str]:
 
 
 def with_first(
-    told: Mapping[str, Told],
+    stated: Mapping[str, Stated],
     difference: str = 'difference',
     is_gain: bool = False,
     robots: tuple[int, ...] = (10, 25, 50),
-    first: tuple[str, Told] | None = None,
+    first: tuple[str, Stated] | None = None,
     order: Callable[[Strategy], Any] | None = None,
     further: Mapping[str, Measured] | None = None,
 ) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def with_first(
 
     Parameters
     ----------
-    told : mapping of str to callable
+    stated : mapping of str to callable
         What a row has of its strategy, by the names in the summary.
     difference : str
         Name of the differences of the log loss in the summary.
@@ -153,7 +153,7 @@ def with_first(
             yield {
                 'lethality': lethality,
                 'method': method,
-                **{name: of(team, scenario) for name, of in told.items()},
+                **{name: of(team, scenario) for name, of in stated.items()},
                 difference: differences(one, other, after_robots(robots, scenario.robots)),
                 **{
                     name: of(results, lethality, method, base, team)
@@ -192,7 +192,7 @@ def lost_more(
     return mean_of(these - those)
 
 
-def own(name: str) -> Told:
+def own(name: str) -> Stated:
     """Return what reads a field of a strategy."""
     return lambda team, _: getattr(team, name)
 
@@ -266,7 +266,7 @@ CONTACT = Comparison(
     ),
     columns={**METHOD, 'last_contact': ('contact', '{:.4g}'), 'value': ('', 1)},
     **with_first(
-        told={name: own(name) for name in vars(Strategy())},
+        stated={name: own(name) for name in vars(Strategy())},
         difference='value',
         is_gain=True,
         robots=(10, 25, 50, 100, 200),

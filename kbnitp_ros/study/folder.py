@@ -76,35 +76,35 @@ class Folder:
                 file = open_file(self._file(trial))
             except FileNotFoundError:
                 continue
-            # There is no end to what zipfile and numpy raise when a file is damaged.
+            # There is no end to what zipfile and numpy raise when a file is corrupt.
             with file, suppress(Exception):
                 outcomes[trial] = self._read(file)
         return outcomes
 
     def _read(self, file: BinaryIO) -> Outcome:
-        """Return the outcome in a file; fails if it is damaged or of another scenario."""
+        """Return the outcome in a file; fails if it is corrupt or of another scenario."""
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
         shapes = [(rows, len(MEASURES)), maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
-        kinds = ['<f8', '<f8', '|b1', '<f8', '<f8']
-        largest = sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in zip(kinds, shapes))
+        types = ['<f8', '<f8', '|b1', '<f8', '<f8']
+        largest = sum(np.dtype(each).itemsize * prod(shape) for each, shape in zip(types, shapes))
         with np.load(file, allow_pickle=False) as arrays:
             # A small file may hold arrays that no memory has room for.
             if sum(each.file_size for each in arrays.zip.infolist()) > largest + HEADERS:
                 raise ValueError('its arrays are too large')
             outcome = Outcome(**arrays)
-        if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, kinds)]:
+        if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, types)]:
             raise ValueError('its arrays are of another shape')
         return outcome
 
     def _file(self, trial: Trial) -> Path:
-        told = vars(trial.team).items()
+        strategy = vars(trial.team).items()
         # Without these the names are those of studies that had none.
         later = ('last_contact', 'planner', 'survey', 'trusted', 'objective', 'alpha')
         team = '-'.join(
             f'{name if name in later[2:] else ""}{value}'
-            for name, value in told
+            for name, value in strategy
             if name not in later or value != getattr(ALONE, name)
         )
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'

@@ -78,8 +78,8 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
         learner = results.series(lethality, LEARNING, *LOG_LOSS, team=team)
         for method in scenario.methods:
             if method != LEARNING:
-                told = results.series(lethality, method, *LOG_LOSS, team=team)
-                costs = differences(learner, told, robots)
+                informed = results.series(lethality, method, *LOG_LOSS, team=team)
+                costs = differences(learner, informed, robots)
                 yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 

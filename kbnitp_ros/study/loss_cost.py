@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot is worth: the robots lost, and the log loss that is reached with them."""
+"""The cost of a lost robot: the robots lost, and the log loss that is reached with them."""
 
 from __future__ import annotations
 

@@ -40,17 +40,21 @@ def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
     """
     if len(contenders) <= len(SERIES):
         return [list(contenders)]
-    for kinds in (
+    for distinctions in (
         [each.method for each in contenders],
         [each.team.allocation if each.team.agents > 1 else None for each in contenders],
     ):
-        names = [name for name in dict.fromkeys(kinds) if name is not None]
+        names = [name for name in dict.fromkeys(distinctions) if name is not None]
         if len(names) > 1:
             return [
                 group
                 for name in names
                 for group in groups_of(
-                    [each for each, kind in zip(contenders, kinds) if kind in (name, None)]
+                    [
+                        each
+                        for each, distinction in zip(contenders, distinctions)
+                        if distinction in (name, None)
+                    ]
                 )
             ]
     first, *others = contenders

@@ -93,7 +93,7 @@ class Strategy:
     allocation : str
         Of `ALLOCATIONS`.
     loss_cost : float
-        What a lost robot is worth, nats, 0 to 1000.
+        The cost of a lost robot, nats, 0 to 1000.
     last_contact : float
         The probability that the base hears, after each step, how far a robot is, 0 to 1.
     planner : str
@@ -410,20 +410,20 @@ def read_scenario(path: Path) -> Scenario:
     return scenario
 
 
-def _read(kind: Any, value: Any, key: str) -> Any:
-    """Return what YAML loaded for `key` as a `kind`: a section, a list or a value allowed."""
-    if is_dataclass(kind):
-        return _read_section(kind, value, key)
-    if get_origin(kind) in (Union, UnionType):
-        return None if value is None else _read(get_args(kind)[0], value, key)
-    if get_origin(kind) is tuple:
+def _read(annotation: Any, value: Any, key: str) -> Any:
+    """Return what YAML loaded for `key` by its annotation: a section, a list or a value."""
+    if is_dataclass(annotation):
+        return _read_section(annotation, value, key)
+    if get_origin(annotation) in (Union, UnionType):
+        return None if value is None else _read(get_args(annotation)[0], value, key)
+    if get_origin(annotation) is tuple:
         if not isinstance(value, list) or not value:
             raise ValueError(f'{key} is {value!r}: it must be a list of at least one')
-        values = tuple(_read(get_args(kind)[0], one, key) for one in value)
+        values = tuple(_read(get_args(annotation)[0], one, key) for one in value)
         if len(set(values)) < len(values):
             raise ValueError(f'{key} is {value}: nothing may be in it twice')
         return values
-    wanted, allowed, *besides = get_args(kind)
+    wanted, allowed, *besides = get_args(annotation)
     if wanted is str:
         if value not in allowed and value not in besides:
             raise ValueError(f'{key} is {value!r}: {allowed.why_not(value, *besides)}')
@@ -437,17 +437,21 @@ def _read(kind: Any, value: Any, key: str) -> Any:
     return wanted(value)
 
 
-def _read_section(kind: Any, content: Any, key: str) -> Any:
+def _read_section(annotation: Any, content: Any, key: str) -> Any:
     """Return a section's dataclass; the whole scenario is the section without a key."""
-    known = [field.name for field in fields(kind)]
+    known = [field.name for field in fields(annotation)]
     name, inside = (key, f'{key}.') if key else ('it', '')
     if not isinstance(content, dict):
         raise ValueError(f'{name} is {content!r}: it must have the keys {", ".join(known)}')
     unknown = [str(given) for given in content if given not in known]
     if unknown:
         raise ValueError(f'{inside}{unknown[0]} is unknown: {name} has {", ".join(known)}')
-    missing = [f.name for f in fields(kind) if f.default is MISSING and f.name not in content]
+    missing = [
+        f.name for f in fields(annotation) if f.default is MISSING and f.name not in content
+    ]
     if missing:
         raise ValueError(f'{inside}{missing[0]} is missing: {name} has {", ".join(known)}')
-    kinds = get_type_hints(kind, include_extras=True)
-    return kind(**{k: _read(kinds[k], value, f'{inside}{k}') for k, value in content.items()})
+    annotations = get_type_hints(annotation, include_extras=True)
+    return annotation(
+        **{k: _read(annotations[k], value, f'{inside}{k}') for k, value in content.items()}
+    )

@@ -34,8 +34,8 @@ def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int)
     if not team.survey:
         return prior
     drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)
-    told = world.hazard ^ (drawn >= team.survey)
+    mapped = world.hazard ^ (drawn >= team.survey)
     trusted = team.trusted or team.survey
-    likelihood = np.where(told[:, None] == [False, True], trusted, 1.0 - trusted)
+    likelihood = np.where(mapped[:, None] == [False, True], trusted, 1.0 - trusted)
     joint = prior.joint * likelihood[:, :, None]
     return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))

@@ -124,13 +124,13 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
     world = World.random(grid, rng, **{name: truth[name] for name in vars(scenario.world)})
-    told = dict(truth)
+    believed = dict(truth)
     if scenario.believed_lethality is not None:
-        told['lethality'] = scenario.believed_lethality
+        believed['lethality'] = scenario.believed_lethality
     learns = trial.method == LEARNING
     method = SAMPLED if learns else trial.method
     unknowns = scenario.learn.unknowns() if learns else Unknowns()
-    prior, model = scenario.belief(truth), scenario.model(told)
+    prior, model = scenario.belief(truth), scenario.model(believed)
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
     mission = run_mission(
         grid,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The journal of a robot after any loss of power, damage, or mix-up."""
+"""The journal of a robot after any loss of power, corruption, or mix-up."""
 
 from copy import deepcopy
 import os
@@ -71,7 +71,7 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
     assert path.read_bytes() == content[: ends[max(lines - 1, 0)]]
     # It is gone on with as if nothing had happened.
     journal = opened(path)
-    assert not journal.damage
+    assert not journal.corruption
     deployment = Deployment(9999, 7, ORDERS)
     journal.depart(deployment)
     journal.close()
@@ -79,7 +79,7 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
 
 
 @given(doings=DOINGS, data=st.data())
-def test_damage_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory, doings, data):
+def test_corruption_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'
     journal = opened(path)
     states = [[], *live(journal, doings)]
@@ -94,8 +94,8 @@ def test_damage_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory,
     journal = reopened(path)
     whole = bytes(content[:place]).count(b'\n') - 1
     assert journal.deployments == states[whole]
-    assert str(path) in journal.damage
-    kept = [each for each in path.parent.iterdir() if 'damaged' in each.name]
+    assert str(path) in journal.corruption
+    kept = [each for each in path.parent.iterdir() if 'corrupt' in each.name]
     together = path.read_bytes() + (kept[0].read_bytes() if kept else b'')
     # A last line that was torn is not kept: nobody has acted on it.
     assert bytes(content).startswith(together)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a planner that is started again takes from the log of its mission."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
+
+from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.rounds import Plans, Rounds
+from kbnitp_ros.configuration import robot_types_of
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
+from kbnitp_ros.log.operator_state import OperatorState, read_operator_actions
+from kbnitp_ros.messages.deployments import report_message, Source
+from kbnitp_ros.messages.headers import LAST_COUNTED_ON
+
+
+class Resumption:
+    """
+    The mission of a log, to go on with.
+
+    Attributes
+    ----------
+    deployments : dict of DeploymentKey to RecordedDeployment
+        In the order they were made.
+    actions : list of (OperatorAction, bytes)
+        Those of the operator, each with its message.
+    operator : OperatorState
+        What holds by them.
+    mission : int or None
+        When it began, in nanoseconds.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is corrupt.
+    ValueError
+        If it is of another field, or has deployments of agents that are none of the team.
+
+    """
+
+    def __init__(
+        self, log: str, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
+    ) -> None:
+        self._log = log
+        self._values = values
+        self._agents = agents
+        robot_types = robot_types_of(values)
+        self.deployments = read_deployments(log, grid, values['max_steps'], robot_types)
+        for key in self.deployments:
+            if key.agent not in agents:
+                raise ValueError(
+                    f'{log} has deployments of {key.agent}: the parameter agents names only '
+                    f'{", ".join(agents)}'
+                )
+        self.actions = list(read_operator_actions(log, grid))
+        self.operator = OperatorState()
+        for action, _ in self.actions:
+            self.operator.apply(action)
+        self.mission = read_mission(log)
+
+    @property
+    def last_stamp(self) -> int:
+        """Return the stamp of the last deployment after which others can be counted on."""
+        stamps = (key.stamp for key in self.deployments if key.stamp <= LAST_COUNTED_ON)
+        return max(stamps, default=0)
+
+    def note(self, in_flight: DeploymentsInFlight, rounds: Rounds) -> None:
+        """Take note of all robots that have left, and of those that were reported."""
+        for key, recorded in self.deployments.items():
+            in_flight.leave(key, recorded.path, recorded.content)
+            rounds.note_path(recorded.path)
+            in_flight.record(key, recorded.content)
+            if recorded.observation is not None:
+                in_flight.end(key)
+
+    def losses(self) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
+        """Yield the losses that the planner before this one reported."""
+        given_up = self.operator.given_up
+        for key, recorded in self.deployments.items():
+            is_own = self._values['silent_loss'] or key in given_up
+            observation = recorded.observation
+            if is_own and observation is not None and not observation.survived:
+                source = Source.OPERATOR if key in given_up else Source.SILENCE
+                yield key, report_message(key, observation, recorded.reported, source)
+
+    def missing(self, rounds: Rounds) -> tuple[Plans, int] | None:
+        """Return the plans of the newest round that are not on record, and its mission."""
+        # Of one robot, or where each leaves by itself, no part can be missing.
+        if len(self._agents) == 1 or self._values['rolling']:
+            return None
+        if self.operator.is_paused or self.operator.is_ended:
+            return None
+        newest_round = read_newest_round(self._log, self.deployments)
+        if newest_round is None:
+            return None
+        planned_on, keys = newest_round
+        recorded = {key: self.deployments[key].path for key in keys}
+        refused = self.operator.refused(planned_on.deployments)
+        plans = rounds.missing(planned_on, list(self._agents), recorded, refused)
+        return plans, planned_on.mission

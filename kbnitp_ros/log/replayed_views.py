@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grids and models on record, compared with the beliefs that they show."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+from kbnitp_ros.bag import LoggedMessage
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger
+from kbnitp_ros.log.compare import content_digest, Difference, differences
+from kbnitp_ros.log.evidence import MODEL
+from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
+from kbnitp_ros.messages.grids import occupancy_fields
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.models import model_fields
+
+VIEWS = ('hazard', 'target', 'kappa')
+
+# Which fields a grid has.
+ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
+
+# The belief that a view is of, and the fields of a model or the digest of a grid.
+Expected = tuple['DeploymentKey | None', Any]
+
+
+class ReplayedViews:
+    """The views on record, and those of the beliefs that were computed."""
+
+    def __init__(self) -> None:
+        self._recorded: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+        # By topic and stamp; beliefs may share one.
+        self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
+
+    def note(self, logged: LoggedMessage) -> None:
+        """Keep a view until all beliefs are computed; of a grid what identifies its content."""
+        message = logged.message
+        kept = message if logged.type_name == MODEL else grid_digest(message)
+        self._recorded[logged.topic].append((from_stamp(message.header.stamp), kept))
+
+    def expect(
+        self, topic: str, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int
+    ) -> None:
+        """Take note of the views of a ledger's belief, whose maps are those of `seen`."""
+        for name in VIEWS:
+            grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
+            self._expected[f'{topic}/{name}', stamp].append((newest, grid_digest(grid)))
+        if ledger.estimator.unknowns.priors:
+            model = f'{topic.rpartition("/")[0]}/model'
+            self._expected[model, stamp].append((newest, model_fields(ledger, stamp)))
+
+    def compare(self, report: ReplayReport) -> None:
+        """Compare each view with those of the beliefs of its time; some may be missing."""
+        for topic, views in self._recorded.items():
+            by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
+            for index, (stamp, view) in enumerate(views):
+                by_stamp[stamp].append((index, view))
+            for stamp, indexed in by_stamp.items():
+                expected = self._expected.get((topic, stamp), [])
+                unseen, others = [*expected], []
+                for index, view in indexed:
+                    alike = [n for n, each in enumerate(unseen) if not differs(view, each[1])]
+                    if alike:
+                        del unseen[alike[0]]
+                    elif all(differs(view, computed) for _, computed in expected):
+                        others.append((index, view))
+                        continue
+                    report.compared[topic] += 1
+                for (index, view), (newest, computed) in zip(others, unseen):
+                    report.compared[topic] += 1
+                    report.add(Finding(topic, index, newest, differs(view, computed)))
+
+
+def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
+    """Return how a view differs from that of a belief; of grids only the digests are known."""
+    if not isinstance(view, bytes):
+        return tuple(differences(view, computed, TOLERANCE))
+    return () if view == computed else (Difference('data', 'is not that of the belief'),)
+
+
+def grid_digest(view: Any) -> bytes:
+    """Return a digest of a nav_msgs/OccupancyGrid or its fields."""
+    return content_digest(view, ANY_GRID)
