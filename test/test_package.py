@@ -32,7 +32,7 @@ PYTHON_PACKAGES = {
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
     'mcap_ros2': ('mcap-ros2-support', 'mcap-ros2-support'),
-    'numba': (None, 'numba'),
+    'numba': ('python3-numba', 'numba'),
     'numpy': ('python3-numpy', 'numpy'),
     'PIL': ('python3-pil', 'pillow'),
     'playwright': (None, 'playwright'),
