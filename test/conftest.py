@@ -34,7 +34,9 @@ sys.addaudithook(_refuse_processes)
 
 def pytest_addoption(parser):
     """Let one case of a law run alone."""
-    parser.addoption('--case', help='run this case of laws alone, as its failure names it')
+    parser.addoption(
+        '--case', help='run this case of laws alone, as its failure names it, or those of a value'
+    )
 
 
 def pytest_configure(config):

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-# The case that alone is run, as its failure names it; see `pytest --case`.
+# What alone is run: the case of this name, or those with such a value; see `pytest --case`.
 alone: str | None = None
 
 
@@ -56,7 +56,7 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
         def law(rest: bool = False, **others: Any) -> None:
             chosen = [each for number, each in enumerate(named) if bool(number % every) == rest]
             if alone is not None:
-                chosen = [each for each in chosen if each[0] == alone]
+                chosen = [each for each in chosen if is_called(*each, alone)]
                 if not chosen:
                     pytest.skip(f'has no case {alone}')
             for number, (name, arguments) in enumerate(chosen):
@@ -85,6 +85,11 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
         return pytest.mark.parametrize('rest', marked, ids=['some', 'rest'])(law)
 
     return decorate
+
+
+def is_called(name: str, arguments: dict[str, Any], told: str) -> bool:
+    """Return whether a case has this name, or a value that is called so."""
+    return told == name or told in (str(called(value)) for value in arguments.values())
 
 
 def called(value: Any) -> Any:

@@ -68,6 +68,9 @@ def test_a_case_runs_alone(monkeypatch):
     monkeypatch.setattr(laws, 'alone', 'seed=2')
     for_each('seed', range(5))(small)(ran=ran)
     assert ran == [2]
+    monkeypatch.setattr(laws, 'alone', '1')
+    for_each('seed', range(5))(small)(ran=ran)
+    assert ran == [2, 1]
     monkeypatch.setattr(laws, 'alone', 'seed=9')
     with pytest.raises(pytest.skip.Exception, match='seed=9'):
         for_each('seed', range(5))(small)(ran=ran)

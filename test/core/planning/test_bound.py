@@ -141,6 +141,7 @@ def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
     assert found.gap == found.upper_bound - found.information
 
 
+@pytest.mark.slow
 def test_the_median_gap_on_beliefs_of_missions_is_3_percent_at_most(record_property):
     """On 9x9 cells with 18 steps, after no to 60 robots, at lethality 0.1 to 0.9."""
     grid, options, gaps = Grid(9, 9), SearchOptions('relaxed', 18), []
