@@ -88,6 +88,7 @@ class Rounds:
             in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
             visited=self._visited - count_visits(self._grid, noted),
             keepout=keepout_cells(self._grid, most_steps, len(agents), refused),
+            bound=self._values['bound'],
         )
         away = [
             value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
@@ -142,4 +143,16 @@ def describe_plan(grid: Grid, plan: Plan) -> str:
     return (
         f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '
         f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats'
+        f'{describe_gap(plan)}'
     )
+
+
+def describe_gap(plan: Plan) -> str:
+    """Return how much better another plan may be, empty where that is unknown."""
+    if plan.gap is None or plan.upper_bound is None:
+        return ''
+    words = f', at most {plan.gap:.2g} nats below the best'
+    worth = plan.upper_bound - plan.gap
+    if worth > 0.0:
+        words += f' ({plan.gap / worth:.1%})'
+    return f'{words}, ended by {plan.ended_by}' if plan.ended_by else words

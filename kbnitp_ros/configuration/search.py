@@ -8,10 +8,22 @@ from dataclasses import fields, replace
 from typing import Any
 
 from kbnitp_ros.configuration.agents import agents_of, robot_type_of
-from kbnitp_ros.core import check_team, Grid, ORDINARY, PathFinder, RobotType, SearchOptions
+from kbnitp_ros.core import (
+    check_bounded,
+    check_team,
+    Grid,
+    ORDINARY,
+    PathFinder,
+    RobotType,
+    SearchOptions,
+)
 
 # The options whose parameters have other names.
-NAMES = {'width': 'beam_width'}
+NAMES = {
+    'width': 'beam_width',
+    'tolerance': 'search.tolerance',
+    'branches': 'search.branches',
+}
 
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:
@@ -57,4 +69,8 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
     """
     types = [type_to_plan(values, agent, believed) for agent in agents_of(values, grid)]
-    check_team(PathFinder(grid, search_options(values)), types)
+    options = search_options(values)
+    check_team(PathFinder(grid, options), types)
+    if values['bound'] or options.planner == 'exact':
+        for each in types:
+            check_bounded(grid, options.of_type(each), len(types))

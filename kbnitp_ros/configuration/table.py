@@ -3,7 +3,15 @@
 
 from kbnitp_ros.configuration.names import NAME
 from kbnitp_ros.configuration.parameter import Parameter
-from kbnitp_ros.core import ALLOCATIONS, ALPHAS, HAZARDS, METHODS, OBJECTIVES, PLANNERS
+from kbnitp_ros.core import (
+    ALLOCATIONS,
+    ALPHAS,
+    HAZARDS,
+    METHODS,
+    OBJECTIVES,
+    PLANNERS,
+    TOLERANCES,
+)
 from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
@@ -265,8 +273,8 @@ TABLE = (
     Parameter(
         'planner',
         'beam',
-        'How a path is searched for; random, coverage and shortest_unvisited seek no '
-        'information, and are there to be compared with.',
+        'How a path is searched for; exact finds the best for an agent that is alone, random, '
+        'coverage and shortest_unvisited seek no information, and are there to be compared with.',
         ('planner',),
         choices=PLANNERS,
         read_only=False,
@@ -278,6 +286,29 @@ TABLE = (
         ('planner',),
         limits=(1, 10_000),
         read_only=False,
+    ),
+    Parameter(
+        'search.tolerance',
+        1e-6,
+        'The planner exact ends when no path is worth so many nats more than the one it found.',
+        ('planner',),
+        limits=TOLERANCES,
+        read_only=False,
+    ),
+    Parameter(
+        'search.branches',
+        100,
+        'The planner exact ends as well when it has divided the paths so often.',
+        ('planner',),
+        limits=(1, 1_000_000),
+        read_only=False,
+    ),
+    Parameter(
+        'bound',
+        False,
+        'Whether an upper bound of what any path is worth is computed with each plan, for '
+        'progress and the report: of an agent that is alone and seeks information.',
+        ('planner',),
     ),
     Parameter(
         'max_visits',

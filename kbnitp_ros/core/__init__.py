@@ -57,6 +57,7 @@ from kbnitp_ros.core.planning import (
     ALLOCATIONS,
     ALPHAS,
     behavioral_information,
+    check_bounded,
     check_team,
     count_visits,
     keepout_cells,
@@ -74,6 +75,7 @@ from kbnitp_ros.core.planning import (
     team_information,
     team_size,
     TeamPlan,
+    TOLERANCES,
 )
 from kbnitp_ros.core.table import deployments_table
 
@@ -89,6 +91,7 @@ __all__ = [
     'ORDINARY',
     'PLANNERS',
     'STATIC',
+    'TOLERANCES',
     'Area',
     'Belief',
     'Beta',
@@ -131,6 +134,7 @@ __all__ = [
     'behavioral_information',
     'binary_entropy',
     'brier_score',
+    'check_bounded',
     'check_team',
     'count_visits',
     'deployment_order',

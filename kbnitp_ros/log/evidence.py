@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
+PROGRESS = 'kbnitp_msgs/msg/Progress'
 PATH = 'nav_msgs/msg/Path'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,16 @@ from kbnitp_ros.core import (
     Observation,
     World,
 )
-from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
+from kbnitp_ros.log.evidence import (
+    BELIEF,
+    Evidence,
+    first_belief,
+    GRID,
+    MODEL,
+    PATH,
+    PROGRESS,
+    REPORT,
+)
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
@@ -79,6 +89,9 @@ class History:
         record, empty if none were.
     learnt_stamps : list of int
         The stamps of the beliefs that these go with, in nanoseconds.
+    bounds : dict of int to float
+        What no path was worth more than given the belief of a stamp, nats, where
+        that was computed.
     world : World or None
         The hidden truth, if the agent published it.
 
@@ -92,6 +105,7 @@ class History:
     told: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
     learnt: list[dict[str, Known]] = field(default_factory=list)
     learnt_stamps: list[int] = field(default_factory=list)
+    bounds: dict[int, float] = field(default_factory=dict)
     world: World | None = None
 
     @property
@@ -151,7 +165,7 @@ def read_history(
     history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
     with same_types(path):
-        for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, REPORT))):
+        for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT))):
             with named(path, logged, history):
                 if logged.type_name in (PATH, REPORT):
                     take_evidence(history, logged)
@@ -161,6 +175,10 @@ def read_history(
                     stamp = from_stamp(logged.message.header.stamp)
                     history.learnt.append(read_model_belief(logged.message))
                     history.learnt_stamps.append(stamp)
+                elif logged.type_name == PROGRESS:
+                    if not isnan(logged.message.upper_bound):
+                        stamp = from_stamp(logged.message.header.stamp)
+                        history.bounds[stamp] = logged.message.upper_bound
                 elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
                     name = logged.topic.rpartition('/')[2]
                     truth[name] = read_occupancy_grid(logged.message) > 0.0

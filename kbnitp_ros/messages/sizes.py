@@ -47,6 +47,11 @@ def largest_model() -> int:
     return REST
 
 
+def largest_progress() -> int:
+    """Return the most bytes of a kbnitp_msgs/Progress."""
+    return REST
+
+
 def largest_map(pixels: int) -> int:
     """Return the most bytes of a nav_msgs/OccupancyGrid of so many pixels."""
     return REST + pixels

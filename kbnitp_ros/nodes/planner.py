@@ -43,6 +43,7 @@ from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.operator_action import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.messages.sizes import largest_belief, largest_path, largest_report, RECORDED
+from kbnitp_ros.nodes.bounded_progress import BoundedProgress
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.recorders import records
@@ -109,6 +110,7 @@ class PlannerNode(FieldNode):
         }
         self._tracker = MissionTracker()
         self._rounds = Rounds(self.grid, self.values, self.get_logger().warning)
+        self._bounds = BoundedProgress(self) if self.values['bound'] else None
         self._peers = Peers(self, self._agents)
         self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
         self._proposals = Proposals(self, self.grid, self._agents)
@@ -397,6 +399,9 @@ class PlannerNode(FieldNode):
         plans = self._rounds.plan(newest, agents, self._in_flight.paths, stamp, refused)
         if self.values['approval'] and not self._are_approved(plans):
             self._proposals.show(plans, situation)
+        for plan in plans.values():
+            if self._bounds and plan.upper_bound is not None:
+                self._bounds.show(newest.stamp, plan.upper_bound)
         return plans
 
     def _are_approved(self, plans: Plans) -> bool:

@@ -19,7 +19,7 @@ from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
 from kbnitp_ros.configuration import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
 from kbnitp_ros.log.deployments import read_mission, read_paths
-from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, REPORT
+from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT
 from kbnitp_ros.log.log_path import new_log
 from kbnitp_ros.log.operator_state import OPERATOR
 from kbnitp_ros.log.replayed_views import VIEWS
@@ -35,6 +35,7 @@ from kbnitp_ros.messages.sizes import (
     largest_model,
     largest_operator_action,
     largest_path,
+    largest_progress,
     largest_report,
 )
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
@@ -66,8 +67,6 @@ AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to pub
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
 AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
 
-PROGRESS = 'kbnitp_msgs/msg/Progress'
-
 # Of the topics of a mission, and of those under the name of an agent: nobody who was first to
 # publish something else there keeps them from being recorded.
 TYPES = {
@@ -91,6 +90,7 @@ LARGEST = {
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
     MODEL: largest_model(),
+    PROGRESS: largest_progress(),
     OPERATOR: largest_operator_action(MOST_AGENTS, MOST_STEPS),
 }
 

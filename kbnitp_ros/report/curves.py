@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from math import nan
+from math import isnan, nan
 
-from kbnitp_ros.core import binary_entropy, log_loss, path_information
+from kbnitp_ros.core import binary_entropy, log_loss, path_information, Plan
 from kbnitp_ros.report.mission import Mission
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,10 @@ class Curves:
     gained : ndarray, shape (moments,)
         By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot
         more or less, also less than nothing. NaN at first and where the belief before is missing.
+    gap : ndarray, shape (moments,)
+        How much more than the path of that deployment another may have been worth, nats: the
+        upper bound given the belief before, less what was expected and what a loss costs. NaN
+        where there was no bound.
     lost : ndarray of int, shape (moments,)
         How many robots were known to be lost.
     out : ndarray of int, shape (moments,)
@@ -49,6 +53,7 @@ class Curves:
     target_loss: Numbers
     expected: Numbers
     gained: Numbers
+    gap: Numbers
     lost: NDArray[np.intp]
     out: NDArray[np.intp]
 
@@ -87,6 +92,7 @@ def curves_of(
         else unknown,
         expected=expected,
         gained=gained,
+        gap=np.array([gap_at(mission, place, worth) for place, worth in enumerate(expected)]),
         lost=lost_by(mission),
         out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
     )
@@ -99,6 +105,18 @@ def expected_at(mission: Mission, place: int) -> float:
         return nan
     before, sortie = mission.moments[place - 1], mission.sorties[moment.sortie]
     return path_information(before.belief, before.model_of(sortie.key.agent), sortie.path)
+
+
+def gap_at(mission: Mission, place: int, expected: float) -> float:
+    """Return how much more another path than that of a moment may have been worth, in nats."""
+    moment = mission.moments[place]
+    before = mission.moments[place - 1]
+    if isnan(expected) or isnan(before.upper_bound) or moment.sortie is None:
+        return nan
+    sortie = mission.sorties[moment.sortie]
+    plan = Plan.along(sortie.path, before.belief, before.model_of(sortie.key.agent))
+    cost = mission.loss_cost(sortie.key.agent) * (1.0 - plan.survival)
+    return max(0.0, before.upper_bound - expected + cost)
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ class Moment:
         Whether beliefs are missing before it.
     learnt : dict of str to Known
         What was known of the numbers that are learnt, by name.
+    upper_bound : float
+        What no path was worth more than, nats; NaN where it was not computed.
 
     """
 
@@ -73,6 +76,7 @@ class Moment:
     is_late: bool = False
     is_after_gap: bool = False
     learnt: dict[str, Known] = field(default_factory=dict)
+    upper_bound: float = nan
 
     def model_of(self, agent: str) -> SensorModel:
         """Return what the robots of an agent were believed to be like."""
@@ -149,6 +153,13 @@ class Mission:
     def ended(self) -> list[Observation]:
         """Outcomes of the deployments that ended."""
         return [each.outcome for each in self.sorties if each.outcome is not None]
+
+    def loss_cost(self, agent: str) -> float:
+        """Return what a lost robot of an agent is worth, nats, as far as it is on record."""
+        for values in self.parameters.values():
+            if 'loss_cost' in values:
+                return float(values.get(f'robots.{agent}.loss_cost') or values['loss_cost'])
+        return 0.0
 
     def visited(self) -> NDArray[np.bool_]:
         """Return which cells a robot was sent into or came from, shape (cells,)."""
@@ -259,6 +270,7 @@ def moments_of(
                 is_late=said.newest in known,
                 is_after_gap=missing > 0,
                 learnt=learnt.get(said.stamp, {}),
+                upper_bound=history.bounds.get(said.stamp, nan),
             )
         )
         if said.newest:

@@ -55,6 +55,7 @@ TABLE = (
     Column('targets read', 'detected'),
     Column('expected (nats)', 'information_expected', 2),
     Column('gained (nats)', 'information_gained', 2),
+    Column('gap (nats)', 'gap', 3),
     Column('entropy (nats)', 'entropy', 1),
     Column('log loss (nats)', 'log_loss', 1),
     Column('reported after (s)', 'duration', 2),

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 
 from extent import some
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress, Recorded
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
     Belief,
@@ -479,11 +480,33 @@ def test_a_search_beyond_memory_is_refused(field):
     assert told in field.said('/a/planner')
 
 
+def test_the_bound_of_a_plan_is_told_with_the_progress(field):
+    mission = Mission(field, {'robots': 1, 'bound': True})
+    shown = field.listen(Progress, '/progress')
+    progress = field.node.create_publisher(Progress, '/progress', qos.LATCHED)
+    field.until(lambda: progress.get_subscription_count() == 2, 'readers of progress')
+    mission.show_belief()
+    mission.until_sent(0)
+    stamp = belief_maps(mission.ledger, 0).header
+    progress.publish(Progress(header=stamp, ordered=7, upper_bound=math.nan))
+    bounded = plan(GRID, mission.ledger.belief, MODEL, 4, bound=True)
+
+    def is_told():
+        return any(not math.isnan(each.upper_bound) for each in shown)
+
+    field.until(is_told, 'a bound')
+    (told,) = (each for each in shown if not math.isnan(each.upper_bound))
+    assert (told.header, told.ordered, told.upper_bound) == (stamp, 7, bounded.upper_bound)
+    assert f'at most {bounded.gap:.2g} nats below the best' in field.said('/planner')
+
+
 def test_an_objective_that_is_not_sought_is_refused(field):
     for namespace, parameters, told in (
         ('/a', {'planner': 'coverage', 'objective': 'behavioral'}, 'the planner coverage seeks'),
         ('/b', {'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
         ('/c', {'objective': 'behavioral', 'alpha': 9.0}, 'alpha is 9.0: it must be'),
+        ('/d', {'planner': 'exact', 'agents': ['one', 'two']}, 'there are 2 robots, and a bound'),
+        ('/e', {'planner': 'coverage', 'bound': True}, 'planner is coverage, which seeks'),
     ):
         planner = field.start('planner', parameters, namespace)
         assert planner.wait(timeout=60) == 2

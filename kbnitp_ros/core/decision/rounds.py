@@ -63,7 +63,7 @@ def plan_round(
     NoPathError
         If a robot may take no path.
     ValueError
-        As of `plan_team`.
+        As of `plan_team`, or if the planner is exact and there is a goal.
 
     """
 
@@ -80,6 +80,11 @@ def plan_round(
         )
         return Round(planned.plans, tuple(plan.information for plan in planned.plans))
 
+    if goal is not None and options.planner == 'exact':
+        raise ValueError(
+            f'the planner is exact, which seeks information, and not the goal {goal.name}: choose '
+            'another planner, or no goal'
+        )
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid

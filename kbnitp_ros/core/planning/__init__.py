@@ -10,8 +10,10 @@ from kbnitp_ros.core.planning.objective import (
     path_information,
     SearchOptions,
     team_information,
+    TOLERANCES,
 )
 from kbnitp_ros.core.planning.search import (
+    check_bounded,
     count_visits,
     NoPathError,
     PathFinder,
@@ -37,6 +39,7 @@ __all__ = [
     'ALPHAS',
     'OBJECTIVES',
     'PLANNERS',
+    'TOLERANCES',
     'Candidate',
     'NoPathError',
     'Objective',
@@ -48,6 +51,7 @@ __all__ = [
     'TeamMember',
     'TeamPlan',
     'behavioral_information',
+    'check_bounded',
     'check_team',
     'count_visits',
     'keepout_cells',

@@ -9,11 +9,17 @@ from kbnitp_ros.core.planning.objective.information import (
 )
 from kbnitp_ros.core.planning.objective.joint_outcomes import JointOutcomes
 from kbnitp_ros.core.planning.objective.objective import Objective
-from kbnitp_ros.core.planning.objective.options import ALPHAS, OBJECTIVES, SearchOptions
+from kbnitp_ros.core.planning.objective.options import (
+    ALPHAS,
+    OBJECTIVES,
+    SearchOptions,
+    TOLERANCES,
+)
 
 __all__ = [
     'ALPHAS',
     'OBJECTIVES',
+    'TOLERANCES',
     'Candidate',
     'JointOutcomes',
     'Objective',

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the path of one robot is searched for."""
 
-from kbnitp_ros.core.planning.search.plan import Plan, plan
+from kbnitp_ros.core.planning.search.plan import check_bounded, Plan, plan, plan_alone
 from kbnitp_ros.core.planning.search.planners import (
     count_visits,
     NoPathError,
@@ -9,4 +9,13 @@ from kbnitp_ros.core.planning.search.planners import (
     PLANNERS,
 )
 
-__all__ = ['PLANNERS', 'NoPathError', 'PathFinder', 'Plan', 'count_visits', 'plan']
+__all__ = [
+    'PLANNERS',
+    'NoPathError',
+    'PathFinder',
+    'Plan',
+    'check_bounded',
+    'count_visits',
+    'plan',
+    'plan_alone',
+]

@@ -25,6 +25,8 @@ class Region(NamedTuple):
     ----------
     safest : float
         q = s0^steps, the most that any of them is survived with, in (0, 1].
+    least : float
+        The least that they may be survived with.
     loss_cost : float
         Nats.
     cuts : ndarray, shape (cuts, 3)
@@ -33,6 +35,7 @@ class Region(NamedTuple):
     """
 
     safest: float
+    least: float
     loss_cost: float
     cuts: Any
 
@@ -156,7 +159,7 @@ def bound_of_box(
 
 
 @compiled
-def maximum(region: Region, known: float, tolerance: float, at: Any) -> Any:
+def maximum(region: Region, known: float, tolerance: float, at: Any) -> float:
     """
     Return a bound of `value_at` over all points, by halving boxes.
 
@@ -176,14 +179,12 @@ def maximum(region: Region, known: float, tolerance: float, at: Any) -> Any:
 
     Returns
     -------
-    bound : float
+    float
         Nats.
-    opened : int
-        How many boxes were looked at.
 
     """
     boxes = np.empty((128, 4))
-    boxes[0] = 0.0, region.safest, 1.0, 2.0
+    boxes[0] = region.least, region.safest, 1.0, 2.0
     held, opened, found, bound = 1, 0, known, known
     while held > 0:
         held -= 1
@@ -209,4 +210,31 @@ def maximum(region: Region, known: float, tolerance: float, at: Any) -> Any:
             boxes[held] = low, high, least, ratio
             boxes[held + 1] = low, high, ratio, most
             held += 2
-    return bound, opened
+    return bound
+
+
+@compiled
+def worthless(region: Region, allowed: float, tolerance: float) -> float:
+    """
+    Return a D with which the last cut alone leaves no value above an allowed one.
+
+    Equation :eq:`bound-walk`, to a tolerance in nats. Greater sums of W make greater values.
+    """
+    alone = Region(region.safest, region.least, region.loss_cost, region.cuts[-1:].copy())
+    at, known, below = np.empty(2), allowed - tolerance, tolerance
+    high = alone.cuts[0, 0]
+    low: float = high
+    while maximum(alone, known, tolerance, at) > allowed:
+        if below > 1e9:
+            return -inf
+        high = low
+        low -= below
+        below *= 2.0
+        alone.cuts[0, 0] = low
+    for _ in range(6):
+        alone.cuts[0, 0] = 0.5 * (low + high)
+        if maximum(alone, known, tolerance, at) > allowed:
+            high = alone.cuts[0, 0]
+        else:
+            low = alone.cuts[0, 0]
+    return low

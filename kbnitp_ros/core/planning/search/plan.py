@@ -5,14 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any
 
 from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, Value
 from kbnitp_ros.core.planning.objective.information import path_information, path_log_survival
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
-from kbnitp_ros.core.planning.search.bound import check_memory, upper_bound
-from kbnitp_ros.core.planning.search.planners import BASELINES, PathFinder
+from kbnitp_ros.core.planning.search.bound import check_bound, upper_bound
+from kbnitp_ros.core.planning.search.planners import BASELINES, PathFinder, proven
 from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +37,9 @@ class Plan(Value):
         nats; None unless a bound was asked for.
     gap : float or None
         How far the plan is below `upper_bound`, nats, at least 0.
+    ended_by : str or None
+        What ended the search of the planner 'exact': its 'tolerance', which the gap is below, or
+        that all 'branches' are spent. None of other planners.
 
     """
 
@@ -44,6 +48,7 @@ class Plan(Value):
     survival: float
     upper_bound: float | None = None
     gap: float | None = None
+    ended_by: str | None = None
 
     def __post_init__(self) -> None:
         frozen(self.path)
@@ -103,36 +108,52 @@ def plan(
     """
     search = SearchOptions(planner, max_steps, **options)
     finder = PathFinder(grid, search, np.asarray(visited))
-    if bound:
+    if bound or planner == 'exact':
         check_bounded(grid, search)
-    objective = Objective.alone(grid, belief, model, search)
-    best = Plan.along(finder.candidates(objective)[0].path, belief, model)
-    if not bound:
-        return best
-    value = best.information - search.loss_cost * (1.0 - best.survival)
-    above = max(value, upper_bound(grid, objective, search, best.path))
-    return replace(best, upper_bound=above, gap=above - value)
+    return plan_alone(finder, Objective.alone(grid, belief, model, search), bound)
 
 
-def check_bounded(grid: Grid, options: SearchOptions) -> None:
+def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
+    """Return the plan of a robot that goes alone, with a bound if that is asked for or known."""
+    options = finder.options
+    if options.planner == 'exact':
+        path, above = proven(finder, objective)
+    else:
+        path = finder.candidates(objective)[0].path
+        above = upper_bound(finder.grid, objective, options, path) if bound else inf
+    found = Plan.along(path, objective.belief, objective.model)
+    if above == inf:
+        return found
+    value = found.information - options.loss_cost * (1.0 - found.survival)
+    gap, ended_by = max(0.0, above - value), None
+    if options.planner == 'exact':
+        ended_by = 'tolerance' if gap <= options.tolerance else 'branches'
+    return replace(found, upper_bound=max(value, above), gap=gap, ended_by=ended_by)
+
+
+def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
     """
     Check that plans can have a bound.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    options : SearchOptions
+        Of the search.
+    robots : int
+        How many leave together or are in flight.
 
     Raises
     ------
     ValueError
-        If the objective or the planner has none, or, with an estimate, if it takes more memory
-        than is allowed.
+        If several robots, the objective or the planner have none, or, with an estimate, if it
+        takes more memory than is allowed.
 
     """
-    if options.objective != 'information':
-        raise ValueError(
-            f'objective is {options.objective}, for which there is no bound: choose the objective '
-            'information, or plan without bound'
-        )
     if options.planner in BASELINES:
         raise ValueError(
             f'planner is {options.planner}, which seeks no information, so its plans have no '
-            'bound: choose the planner beam or relaxed, or plan without bound'
+            'bound: choose the planner beam, relaxed or exact, or plan without a bound'
         )
-    check_memory(reach_of(grid, options.max_steps), options)
+    check_bound(reach_of(grid, options.max_steps), options, robots)

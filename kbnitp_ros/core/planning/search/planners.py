@@ -20,6 +20,7 @@ from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
 from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
+from kbnitp_ros.core.planning.search.bound import best_path, check_bound, Proof
 from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
 from kbnitp_ros.core.planning.search.random_walk import (
     check_walk_memory,
@@ -155,6 +156,8 @@ class PathFinder(Value):
         options = self.options
         if options.planner == 'random':
             check_walk_memory(reach_of(self.grid, options.max_steps))
+        if options.planner == 'exact':
+            check_bound(reach_of(self.grid, options.max_steps), options, robots)
         if width := LABELS.get(options.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
@@ -207,6 +210,20 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
     return best_paths(finder.grid, objective, finder.options)
 
 
+def exact(finder: PathFinder, objective: Objective) -> list[Candidate]:
+    """Find the best path of a robot that goes alone, if the branches suffice."""
+    return [Candidate.along(proven(finder, objective).path, objective)]
+
+
+def proven(finder: PathFinder, objective: Objective) -> Proof:
+    """Return what the planner 'exact' finds, with the bound that it comes to."""
+    robots = 1 if objective.outcomes.probability.size == 1 else 2
+    check_bound(reach_of(finder.grid, finder.options.max_steps), finder.options, robots)
+    narrow = replace(finder, options=replace(finder.options, planner='beam'))
+    good, *_ = narrow.candidates(objective)
+    return best_path(finder.grid, objective, finder.options, good.path)
+
+
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk, the same again for the same belief and earlier visits."""
     reach = reach_of(finder.grid, finder.options.max_steps)
@@ -254,6 +271,7 @@ PLANNERS = Registry(
     {
         'relaxed': relaxed,
         'beam': beam,
+        'exact': exact,
         'random': random,
         'coverage': coverage,
         'shortest_unvisited': shortest_unvisited,
@@ -268,4 +286,5 @@ BASELINES = ('random', 'coverage', 'shortest_unvisited')
 LABELS: dict[object, Callable[[SearchOptions], int]] = {
     'relaxed': lambda _: 1,
     'beam': lambda options: options.width,
+    'exact': lambda options: options.width,
 }

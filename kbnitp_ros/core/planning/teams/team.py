@@ -19,7 +19,7 @@ from kbnitp_ros.core.field import (
 from kbnitp_ros.core.planning.objective import SearchOptions, team_information
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
 from kbnitp_ros.core.planning.objective.readings import Camera, check_cameras
-from kbnitp_ros.core.planning.search import PathFinder, Plan
+from kbnitp_ros.core.planning.search import check_bounded, PathFinder, Plan, plan_alone
 from kbnitp_ros.core.planning.teams.allocations import allocated, ALLOCATIONS
 from kbnitp_ros.core.planning.teams.keepout import without
 from kbnitp_ros.core.planning.teams.regions import Regions
@@ -97,6 +97,7 @@ def plan_team(
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
+    bound: bool = False,
 ) -> TeamPlan:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -116,6 +117,8 @@ def plan_team(
         reported. All allocations but 'independent' plan for what is added to them.
     keepout : sequence of int
         Cells that none of the robots enters, besides those that are blocked.
+    bound : bool
+        As of `plan`, for one robot while none is in flight.
 
     Returns
     -------
@@ -135,6 +138,9 @@ def plan_team(
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     check_cameras(len({Camera.of(robot_type.model(model)) for robot_type in types}))
     finder = PathFinder(in_use, options, np.asarray(visited))
+    has_bound = bound or options.planner == 'exact'
+    if has_bound:
+        check_bounded(in_use, options, len(team.types) + len(in_flight))
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
         outcomes = after_deployment(outcomes, robot_type.model(model), grid.check_path(path))
@@ -142,6 +148,10 @@ def plan_team(
         robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
         for robot_type in team.types
     }
+    if has_bound:
+        (robot,) = members.values()
+        alone = plan_alone(robot.finder, robot.objective, bound)
+        return TeamPlan((alone,), alone.information, None)
     paths, regions = allocated(team.allocation, [members[each] for each in team.types])
     plans = tuple(
         Plan.along(path, belief, robot_type.model(model))
