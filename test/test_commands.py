@@ -37,7 +37,7 @@ def test_the_names_are_listed(arguments, status):
 
 
 @pytest.mark.processes
-@for_each('name', ['', *EXECUTABLES], every=2)
+@for_each('name', ['', *EXECUTABLES], every=4)
 def test_every_command_tells_its_version_and_how_to_use_it(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]

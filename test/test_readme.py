@@ -35,6 +35,8 @@ def start(command, folder):
     return subprocess.Popen([sys.executable, *command], cwd=folder, env=environment)
 
 
+# Smaller demos are in test/cli.
+@pytest.mark.full
 def test_the_demo_and_its_replay(tmp_path):
     typed = commands('demo', 'replay', 'report')
     assert [words[2] for words in typed] == [

@@ -99,6 +99,7 @@ def test_of_two_that_start_at_once_one_goes_on(field):
     assert going_on.poll() is None
 
 
+@pytest.mark.full
 def test_a_recorder_that_stood_still_gives_way_and_no_deployment_is_lost(field):
     base = Base(field)
     base.until_sent(1)

@@ -160,7 +160,7 @@ def check_by_enumeration(name, seed, cells, monkeypatch):
 
 
 @pytest.mark.slow
-@for_each('name', EVERYTHING)
+@for_each('name', EVERYTHING, every=3)
 @for_each('seed', range(3))
 def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 4, monkeypatch)
@@ -238,7 +238,7 @@ def test_a_mission_gives_what_it_gave():
 
 
 @pytest.mark.slow
-@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
     model = SensorModel(lethality)
@@ -251,7 +251,7 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
 
 
 @pytest.mark.slow
-@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
 def test_a_lethality_that_nobody_knows_is_learnt(lethality):
     model = SensorModel(lethality)
     away, apart = [], []

@@ -158,7 +158,7 @@ def divergence(exact, belief):
 
 
 @pytest.mark.slow
-@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=2)
+@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
     model = SensorModel(lethality)
