@@ -69,6 +69,6 @@ def execution_of(values: Mapping[str, Any]) -> Execution:
     return Execution(
         detour=values['detour_probability'],
         early_return=values['early_return_probability'],
-        last_contact=values['last_contact_probability'],
+        contact=values['contact_probability'],
         camera_failure=values['camera_failure_probability'],
     )

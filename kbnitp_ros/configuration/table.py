@@ -405,10 +405,11 @@ TABLE = (
         limits=PROBABILITY,
     ),
     Parameter(
-        'last_contact_probability',
+        'contact_probability',
         0.0,
-        'Probability that the base hears, after a step, how far a simulated robot is.',
-        ('agent',),
+        'Probability that the base hears, after a step survived, how far a robot is, so that its '
+        'silence afterwards tells where it was lost; 0 infers nothing from silence.',
+        ('planner', 'agent'),
         limits=PROBABILITY,
     ),
     Parameter(

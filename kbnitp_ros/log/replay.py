@@ -219,11 +219,11 @@ class Fold:
         """Compare the views with the beliefs that they show, and find deployments in no belief."""
         report = self.report
         self.views.compare(report)
-        for key, reported in report.evidence.reports.items():
+        for key in report.evidence.reports:
             if (
                 self._ledger
                 and key in self._assimilated
-                and self._ledger.ending(key) >= reported.ending
+                and self._ledger.ending(key) >= report.evidence.ending(key)
             ):
                 report.passed_over += report.not_yet_held
                 report.not_yet_held = []

@@ -161,6 +161,7 @@ def report_message(
             for cell, reading in zip(observation.path[1:].tolist(), readings)
         ],
         steps_survived=observation.steps_survived,
+        lost_at=[] if observation.lost_at is None else observation.lost_at.tolist(),
         source=source,
     )
 
@@ -175,7 +176,7 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     ------
     ValueError
         If it is in another frame, a time is none, it names no agent or another one, something is
-        detected without a look, it says where the robot may have been lost, or its source is none.
+        detected without a look, or its source is none.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -186,13 +187,15 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
     readings = tuple(map(_read_reading, message.readings, count()))
-    if len(message.lost_at):
-        raise ValueError(
-            f'lost_at has {len(message.lost_at)} values: it is not known how to use it'
-        )
     if message.source not in list(Source):
         raise ValueError(f'source is {message.source}: it must be from 0 to {max(Source)}')
-    return key, Report(bool(message.survived), readings, stamp, int(message.steps_survived))
+    return key, Report(
+        bool(message.survived),
+        readings,
+        stamp,
+        int(message.steps_survived),
+        lost_at=tuple(map(float, message.lost_at)),
+    )
 
 
 def _read_reading(message: Any, number: int) -> tuple[int, int]:

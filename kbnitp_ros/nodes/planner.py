@@ -24,7 +24,7 @@ from kbnitp_ros.configuration import (
 from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
-    Observation,
+    lost_after_contact,
     observation_of,
     ORDINARY,
 )
@@ -340,7 +340,8 @@ class PlannerNode(FieldNode):
 
     def _give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
         """Report a robot lost that is out."""
-        lost = Observation(self._in_flight[key].path, False, steps_survived=steps_survived)
+        path, contact = self._in_flight[key].path, self.values['contact_probability']
+        lost = lost_after_contact(path, steps_survived, contact)
         self._losses[key.agent].publish(report_message(key, lost, self.now(), source))
         self._in_flight.end(key)
 

@@ -142,7 +142,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         method,
         scenario.options(trial.team),
         team=Team(trial.team.agents, trial.team.allocation),
-        truth=Truth(scenario.model(truth), Execution(last_contact=trial.team.last_contact)),
+        truth=Truth(scenario.model(truth), Execution(contact=trial.team.last_contact)),
         learning=Learning(unknowns, trial.number),
     )
     start = Estimator(prior, model, method, unknowns, trial.number)

@@ -96,10 +96,11 @@ def enumerate_states(joint, cells):
     return cells, states, prior
 
 
-def fates(model, cells, states, path, steps_survived=0):
+def fates(model, cells, states, path, steps_survived=0, lost_at=None):
     """
     Probability in each state to be lost after so many steps, and to return.
 
+    With `lost_at` each step in which it may be lost weighs by how well it fits.
     A robot is lost on exactly one of its steps, so no small number is ever subtracted from one.
     """
     s0, s1 = step_survival(model)
@@ -108,7 +109,8 @@ def fates(model, cells, states, path, steps_survived=0):
     die = np.where(states[:, steps, 0], 1 - s1, 1 - s0)
     alive = np.cumprod(survive, axis=1)
     reached = np.column_stack([np.ones(len(states)), alive[:, :-1]])
-    return (reached * die)[:, steps_survived:].sum(axis=1), alive[:, -1]
+    weight = np.ones(len(steps)) if lost_at is None else np.asarray(lost_at)
+    return (weight * reached * die)[:, steps_survived:].sum(axis=1), alive[:, -1]
 
 
 def readings_likelihood(model, cells, states, path, readings):
@@ -120,23 +122,23 @@ def readings_likelihood(model, cells, states, path, readings):
     return np.where(np.equal(readings, -1), 1.0, read).prod(axis=1)
 
 
-def evidence_likelihood(model, cells, states, path, readings, steps_survived=0):
+def evidence_likelihood(model, cells, states, path, readings, steps_survived=0, lost_at=None):
     """Probability in each state to return with these readings; readings None: to be lost."""
-    lost, returned = fates(model, cells, states, path, steps_survived)
+    lost, returned = fates(model, cells, states, path, steps_survived, lost_at)
     if readings is None:
         return lost
     return returned * readings_likelihood(model, cells, states, path, readings)
 
 
 def evidence_probability(joint, model, path, *outcome):
-    """Predicted probability of one outcome: readings, and if known the steps survived."""
+    """Predicted probability of one outcome: readings, if known steps survived, and `lost_at`."""
     cells, states, prior = enumerate_states(joint, path[1:])
     return (prior * evidence_likelihood(model, cells, states, path, *outcome)).sum()
 
 
 def posterior(joint, model, *deployments):
     """
-    Take in deployments, each a path, its readings and if known the steps survived, all at once.
+    Take in deployments, each a path, its readings, and if known the steps survived and `lost_at`.
 
     The posterior of all states, then marginal joints per cell.
     """
@@ -223,12 +225,14 @@ def loss_weight(delta, marginals):
     return prod(marginals[k][delta[k]] for k in range(j + 1))
 
 
-def published_loss(joint, model, path):
+def published_loss(joint, model, path, lost_at=None):
     """
     Hazard, target and kappa of each cell of the path after a loss, eq. 10, 11 and 12.
 
     Sums over every delta in {0, 1}^steps. A repeated cell is summed over each of its instances.
+    The weight of a loss in a step is multiplied by `lost_at` of it, if given.
     """
+    fit = [1.0] * (len(path) - 1) if lost_at is None else lost_at
     p_delta = destruction(model)
     cells = path[1:]
     p_z = {c: [joint[c, z].sum() for z in (0, 1)] for c in cells}
@@ -238,7 +242,10 @@ def published_loss(joint, model, path):
     }
     marginals = [[sum(p_delta[d][z] * p_z[c][z] for z in (0, 1)) for d in (0, 1)] for c in cells]
     every_delta = product((0, 1), repeat=len(cells))
-    omega = [(delta, loss_weight(delta, marginals)) for delta in every_delta]
+    omega = [
+        (delta, loss_weight(delta, marginals) * (fit[delta.index(1)] if any(delta) else 0.0))
+        for delta in every_delta
+    ]
 
     def term(cell, z, x):
         return sum(

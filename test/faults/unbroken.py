@@ -48,7 +48,7 @@ def draw_conduct(rng):
     return {
         'detour_probability': 0.1,
         'early_return_probability': 0.02,
-        'last_contact_probability': 0.3,
+        'contact_probability': 0.3,
         'camera_failure_probability': 0.05,
     }
 
@@ -88,6 +88,11 @@ def core_mission(parameters):
     )
 
 
+def says_more(report):
+    """Return what of two reports is the greater of that which counts."""
+    return report.survived, report.steps_survived, len(report.lost_at) - sum(report.lost_at)
+
+
 def folded(parameters, evidence):
     """Return the belief that all deployments give, in their order; a return beats a loss."""
     values = with_defaults(parameters)
@@ -95,12 +100,12 @@ def folded(parameters, evidence):
     estimator = estimator_of(values, grid_of(values))
     for key in sorted(evidence.reports, key=lambda key: key.stamp):
         (path, *_) = evidence.paths[key]
-        report = max(evidence.reports[key], key=lambda report: report.ending)
+        report = max(evidence.reports[key], key=says_more)
         walk, readings = grid.cells_at(path), None
         if report.survived:
             steps, readings = zip(*report.readings)
             walk = [grid.base, *steps]
-        known = report.steps_survived
-        observation = Observation(walk, report.survived, readings, known)
+        known, lost_at = report.steps_survived, report.lost_at or None
+        observation = Observation(walk, report.survived, readings, known, lost_at)
         estimator.assimilate(observation, robot_types_of(values)[key.agent])
     return estimator.belief

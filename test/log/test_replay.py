@@ -58,7 +58,7 @@ import numpy as np
 import pytest
 
 ROBOTS = 8
-WILFUL = Execution(detour=0.3, early_return=0.1, last_contact=0.5, camera_failure=0.2)
+WILFUL = Execution(detour=0.3, early_return=0.1, contact=0.5, camera_failure=0.2)
 VIEWS = ('/belief/hazard', '/belief/target', '/belief/kappa')
 REPRODUCED = dict.fromkeys(('/belief', *VIEWS), ROBOTS + 1)
 

@@ -145,14 +145,17 @@ def test_a_lost_robot_reports_no_readings():
     st.lists(st.tuples(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, -1])), max_size=30),
     st.booleans(),
     st.integers(0, LAST_NAME),
+    st.lists(st.floats(0.0, 1.0, exclude_min=True), min_size=10, max_size=10),
 )
-def test_a_report_comes_back(steps, survived, stamp):
+def test_a_report_comes_back(steps, survived, stamp, weights):
     key = DeploymentKey('scout_7', stamp)
     readings = [reading for _, reading in steps]
     path = [0, *(cell for cell, _ in steps[:-1]), 0]
     if not steps or not survived:
-        observation = Observation([0] * 40, False, steps_survived=len(steps))
-        said = Report(False, steps_survived=len(steps))
+        lost_at = [0.0] * 29 + weights
+        observation = Observation([0] * 40, False, None, len(steps), lost_at)
+        where = () if observation.lost_at is None else tuple(observation.lost_at.tolist())
+        said = Report(False, steps_survived=observation.steps_survived, lost_at=where)
     else:
         observation = Observation(path, True, readings)
         said = Report(True, tuple(zip(path[1:], readings)))

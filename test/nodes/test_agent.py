@@ -80,7 +80,7 @@ def test_a_robot_on_its_way_returns_though_the_system_s_clock_is_set_back(system
 
 def test_robots_make_of_their_orders_what_they_do_in_the_core(field):
     """Detours, early returns, last contacts and failed cameras, some of each."""
-    conduct = Execution(detour=0.3, early_return=0.15, last_contact=0.5, camera_failure=0.2)
+    conduct = Execution(detour=0.3, early_return=0.15, contact=0.5, camera_failure=0.2)
     reports = field.listen(DeploymentReport, '/scout_1/report')
     probabilities = {f'{name}_probability': value for name, value in asdict(conduct).items()}
     field.start('agent', {**PARAMETERS, **probabilities})

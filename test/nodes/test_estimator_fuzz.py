@@ -12,6 +12,7 @@ from contextlib import suppress
 from copy import deepcopy
 from itertools import pairwise
 import json
+import math
 import time
 
 from extent import FULL
@@ -71,8 +72,28 @@ def sound(draw):
         observation = Observation(cells, True, readings)
     else:
         known = draw(st.integers(0, steps - 1))
-        observation = Observation(cells, False, steps_survived=known)
+        weights = draw(
+            st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0]), min_size=steps, max_size=steps)
+        )
+        lost_at = weights if any(weights[known:]) and draw(st.booleans()) else None
+        observation = Observation(cells, False, None, known, lost_at)
     return agent, report_message(key, observation, draw(st.integers(0, 10**18)))
+
+
+def located(steps, known, lost_at):
+    """Return the first steps survived, how closely, and where a robot was lost; None if none."""
+    if not lost_at:
+        return known, -math.inf, []
+    if len(lost_at) != steps or not all(0.0 <= each < math.inf for each in lost_at):
+        return None
+    fit = [0.0] * known + lost_at[known:]
+    if not any(fit):
+        return None
+    fit = [each / max(fit) for each in fit]
+    first = next(step for step, each in enumerate(fit) if each > 0.0)
+    if all(each == 1.0 for each in fit[first:]):
+        return first, -math.inf, []
+    return first, -sum(fit), fit
 
 
 def leaves(message, place=()):
@@ -197,7 +218,6 @@ class Evidence:
             and is_time(stamps[0], hours=3)
             and is_time(stamps[1], hours=1)
             and message.source in SOURCES
-            and not message.lost_at
         ):
             self.reports[seconds(stamps[1]), agent].append(deepcopy(message))
 
@@ -234,16 +254,24 @@ class Evidence:
             if any(reading.detected and reading.not_looked for reading in report.readings):
                 continue
             if report.survived:
-                if is_walk(walk) and len(walk) <= 10 * MAX_STEPS + 1 and not known:
+                if (
+                    is_walk(walk)
+                    and len(walk) <= 10 * MAX_STEPS + 1
+                    and not (known or report.lost_at)
+                ):
                     read = [-1 if each.not_looked else each.detected for each in report.readings]
                     returns.append((sum(each >= 0 for each in read), read, walk))
             elif walk == [0] and known < len(path) - 1:
-                contacts.append(known)
+                told = located(len(path) - 1, known, list(report.lost_at))
+                contacts += [] if told is None else [told]
         if returns:
             # Of several that differ, that with more readings counts.
             _, read, walk = max(returns)
             return Observation(walk, True, read)
-        return Observation(path, False, steps_survived=max(contacts)) if contacts else None
+        if not contacts:
+            return None
+        known, _, lost_at = max(contacts)
+        return Observation(path, False, None, known, lost_at or None)
 
     def joint(self):
         """Return the belief's bits."""

@@ -66,7 +66,7 @@ def parameters(tmp_path):
         'seed': 4,
         'sensor.lethality': 0.3,
         'sensor.malfunction': 0.01,
-        'last_contact_probability': 0.2,
+        'contact_probability': 0.2,
         'detour_probability': 0.05,
         # Long enough for the nodes to die before the mission is over.
         'step_period': 0.02,

@@ -73,7 +73,7 @@ WILFUL = {
     'method': 'kappa_bnitp_smoothed',
     'detour_probability': 0.2,
     'early_return_probability': 0.1,
-    'last_contact_probability': 0.5,
+    'contact_probability': 0.5,
     'camera_failure_probability': 0.1,
 }
 
@@ -115,8 +115,9 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         observation = deployment.observation
         readings = () if observation.readings is None else observation.readings.tolist()
         read = tuple(zip(observation.path[1:].tolist(), readings))
-        known = observation.steps_survived
-        assert outcome == Report(observation.survived, read, steps_survived=known)
+        known, lost_at = observation.steps_survived, observation.lost_at
+        where = () if lost_at is None else tuple(lost_at.tolist())
+        assert outcome == Report(observation.survived, read, steps_survived=known, lost_at=where)
         assert read_belief_maps(belief).newest == key
         for name in (*MAPS, 'joint'):
             ours, core = getattr(belief, name), getattr(deployment.belief, name)

@@ -29,7 +29,7 @@ def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
     heard = []
 
     def noting(*arguments, truth, **options):
-        contact = truth.execution.last_contact
+        contact = truth.execution.contact
         heard.append(contact)
         mission = run_mission(*arguments, truth=truth, **options)
         known = [d.observation.steps_survived for d in mission if not d.observation.survived]

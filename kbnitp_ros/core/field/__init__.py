@@ -9,7 +9,12 @@ from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
-from kbnitp_ros.core.field.observation import as_path, Observation, Visits
+from kbnitp_ros.core.field.observation import (
+    as_path,
+    lost_after_contact,
+    Observation,
+    Visits,
+)
 from kbnitp_ros.core.field.robot_type import of_each, ORDINARY, RobotType
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others, times_log
@@ -46,6 +51,7 @@ __all__ = [
     'frozen',
     'log_loss',
     'log_predicted_survival',
+    'lost_after_contact',
     'of_each',
     'probability',
     'sum_of_others',

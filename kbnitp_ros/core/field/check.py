@@ -90,6 +90,30 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
     return array
 
 
+def weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
+    """
+    Return a copy of `values` as finite numbers from 0 up that are not all 0.
+
+    Raises
+    ------
+    ValueError
+        If there are not `count` of them, one is negative, infinite or NaN (names the first), or
+        all are 0.
+
+    """
+    array = np.array(values, dtype=np.float64)
+    if array.shape != (count,):
+        raise ValueError(f'{name} has shape {array.shape}: it must be ({count},), one each step')
+    bad = np.flatnonzero(~((array >= 0.0) & (array < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f'{name}[{bad[0]}] is {array[bad[0]]}: it must be a finite number, at least 0'
+        )
+    if not array.any():
+        raise ValueError(f'{name} is 0 in all steps: one of them must be possible')
+    return array
+
+
 def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
     """
     Return `value` as an int if it is a whole number from `low` to `high`.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field.check import probabilities
 from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.observation import lost_after_contact, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.value import Value
 from kbnitp_ros.core.field.world import World
@@ -52,7 +52,7 @@ class Execution:
         That a robot takes the step through a third cell which is next to both of its ends.
     early_return : float
         That it turns back before the step and takes a shortest way home; never before its first.
-    last_contact : float
+    contact : float
         That the base hears, once the step is survived, how far along its path the robot is.
     camera_failure : float
         That its camera fails in the step, for the rest of the way.
@@ -66,7 +66,7 @@ class Execution:
 
     detour: float = 0.0
     early_return: float = 0.0
-    last_contact: float = 0.0
+    contact: float = 0.0
     camera_failure: float = 0.0
 
     def __post_init__(self) -> None:
@@ -85,7 +85,9 @@ class Execution:
         """
         Send a robot along a path; one that keeps to it fares as by `World.traverse`.
 
-        The last contact of a lost robot is drawn as equation :eq:`contact-probability` says.
+        A lost robot is heard of after each step survived with the chance `contact`, and what
+        that and the silence afterwards tell of where it was lost is equation
+        :eq:`contact-probability`.
 
         Parameters
         ----------
@@ -123,9 +125,10 @@ class Execution:
             read = np.where(seen, readings, -1)
             return Traverse(walk, survived.size, Observation(walk, True, read), after)
         steps_made = int(np.argmin(survived))
-        heard = np.flatnonzero(own.random(steps_made) < self.last_contact)
+        heard = np.flatnonzero(own.random(steps_made) < self.contact)
         known = int(passed[heard[-1]]) if heard.size else 0
-        return Traverse(walk, steps_made, Observation(ordered, False, steps_survived=known), after)
+        lost = lost_after_contact(ordered, known, self.contact)
+        return Traverse(walk, steps_made, lost, after)
 
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator

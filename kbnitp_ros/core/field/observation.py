@@ -5,7 +5,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import frozen, whole_number, yes_no_or_unseen, yes_or_no
+from kbnitp_ros.core.field.check import (
+    frozen,
+    probability,
+    weights,
+    whole_number,
+    yes_no_or_unseen,
+    yes_or_no,
+)
 from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,12 +57,19 @@ class Observation(Value):
     steps_survived : int
         How many of its first steps a lost robot is known to have survived, from a last contact; 0
         when nothing is known.
+    lost_at : array_like, shape (steps,), optional
+        Of a lost robot, how well what was observed fits a loss in each step: P(observed | lost in
+        the step) up to a factor, at least 0 and not all 0. None: all steps alike. It tells when
+        the robot was lost and not by what.
+
+        What both say is held once: the steps before the first one that fits are counted in
+        `steps_survived`, and are 0 here. The largest is 1; None if all that are left are alike.
 
     Raises
     ------
     ValueError
-        If the path is not closed or has no step, or the readings or `steps_survived` do not fit
-        the outcome.
+        If the path is not closed or has no step, or the readings, `steps_survived` or `lost_at`
+        do not fit the outcome.
 
     """
 
@@ -63,6 +77,7 @@ class Observation(Value):
     survived: bool
     readings: NDArray[np.bool_] | NDArray[np.int8] | None = None
     steps_survived: int = 0
+    lost_at: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         path = as_path(self.path)
@@ -77,6 +92,7 @@ class Observation(Value):
         object.__setattr__(self, 'survived', bool(yes_or_no('survived', self.survived)))
         self._check_readings()
         self._check_steps_survived()
+        self._check_lost_at()
 
     def _check_readings(self) -> None:
         if self.readings is None:
@@ -108,10 +124,80 @@ class Observation(Value):
             )
         object.__setattr__(self, 'steps_survived', steps)
 
+    def _check_lost_at(self) -> None:
+        if self.lost_at is None:
+            return
+        if self.survived:
+            raise ValueError(
+                'lost_at is given: a robot that returned was lost in none of its steps'
+            )
+        lost_at = weights('lost_at', self.lost_at, self.steps)
+        lost_at[: self.steps_survived] = 0.0
+        if not lost_at.any():
+            raise ValueError(
+                f'lost_at is 0 in all steps after the {self.steps_survived} that were survived: '
+                'the robot was lost in one of them'
+            )
+        lost_at /= lost_at.max()
+        first = int(np.argmax(lost_at > 0.0))
+        object.__setattr__(self, 'steps_survived', first)
+        is_alike = bool((lost_at[first:] == 1.0).all())
+        frozen(lost_at)
+        object.__setattr__(self, 'lost_at', None if is_alike else lost_at)
+
     @property
     def steps(self) -> int:
         """How many steps the path has."""
         return len(self.path) - 1
+
+    @property
+    def lost_on(self) -> tuple[NDArray[np.intp], NDArray[np.float64] | None]:
+        """
+        Return the stretch of its path that a lost robot may have been lost on.
+
+        Returns
+        -------
+        path : ndarray of int, shape (n + 1,)
+            Where the first step that fits starts, and where each one to the last that fits leads.
+        lost_at : ndarray or None, shape (n,)
+            How well each of them fits; None: all alike.
+
+        """
+        first = self.steps_survived
+        if self.lost_at is None:
+            return self.path[first:], None
+        end = int(np.flatnonzero(self.lost_at)[-1]) + 1
+        lost_at = self.lost_at[first:end]
+        last = end + 1
+        return self.path[first:last], None if (lost_at == 1.0).all() else lost_at
+
+
+def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> Observation:
+    """
+    Return the loss of a robot that was heard of last after so many steps, and not again.
+
+    Equation :eq:`contact-probability`.
+
+    Parameters
+    ----------
+    path : array_like of int, shape (steps + 1,)
+        Its orders.
+    steps_survived : int
+        How many of its steps it had survived then; 0 if it was never heard of.
+    contact : float
+        The chance that the base hears of a step which a robot survives; 0 if that is not known,
+        when nothing is inferred from silence.
+
+    Raises
+    ------
+    ValueError
+        If the path is none, `steps_survived` is out of range or `contact` is no probability.
+
+    """
+    heard = Observation(as_path(path), False, steps_survived=steps_survived)
+    unheard = np.arange(heard.steps) - heard.steps_survived
+    silence = (1.0 - probability('contact', contact)) ** np.maximum(unheard, 0)
+    return Observation(heard.path, False, None, heard.steps_survived, silence)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,11 +60,18 @@ class Ending(NamedTuple):
         Whether the robot returned: one that was given up may only be late.
     steps_survived : int
         Of a lost robot, how many steps of its path it is known to have survived.
+    located : float
+        How closely it is known where: minus the sum of `lost_at`, of which the largest is 1;
+        -inf where all steps are alike.
+    lost_at : tuple of float
+        These, so that of two that say as much the same one counts whatever comes first.
 
     """
 
     survived: bool
     steps_survived: int = 0
+    located: float = -np.inf
+    lost_at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,9 @@ class Report:
         Of a lost robot, how many steps of its path it is known to have survived.
     content : int
         Hash of the message that said so, by which a log names it; 0 if there is none.
+    lost_at : tuple of float
+        Of a lost robot, how well what was observed fits a loss in each step of its path; empty if
+        all are alike.
 
     """
 
@@ -93,11 +103,7 @@ class Report:
     stamp: int = field(default=0, compare=False)
     steps_survived: int = 0
     content: int = field(default=0, compare=False)
-
-    @property
-    def ending(self) -> Ending:
-        """How it says that the deployment ended."""
-        return Ending(self.survived, self.steps_survived)
+    lost_at: tuple[float, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -113,17 +119,22 @@ class Outcome(NamedTuple):
         The cells of its way, if that was not its path.
     steps_survived : int
         Of a robot that was lost.
+    lost_at : bytes
+        Of one that was lost, as of its `Observation`; empty for None.
 
     """
 
     readings: bytes | None = None
     walk: bytes | None = None
     steps_survived: int = 0
+    lost_at: bytes = b''
 
     @property
     def ending(self) -> Ending:
         """How the deployment ended."""
-        return Ending(self.readings is not None, self.steps_survived)
+        lost_at = tuple(np.frombuffer(self.lost_at).tolist())
+        located = -sum(lost_at) if lost_at else -np.inf
+        return Ending(self.readings is not None, self.steps_survived, located, lost_at)
 
 
 # Of all robots that nothing more is known of, which are most of the lost ones.
@@ -137,8 +148,9 @@ class Deployments:
     Paths and reports come in any order and may come again. The first path that a robot could take
     holds. Which of several reports that fit it counts does not depend on their order: a return
     outdoes a loss, since the robot was only late, and of two losses that with the later contact
-    counts. Two returns can only differ if two robots have one name: then that with more readings
-    counts. All who judge evidence judge it here: a refused report changes nothing for any of them.
+    counts, or if that is the same the one that tells more closely where. Two returns can only
+    differ if two robots have one name: then that with more readings counts. All who judge evidence
+    judge it here: a refused report changes nothing for any of them.
 
     Parameters
     ----------
@@ -377,7 +389,9 @@ class Deployments:
         """Return what counts of a report; raises ValueError if no robot can have made it."""
         seen = observation_of(report, key, self.path(key), self.grid, self.most_steps(key))
         if seen.readings is None:
-            return Outcome(steps_survived=seen.steps_survived) if seen.steps_survived else LOST
+            lost_at = b'' if seen.lost_at is None else seen.lost_at.tobytes()
+            lost = Outcome(steps_survived=seen.steps_survived, lost_at=lost_at)
+            return LOST if lost == LOST else lost
         bits = np.packbits(seen.readings == 1).tobytes()
         unseen = seen.readings == -1
         if unseen.any():
@@ -388,7 +402,8 @@ class Deployments:
     def _observation(self, key: DeploymentKey, outcome: Outcome) -> Observation:
         path = np.frombuffer(outcome.walk or self._paths[key], self._cell_type)
         if outcome.readings is None:
-            return Observation(path, False, steps_survived=outcome.steps_survived)
+            lost_at = np.frombuffer(outcome.lost_at) if outcome.lost_at else None
+            return Observation(path, False, None, outcome.steps_survived, lost_at)
         steps = path.size - 1
         bits = np.frombuffer(outcome.readings, np.uint8)
         seen, unseen = np.split(bits, [-(-steps // 8)])
@@ -400,7 +415,7 @@ class Deployments:
 
 def size_of(report: Report) -> int:
     """Return how many bytes a report takes in memory, about."""
-    return REPORT + READING * len(report.readings)
+    return REPORT + READING * (len(report.readings) + len(report.lost_at))
 
 
 def is_loss(outcome: Outcome | None) -> bool:
@@ -432,7 +447,8 @@ def observation_of(
     ValueError
         If a robot that returned has not one reading for each step of a walk from the base back to
         it, or if one that was lost brings any; if the walk is longer than `LONGEST_WALK` times
-        `max_steps`, or if more steps are said to be survived than a lost robot can have.
+        `max_steps`, or if more steps are said to be survived than a lost robot can have, or
+        `lost_at` is not that of a loss on its path.
 
     """
     read = [reading for _, reading in report.readings]
@@ -452,6 +468,7 @@ def observation_of(
             ) from error
     try:
         readings = np.array(read) if read else None
-        return Observation(walk, report.survived, readings, report.steps_survived)
+        lost_at = np.array(report.lost_at) if report.lost_at else None
+        return Observation(walk, report.survived, readings, report.steps_survived, lost_at)
     except ValueError as error:
         raise ValueError(f'report of deployment {key}: {error}') from error

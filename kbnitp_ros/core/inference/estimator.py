@@ -20,7 +20,14 @@ from kbnitp_ros.core.field import (
     Unknowns,
     whole_number,
 )
-from kbnitp_ros.core.inference.methods import CALLED, dynamics_of, Inference, KNOWN, METHODS
+from kbnitp_ros.core.inference.methods import (
+    CALLED,
+    check_takes_lost_at,
+    dynamics_of,
+    Inference,
+    KNOWN,
+    METHODS,
+)
 from kbnitp_ros.plugins import name_of, PluginError
 import numpy as np
 from numpy.typing import NDArray
@@ -146,12 +153,14 @@ class Estimator:
         Raises
         ------
         ValueError
-            If its path leaves the belief's cells or its outcome is impossible under the belief,
-            which then stays as it is.
+            If its path leaves the belief's cells, its outcome is impossible under the belief, or
+            the method does not use its `lost_at`; the belief then stays as it is.
         PluginError
             If a method of another package breaks its rules; the belief then stays as it is.
 
         """
+        if observation.lost_at is not None:
+            check_takes_lost_at(self.method)
         inference = self._inference.copy()
         with METHODS.blamed(self.method):
             inference.assimilate(observation, robot_type)

@@ -82,6 +82,8 @@ class Method(Protocol):
     dynamics : tuple of str, optional
         The kinds of `Dynamics` that it takes besides static hazards, by default none. Of these it
         is told by a fifth argument.
+    takes_lost_at : bool, optional
+        Whether it uses `Observation.lost_at`, by default not: then such losses are refused.
 
     """
 
@@ -134,6 +136,24 @@ def as_method(given: object) -> Method:
 def dynamics_of(method: object) -> tuple[str, ...]:
     """Return the kinds of `Dynamics` that a method takes besides static hazards."""
     return tuple(getattr(method, 'dynamics', ()))
+
+
+def check_takes_lost_at(method: str) -> None:
+    """
+    Check that a method uses what is known of where robots were lost.
+
+    Raises
+    ------
+    ValueError
+        If it does not; names those that do.
+
+    """
+    if not getattr(METHODS.find(method), 'takes_lost_at', False):
+        able = [name for name, each in METHODS.items() if getattr(each, 'takes_lost_at', False)]
+        raise ValueError(
+            f'lost_at is given, and {method} does not use it: use {", ".join(able)}, '
+            'or leave it out'
+        )
 
 
 METHODS = Registry(

@@ -77,9 +77,26 @@ def test_a_last_contact_is_never_wrong():
 
 
 def test_certain_contact_tells_each_step():
-    for made in runs(Execution(last_contact=1.0)):
+    for made in runs(Execution(contact=1.0)):
         if not made.observation.survived:
             assert made.observation.steps_survived == made.steps_made
+            expected = np.arange(len(PATH) - 1) == made.steps_made
+            if made.steps_made < len(PATH) - 2:
+                assert (made.observation.lost_at == expected).all()
+
+
+def test_silence_tells_that_a_robot_was_lost_soon():
+    """Of all that were heard of last after the same step, as many are lost in each as is said."""
+    contact, safe = 0.4, SensorModel(lethality=0.0, malfunction=0.2)
+    counts = np.zeros(len(PATH) - 1)
+    for made in runs(Execution(contact=contact), 8000, safe):
+        if not made.observation.survived and made.observation.steps_survived == 1:
+            counts[made.steps_made] += 1
+            lost_at = made.observation.lost_at
+    # The chance to be lost in a step falls by malfunctions as well.
+    expected = lost_at * 0.8 ** np.arange(lost_at.size)
+    assert counts / counts.sum() == pytest.approx(expected / expected.sum(), abs=0.03)
+    assert lost_at[1:] / lost_at[1] == pytest.approx((1 - contact) ** np.arange(len(PATH) - 2))
 
 
 def test_a_camera_fails_for_the_rest_of_the_way():
@@ -112,6 +129,7 @@ def test_walks_are_the_evidence():
             observation.survived,
             observation.readings,
             observation.steps_survived,
+            observation.lost_at,
         )
         assert after.joint.tobytes() == update(belief, MODEL, same).joint.tobytes()
         unvisited = np.setdiff1d(np.arange(GRID.cells), observation.path)
@@ -128,9 +146,7 @@ def test_the_same_seed_gives_the_same_walk():
 
 @for_each(
     'name, value',
-    product(
-        ['detour', 'early_return', 'last_contact', 'camera_failure'], [-0.1, 1.1, float('nan')]
-    ),
+    product(['detour', 'early_return', 'contact', 'camera_failure'], [-0.1, 1.1, float('nan')]),
 )
 def test_probabilities_are_checked(name, value):
     with pytest.raises(ValueError, match=name):

@@ -9,6 +9,7 @@ from kbnitp_ros.core.inference.filtering.evidence import (
 )
 from kbnitp_ros.core.inference.filtering.known_model import KnownModel
 from kbnitp_ros.core.inference.filtering.loss_likelihood import (
+    can_be_lost,
     lost_likelihood,
     multi_universe_likelihood,
     published_likelihood,
@@ -18,6 +19,7 @@ from kbnitp_ros.core.inference.filtering.one_pass import OnePass
 __all__ = [
     'KnownModel',
     'OnePass',
+    'can_be_lost',
     'check_cells',
     'condition',
     'lost_likelihood',

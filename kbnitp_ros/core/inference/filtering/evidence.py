@@ -86,6 +86,8 @@ def read_log_likelihood(
 
 def loss_weights(observation: Observation) -> NDArray[np.float64]:
     """Return how well what is known of a loss fits each step of the path, shape (steps,)."""
+    if observation.lost_at is not None:
+        return observation.lost_at
     weights = np.ones(observation.steps)
     weights[: observation.steps_survived] = 0.0
     return weights

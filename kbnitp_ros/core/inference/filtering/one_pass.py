@@ -43,8 +43,8 @@ class OnePass:
     Attributes
     ----------
     lost : callable
-        (hazard of the visited cells (n,), model, visits) -> likelihood, shape (n, 2), indexed
-        [visited cell, z]; any common factor is normalised away.
+        (hazard of the visited cells (n,), model, visits, lost_at of the steps or None) ->
+        likelihood, shape (n, 2), indexed [visited cell, z]; any common factor is normalised away.
     correlated : bool
         Whether it holds kappa; without it a mission starts from kappa := target.
     dynamics : tuple of str
@@ -53,10 +53,13 @@ class OnePass:
 
     """
 
-    lost: Callable[[NDArray[np.float64], SensorModel, Visits], NDArray[np.float64]]
+    lost: Callable[
+        [NDArray[np.float64], SensorModel, Visits, NDArray[np.float64] | None], NDArray[np.float64]
+    ]
     correlated: bool
     dynamics: tuple[str, ...] = ('changing',)
     learns: ClassVar[bool] = False
+    takes_lost_at: ClassVar[bool] = True
     version: ClassVar[int] = 1
 
     def __call__(
@@ -79,7 +82,8 @@ class OnePass:
         """
         Return the belief after one deployment, as `kbnitp_ros.core.update` does.
 
-        A return is equation :eq:`returned`, a loss after a last contact :eq:`loss-contact`.
+        A return is equation :eq:`returned`, a loss after a last contact :eq:`loss-contact`,
+        and one of which more is known :eq:`loss-located`.
         """
         check_cells(belief, observation)
         if not self.correlated:
@@ -94,9 +98,14 @@ class OnePass:
             belief = given(
                 belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
             )
-        steps = observation.steps_survived
+        steps, lost_at = observation.steps_survived, observation.lost_at
         visits = Visits.of(observation.path[steps:])
-        lost = self.lost(belief.hazard[visits.cells], model, visits)
+        lost = self.lost(
+            belief.hazard[visits.cells],
+            model,
+            visits,
+            None if lost_at is None else lost_at[steps:],
+        )
         with np.errstate(divide='ignore'):
             return given(belief, visits.cells, np.log(lost)[:, :, None])
 

@@ -84,6 +84,7 @@ class Chains:
         self.sweeps = 0
         self._undecided = np.flatnonzero(maps.hazard.undecided)
         self._graph = tally.loss_graph(maps.possible, maps.hazard.undecided)
+        self._located = tally.located_graph(maps.possible)
         # On a large field robots come back from few cells: the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = maps.odds()
@@ -100,6 +101,7 @@ class Chains:
         of_lengths = np.take(log_endured, self._type_of_length, axis=1)
         self._endured = np.exp(times_log(steps, of_lengths))
         self._spared = np.exp(times_log(exposures, log_spared[:, :, None]))
+        self._step_endured, self._step_spared = np.exp(log_endured), np.exp(log_spared)
         self._hazard_state = gibbs.HazardState(
             self._hazardous,
             np.zeros((CHAINS, tally.steps.size), np.int32),
@@ -123,20 +125,29 @@ class Chains:
         """Draw everything once, and add up the probabilities it was drawn with."""
         odds, target_if_safe, target_if_hazardous = self._given_returns()
         factors = gibbs.Factors(
-            odds, self._length, self._type_of_length, self._endured, self._spared
+            odds,
+            self._length,
+            self._type_of_length,
+            self._endured,
+            self._spared,
+            self._step_endured,
+            self._step_spared,
         )
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
                 self._hazard_state,
                 factors,
                 self._graph,
+                self._located,
                 self._undecided,
                 self._rng.random(out=self._uniform),
                 self._odds,
             )
-            if self._tally.steps.size:
+            if self._tally.steps.size or self._tally.located_steps.size:
                 proposals = self._rng.random((CHAINS, SWAPS, 4))
-                gibbs.swap_hazards(self._hazard_state, factors, self._graph, proposals)
+                gibbs.swap_hazards(
+                    self._hazard_state, factors, self._graph, self._located, proposals
+                )
             gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
         self._draw_survival()
         self._draw_the_rest(target_if_safe, target_if_hazardous)
@@ -279,6 +290,11 @@ class Chains:
             spared: Floats = self._spared.reshape(values, robot_types * most).T.copy()
             place = exposures + (tally.robot_type * most).astype(np.int32)
             gibbs.weigh_by_losses(endured, place, spared, likelihood)
+            self._weigh_by_located(
+                self._step_endured[self._place['malfunction']][:, :, None],
+                self._step_spared.T[None],
+                likelihood,
+            )
             log_likelihood = log(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.lethality is None:
@@ -296,11 +312,26 @@ class Chains:
             spared = self._spared[self._place['lethality'][:, None], tally.robot_type, exposures]
             length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
             gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
+            self._weigh_by_located(
+                self._step_endured.T[None],
+                self._step_spared[self._place['lethality']][:, :, None],
+                likelihood,
+            )
             log_likelihood = log(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.malfunction is None:
                     log_likelihood = log_likelihood + survived.sum() * rates.log_endured
             self._draw('malfunction', log_likelihood)
+
+    def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
+        """Weigh the values of a rate by the located losses; (1 or chains, types, 1 or values)."""
+        if self._tally.located_steps.size:
+            shape = (CHAINS, endured.shape[1], likelihood.shape[1])
+            safe, exposed = (
+                np.ascontiguousarray(np.broadcast_to(each, shape))
+                for each in (endured, endured * spared)
+            )
+            gibbs.weigh_by_located(self._hazardous, self._located, safe, exposed, likelihood)
 
     def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
         r"""

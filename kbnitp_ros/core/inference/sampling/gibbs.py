@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 # A loss is never less likely than this, so that a chain finds out of states that explain it not
 # at all; far above what rounding leaves of 1 - 1.
 LEAST = 1e-30
+# The same of a loss whose steps weigh by how well they fit, of which nothing is subtracted.
+LEAST_FIT = 1e-100
 # Products are divided before they leave the range of floating point.
 SMALL, LARGE = 1e-200, 1e300
 # How many losses may be multiplied up before that.
@@ -30,7 +32,7 @@ class LossGraph(NamedTuple):
         A lost path, and how often it enters the cell.
     first_cell : ndarray of int, shape (losses + 1,)
         The cells of lost path a that may be hazardous or safe are
-        ``cell[first_cell[a]:first_cell[a + 1]]``.
+        ``cell[first_cell[a]:first_cell[a + 1]]``; located losses come last.
     cell : ndarray of int
 
     """
@@ -40,6 +42,60 @@ class LossGraph(NamedTuple):
     visits: NDArray[np.int32]
     first_cell: NDArray[np.int32]
     cell: NDArray[np.int32]
+
+
+class LocatedGraph(NamedTuple):
+    """
+    The losses of which it is known how well each step fits.
+
+    Attributes
+    ----------
+    first_entry : ndarray of int, shape (cells + 1,)
+        Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
+    loss, first, last : ndarray of int, shape (entries,)
+        A loss, and its first and last steps into the cell.
+    first_step : ndarray of int, shape (losses + 1,)
+        The steps of loss a are those from ``first_step[a]`` to ``first_step[a + 1] - 1``.
+    robot_type : ndarray of int, shape (losses,)
+        Of the robot.
+    cell : ndarray of int, shape (steps,)
+        The cell that each step leads to.
+    lost_at : ndarray, shape (steps,)
+        How well a loss in each step fits what was observed.
+
+    """
+
+    first_entry: NDArray[np.int32]
+    loss: NDArray[np.int32]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+    first_step: NDArray[np.int32]
+    robot_type: NDArray[np.int32]
+    cell: NDArray[np.int32]
+    lost_at: NDArray[np.float64]
+
+
+class LocatedSums(NamedTuple):
+    """
+    Of one chain, the parts of each located loss before and after each step; kernels change it.
+
+    Attributes
+    ----------
+    before : ndarray, shape (steps,)
+        Chance of the loss in the steps before this one, each by how well it fits.
+    reached : ndarray, shape (steps,)
+        Chance to survive the steps before this one.
+    rest : ndarray, shape (steps,)
+        Chance of the loss from this step on, of a robot that reaches it.
+    survival : ndarray, shape (types, 2)
+        s_z of one step, by robot type.
+
+    """
+
+    before: NDArray[np.float64]
+    reached: NDArray[np.float64]
+    rest: NDArray[np.float64]
+    survival: NDArray[np.float64]
 
 
 class HazardState(NamedTuple):
@@ -80,6 +136,8 @@ class Factors(NamedTuple):
         Chance of no malfunction in a path of each length.
     spared : ndarray, shape (values, types, most exposures + 1)
         Chance of no strike in that many exposures of a robot of each type.
+    step_endured, step_spared : ndarray, shape (values, types)
+        Chances of no malfunction and of no strike in one step.
 
     """
 
@@ -88,6 +146,8 @@ class Factors(NamedTuple):
     robot_type: NDArray[np.intp]
     endured: NDArray[np.float64]
     spared: NDArray[np.float64]
+    step_endured: NDArray[np.float64]
+    step_spared: NDArray[np.float64]
 
 
 @compiled
@@ -143,6 +203,99 @@ def loss_ratio(
 
 
 @compiled
+def sum_steps(
+    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
+) -> None:
+    """
+    Find the sums of a located loss by the hazards of a chain.
+
+    Equation :eq:`loss-located`.
+    """
+    survival = sums.survival[located.robot_type[path]]
+    first, end = located.first_step[path], located.first_step[path + 1]
+    before, reached = 0.0, 1.0
+    for step in range(first, end):
+        survived = survival[hazardous[located.cell[step]]]
+        sums.before[step], sums.reached[step] = before, reached
+        before += reached * located.lost_at[step] * (1.0 - survived)
+        reached *= survived
+    rest = 0.0
+    for step in range(end - 1, first - 1, -1):
+        survived = survival[hazardous[located.cell[step]]]
+        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
+        sums.rest[step] = rest
+
+
+@compiled
+def sum_all_steps(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    state: HazardState,
+    factors: Factors,
+    chain: int,
+) -> None:
+    """Find the sums of all located losses by the hazards and the rates of a chain."""
+    for robot_type in range(sums.survival.shape[0]):
+        endured = factors.step_endured[state.malfunction[chain], robot_type]
+        sums.survival[robot_type, 0] = endured
+        sums.survival[robot_type, 1] = (
+            endured * factors.step_spared[state.strike[chain], robot_type]
+        )
+    for path in range(located.robot_type.size):
+        sum_steps(sums, located, state.hazardous[chain], path)
+
+
+@compiled
+def located_chance(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    entry: int,
+    hazard: int,
+) -> float:
+    """Return the chance of a located loss if the cell of an entry had this hazard."""
+    path, first, last = located.loss[entry], located.first[entry], located.last[entry]
+    survival, cell = sums.survival[located.robot_type[path]], located.cell[first]
+    rest = sums.rest[last + 1] if last + 1 < located.first_step[path + 1] else 0.0
+    for step in range(last, first - 1, -1):
+        visited = located.cell[step]
+        survived = survival[hazard if visited == cell else hazardous[visited]]
+        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
+    return float(max(sums.before[first] + sums.reached[first] * rest, LEAST_FIT))
+
+
+@compiled
+def set_hazard(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    cell: int,
+    hazard: int,
+) -> None:
+    """Have a cell be hazardous or safe, and find the sums of its located losses again."""
+    hazardous[cell] = hazard
+    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
+        sum_steps(sums, located, hazardous, located.loss[entry])
+
+
+@compiled
+def located_ratio(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    cell: int,
+    hazard: int,
+    ratio: float,
+) -> float:
+    """Return `ratio` times that of the chances with this hazard in a cell and with the other."""
+    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
+        now = located_chance(sums, located, hazardous, entry, hazard)
+        other = located_chance(sums, located, hazardous, entry, 1 - hazard)
+        ratio = min(ratio * (now / other), LARGE)
+    return ratio
+
+
+@compiled
 def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int, n: int) -> int:
     """Return the cell number n, from 0, of those that have this hazard."""
     for cell in cells:
@@ -158,6 +311,7 @@ def draw_hazards(
     state: HazardState,
     factors: Factors,
     graph: LossGraph,
+    located: LocatedGraph,
     cells: NDArray[np.intp],
     uniform: NDArray[np.float64],
     drawn_with: NDArray[np.float64],
@@ -170,16 +324,24 @@ def draw_hazards(
     .. math:: e^{o_i} \prod_{a \ni i} \frac{F(T_a, E_a' + n_{ai})}{F(T_a, E_a')},
 
     where :math:`e^{o_i}` are the odds without the losses, :math:`F` is the chance of a loss, and
-    :math:`E_a'` are the exposures of path a in its other cells.
+    :math:`E_a'` are the exposures of path a in its other cells. Of located losses the ratio is
+    that of equation :eq:`loss-located`.
 
     `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
     shape, takes the conditional odds of a hazard that each was drawn with.
     """
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = LocatedSums(
+        np.empty(located.cell.size),
+        np.empty(located.cell.size),
+        np.empty(located.cell.size),
+        np.empty((factors.step_endured.shape[1], 2)),
+    )
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         tabulate_losses(state, factors, chain, table)
+        sum_all_steps(sums, located, state, factors, chain)
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
             here = hazardous[cell]
@@ -195,16 +357,21 @@ def draw_hazards(
                     ratio = min(ratio * (with_hazard / without), LARGE)
                     with_hazard, without = 1.0, 1.0
             ratio = min(ratio * (with_hazard / without), LARGE)
+            ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
             if drawn != here:
-                hazardous[cell] = drawn
+                set_hazard(sums, located, hazardous, cell, drawn)
                 add_exposures(exposures, graph, cell, drawn - here)
 
 
 @compiled
 def swap_hazards(
-    state: HazardState, factors: Factors, graph: LossGraph, uniform: NDArray[np.float64]
+    state: HazardState,
+    factors: Factors,
+    graph: LossGraph,
+    located: LocatedGraph,
+    uniform: NDArray[np.float64],
 ) -> None:
     r"""
     Propose that a hazardous and a safe cell of a lost path change places (Metropolis).
@@ -219,13 +386,20 @@ def swap_hazards(
     as before, so proposals are symmetric.
     """
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = LocatedSums(
+        np.empty(located.cell.size),
+        np.empty(located.cell.size),
+        np.empty(located.cell.size),
+        np.empty((factors.step_endured.shape[1], 2)),
+    )
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         tabulate_losses(state, factors, chain, table)
+        sum_all_steps(sums, located, state, factors, chain)
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
-            path = int(numbers[0] * exposures.size)
+            path = int(numbers[0] * (graph.first_cell.size - 1))
             first, end = graph.first_cell[path], graph.first_cell[path + 1]
             cells = graph.cell[first:end]
             hazards = 0
@@ -237,10 +411,14 @@ def swap_hazards(
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             # The new hazard comes first, so that no loss is left unexplained in between.
             ratio = loss_ratio(exposures, factors, graph, table, new, 1, odds[new] / odds[old])
+            ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
+            set_hazard(sums, located, hazardous, new, 1)
             ratio = loss_ratio(exposures, factors, graph, table, old, -1, ratio)
+            ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
             if numbers[3] < ratio:
-                hazardous[new], hazardous[old] = 1, 0
+                set_hazard(sums, located, hazardous, old, 0)
             else:
+                set_hazard(sums, located, hazardous, new, 0)
                 add_exposures(exposures, graph, new, -1)
                 add_exposures(exposures, graph, old, 1)
 
@@ -351,6 +529,52 @@ def weigh_by_losses(
                     largest = max(largest, own[value])
                 for value in range(own.size):
                     own[value] /= largest
+
+
+@compiled
+def weigh_by_located(
+    hazardous: NDArray[np.int8],
+    located: LocatedGraph,
+    safe: NDArray[np.float64],
+    exposed: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
+) -> None:
+    """
+    Do what `weigh_by_losses` does, of the located losses, by equation :eq:`loss-located`.
+
+    Parameters
+    ----------
+    hazardous : ndarray of int, shape (chains, cells)
+        Z of each cell.
+    located : LocatedGraph
+        The losses.
+    safe, exposed : ndarray, shape (chains, types, values)
+        Chance to survive a step into a safe cell and into a hazard, for each value of the rate.
+    likelihood : ndarray, shape (chains, values)
+        Divided by whatever keeps it in range.
+
+    """
+    rest = np.empty(likelihood.shape[1])
+    for chain in range(likelihood.shape[0]):
+        own = likelihood[chain]
+        for path in range(located.robot_type.size):
+            robot_type = located.robot_type[path]
+            rest[:] = 0.0
+            for step in range(located.first_step[path + 1] - 1, located.first_step[path] - 1, -1):
+                if hazardous[chain, located.cell[step]]:
+                    survived = exposed[chain, robot_type]
+                else:
+                    survived = safe[chain, robot_type]
+                weight = located.lost_at[step]
+                for value in range(rest.size):
+                    alive = survived[value]
+                    rest[value] = weight * (1.0 - alive) + alive * rest[value]
+            largest = 0.0
+            for value in range(rest.size):
+                own[value] *= max(rest[value], LEAST_FIT)
+                largest = max(largest, own[value])
+            for value in range(rest.size):
+                own[value] /= largest
 
 
 @compiled

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 from kbnitp_ros.core.field import Belief, Bins, RobotType, SensorModel, times_log, Unknowns
+from kbnitp_ros.core.inference.filtering import can_be_lost
 from kbnitp_ros.core.inference.sampling.prior_map import PriorMap, PriorMaps
 from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
@@ -177,7 +178,18 @@ class Hypotheses:
         log_survival = np.array([each.log_survival for each in models])[tally.robot_type]
         spared = times_log(tally.steps - exposed, log_survival[:, 0])
         spared += times_log(exposed, log_survival[:, 1])
-        if not (possible.any(axis=1).all() and (spared < 0.0).all()):
+        first = tally.first_step
+        explained = all(
+            can_be_lost(
+                possible,
+                tally.step_cell[first[loss] : first[loss + 1]],
+                tally.lost_at[first[loss] : first[loss + 1]],
+                np.exp(models[robot_type].log_survival),
+                -np.expm1(models[robot_type].log_survival),
+            )
+            for loss, robot_type in enumerate(tally.located_type.tolist())
+        )
+        if not (possible.any(axis=1).all() and (spared < 0.0).all() and explained):
             raise ValueError(
                 'the outcome is impossible under this prior, sensor model and what came before: '
                 'allow for it with probabilities that are not exactly 0 or 1'

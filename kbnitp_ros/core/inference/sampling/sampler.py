@@ -97,6 +97,7 @@ class Sampler:
     learns: ClassVar[bool] = True
     draws_are_exact: ClassVar[bool] = True
     version: ClassVar[int] = 2
+    takes_lost_at: ClassVar[bool] = True
 
     def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
         check_memory(belief.cells)

@@ -33,8 +33,15 @@ class Tally:
     steps, robot_type : ndarray of int, shape (losses,)
         Of each path on which a robot was lost, without those it is known to have survived, and
         of which type the robot was.
+        Those of which it is known how well each step fits are not among them.
     cell, path, visits : ndarray of int, shape (entries,)
         Which cell is on which of these paths, and how often it enters it; in the order of paths.
+    located_steps, located_type : ndarray of int, shape (located losses,)
+        The same of losses of which that is known.
+    step_cell : ndarray of int, shape (steps,)
+        The cells that the steps of these lead to, one loss after another.
+    lost_at : ndarray, shape (steps,)
+        How well a loss in each step fits what was observed.
 
     """
 
@@ -48,6 +55,10 @@ class Tally:
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)
+    located_steps: NDArray[np.int32] = field(default_factory=none_yet)
+    located_type: NDArray[np.int32] = field(default_factory=none_yet)
+    step_cell: NDArray[np.int32] = field(default_factory=none_yet)
+    lost_at: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def empty(cls, cells: int) -> Tally:
@@ -69,11 +80,20 @@ class Tally:
                 negative=add_steps(known.negative, of_type, not_seen),
             )
         alive = observation.steps_survived
-        lost = Visits.of(observation.path[alive:])
+        tally = replace(tally, survived=add_steps(known.survived, of_type, steps[:alive]))
+        path, lost_at = observation.lost_on
+        if lost_at is not None:
+            return replace(
+                tally,
+                located_steps=np.append(self.located_steps, np.int32(lost_at.size)),
+                located_type=np.append(self.located_type, np.int32(of_type)),
+                step_cell=np.append(self.step_cell, path[1:].astype(np.int32)),
+                lost_at=np.append(self.lost_at, lost_at),
+            )
+        lost = Visits.of(path)
         return replace(
             tally,
-            survived=add_steps(known.survived, of_type, steps[:alive]),
-            steps=np.append(self.steps, np.int32(steps.size - alive)),
+            steps=np.append(self.steps, np.int32(path.size - 1)),
             robot_type=np.append(self.robot_type, np.int32(of_type)),
             cell=np.append(self.cell, lost.cells.astype(np.int32)),
             path=np.append(self.path, np.full(lost.cells.size, self.steps.size, np.int32)),
@@ -100,7 +120,7 @@ class Tally:
     def visited(self) -> NDArray[np.bool_]:
         """Which cells some robot was to step into, shape (cells,)."""
         visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
-        visited[self.cell] = True
+        visited[self.cell] = visited[self.step_cell] = True
         return visited
 
     @property
@@ -117,7 +137,13 @@ class Tally:
             positive=self.positive[:, cells],
             negative=self.negative[:, cells],
             cell=np.searchsorted(cells, self.cell).astype(np.int32),
+            step_cell=np.searchsorted(cells, self.step_cell).astype(np.int32),
         )
+
+    @property
+    def first_step(self) -> NDArray[np.int32]:
+        """Where the steps of each located loss start, and the end."""
+        return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(
         self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]
@@ -125,14 +151,46 @@ class Tally:
         """Return the lost paths with their cells of possible, and those of undecided, hazards."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
-        movable = undecided[self.cell]
+        # Hazards may be moved along every lost path, those of located losses last.
+        loss, cell, *_ = self._located_visits()
+        path = np.append(self.path, loss + self.steps.size)
+        cell = np.append(self.cell, cell)
+        movable = undecided[cell]
         return gibbs.LossGraph(
             group_starts(self.cell[held], self.survived.shape[1]),
             self.path[by_cell],
             self.visits[by_cell],
-            group_starts(self.path[movable], self.steps.size),
-            self.cell[movable],
+            group_starts(path[movable], self.steps.size + self.located_steps.size),
+            cell[movable],
         )
+
+    def located_graph(self, possible: NDArray[np.bool_]) -> gibbs.LocatedGraph:
+        """Return the located losses with their cells of possible hazards."""
+        loss, cell, first, last = self._located_visits()
+        held = np.flatnonzero(possible[cell])
+        by_cell = held[np.argsort(cell[held], kind='stable')]
+        return gibbs.LocatedGraph(
+            group_starts(cell[held], self.survived.shape[1]),
+            loss[by_cell],
+            first[by_cell],
+            last[by_cell],
+            self.first_step,
+            self.located_type,
+            self.step_cell,
+            self.lost_at,
+        )
+
+    def _located_visits(self) -> tuple[NDArray[np.int32], ...]:
+        """Return each located loss with each of its cells, and the first and last step into it."""
+        loss = np.repeat(np.arange(self.located_steps.size), self.located_steps)
+        order = np.lexsort((self.step_cell, loss))
+        loss, cell = loss[order], self.step_cell[order]
+        # Sorting keeps the order of steps into the same cell.
+        starts = np.ones(order.size, dtype=bool)
+        starts[1:] = (loss[1:] != loss[:-1]) | (cell[1:] != cell[:-1])
+        ends = np.append(starts[1:], True)[: order.size]
+        columns = loss[starts], cell[starts], order[starts], order[ends]
+        return tuple(each.astype(np.int32) for each in columns)
 
 
 def add_steps(

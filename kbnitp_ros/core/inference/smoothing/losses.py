@@ -21,7 +21,9 @@ class Losses:
     Attributes
     ----------
     graph : FactorGraph
-        Equal paths are copies of one factor. Its cells are numbered as they came up.
+        Paths with the same visits are copies of one factor; if it is known how well each step
+        fits, only those with the same steps that fit as well. Its cells are numbered as they came
+        up.
     cells : ndarray of int, shape (cells of the graph,)
         Which cells of the field they are.
     place : ndarray of int, shape (cells of the field,)
@@ -29,7 +31,7 @@ class Losses:
     count : ndarray of int, shape (entries,)
         How often the path visits the cell.
     checksum : ndarray of int, shape (factors,)
-        Of each factor's visits, to find equal ones.
+        Of each factor's visits, or steps and `lost_at`, to find equal ones.
     destroyed : ndarray, shape (2,)
         1 - s_z of one visit, of the robots among those lost to which hazards make the most of a
         difference.
@@ -54,6 +56,11 @@ class Losses:
             node=none,
             factor=none,
             lost=np.empty((0, 2)),
+            first_step=np.zeros(1, dtype=np.int32),
+            place=none,
+            lost_at=np.empty(0),
+            survived=np.empty((0, 2)),
+            died=np.empty((0, 2)),
             newest=none,
             older=none,
         )
@@ -69,26 +76,57 @@ class Losses:
         """Return where the entries of a factor are."""
         return slice(int(self.graph.first[factor]), int(self.graph.first[factor + 1]))
 
-    def with_loss(self, visits: Visits, model: SensorModel) -> Losses:
-        """
-        Return the losses and one more, of a robot of this model that made these visits.
+    def steps(self, factor: int) -> slice:
+        """Return where the steps of a factor are, which it has if `lost_at` is known of it."""
+        return slice(int(self.graph.first_step[factor]), int(self.graph.first_step[factor + 1]))
 
-        Equation :eq:`loss-factor`.
+    def with_loss(
+        self, path: NDArray[np.intp], model: SensorModel, lost_at: NDArray[np.float64] | None
+    ) -> Losses:
         """
-        checksum = crc32(np.stack([visits.cells, visits.counts]).astype(np.int32).tobytes())
+        Return the losses and one more.
+
+        Equations :eq:`loss-factor` and :eq:`loss-located`.
+
+        Parameters
+        ----------
+        path : ndarray of int, shape (steps + 1,)
+            The stretch on which the robot was lost.
+        model : SensorModel
+            Of the robot.
+        lost_at : ndarray, shape (steps,)
+            How well each step fits; None if all are alike.
+
+        """
+        visits = Visits.of(path)
+        told = np.stack([visits.cells, visits.counts]).astype(np.int32).tobytes()
+        weight = np.empty(0) if lost_at is None else lost_at
+        place = visits.of_step[: len(weight)].astype(np.int32)
+        told += place.tobytes() + weight.tobytes()
+        checksum = crc32(told)
         lost = -np.expm1(times_log(visits.counts[:, None], model.log_survival))
         for factor in np.flatnonzero(self.checksum == checksum).tolist():
-            entries = self.entries(factor)
+            entries, steps = self.entries(factor), self.steps(factor)
             cells = self.cells[self.graph.node[entries]]
-            same_visits = np.array_equal(
-                [cells, self.count[entries]], [visits.cells, visits.counts]
+            same_visits = (
+                np.array_equal([cells, self.count[entries]], [visits.cells, visits.counts])
+                and np.array_equal(self.graph.place[steps], place)
+                and np.array_equal(self.graph.lost_at[steps], weight)
             )
             if same_visits and np.array_equal(self.graph.lost[entries], lost):
                 copies = self.graph.copies.copy()
                 copies[factor] += 1.0
                 return replace(self, graph=self.graph._replace(copies=copies))
         destroyed = more_informative(self.destroyed, -np.expm1(model.log_survival))
-        return replace(self._with_factor(visits, lost, checksum), destroyed=destroyed)
+        losses = self._with_factor(visits, lost, checksum)
+        graph = losses.graph._replace(
+            first_step=appended(self.graph.first_step, [len(self.graph.place) + len(place)]),
+            place=appended(self.graph.place, place),
+            lost_at=appended(self.graph.lost_at, weight),
+            survived=appended(self.graph.survived, np.exp(model.log_survival)[None]),
+            died=appended(self.graph.died, -np.expm1(model.log_survival)[None]),
+        )
+        return replace(losses, graph=graph, destroyed=destroyed)
 
     def _with_factor(self, visits: Visits, lost: NDArray[np.float64], checksum: int) -> Losses:
         """Return the losses and one that is like none of them."""
@@ -103,7 +141,7 @@ class Losses:
         older = appended(graph.older, newest[node])
         newest[node] = len(graph.node) + np.arange(size)
         return Losses(
-            graph=FactorGraph(
+            graph=graph._replace(
                 first=appended(graph.first, [len(graph.node) + size]),
                 longest=max(graph.longest, size),
                 copies=appended(graph.copies, [1.0]),

@@ -2,7 +2,8 @@
 """
 Belief propagation between lost paths and the hazards of their cells, as compiled kernels.
 
-A lost path is a factor 1 - prod_i s_{z_i}^{n_i}; equal ones are copies of one factor, which send
+A lost path is a factor 1 - prod_i s_{z_i}^{n_i}, or where more is known of the loss the sum over
+its steps k of lost_at[k] P(lost in step k | z); equal ones are copies of one factor, which send
 the same messages. What a factor sends depends on its cells' log odds. A cell sends its factors
 its log odds again when the chance that it destroys a robot has changed by more than a tolerance,
 and only factors that received something send again.
@@ -34,13 +35,23 @@ class FactorGraph(NamedTuple):
     longest : int
         The most entries of a factor.
     copies : ndarray, shape (factors,)
-        How often each path was lost.
+        How often each path was lost, with as much known of where.
     node : ndarray of int, shape (entries,)
         The cell of each entry.
     factor : ndarray of int, shape (entries,)
         The factor of each entry.
     lost : ndarray, shape (entries, 2)
         1 - s_z^n of the path's n visits to the cell.
+    first_step : ndarray of int, shape (factors + 1,)
+        Where the steps of each factor start; it has none if they are all alike.
+    place : ndarray of int, shape (steps,)
+        Which of the factor's entries each step leads to, from 0.
+    lost_at : ndarray, shape (steps,)
+        How well a loss in each step fits what was observed.
+    survived : ndarray, shape (factors, 2)
+        s_z of one step of the robot that was lost.
+    died : ndarray, shape (factors, 2)
+        1 - s_z.
     newest : ndarray of int, shape (cells,)
         The last entry of each cell.
     older : ndarray of int, shape (entries,)
@@ -54,6 +65,11 @@ class FactorGraph(NamedTuple):
     node: NDArray[np.int32]
     factor: NDArray[np.int32]
     lost: NDArray[np.float64]
+    first_step: NDArray[np.int32]
+    place: NDArray[np.int32]
+    lost_at: NDArray[np.float64]
+    survived: NDArray[np.float64]
+    died: NDArray[np.float64]
     newest: NDArray[np.int32]
     older: NDArray[np.int32]
 
@@ -94,12 +110,109 @@ def chance(log_odds: float) -> float:
 
 
 @compiled
+def weigh_visits(
+    graph: FactorGraph,
+    state: MessageState,
+    factor: int,
+    before: NDArray[np.float64],
+    loss: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
+) -> float:
+    """
+    Return the chance of a loss whose steps are all alike, and that given each of its hazards.
+
+    Equation :eq:`loss-message`. Complements of the products are added up, for precision where
+    nearly everybody survives.
+
+    Parameters
+    ----------
+    graph : FactorGraph
+        All factors.
+    state : MessageState
+        What was sent.
+    factor : int
+        Which one.
+    before, loss : ndarray, shape (graph.longest + 1,)
+        Room to work in: 1 - S_k of each cell, and 1 - prod S_k of those before it.
+    likelihood : ndarray, shape (graph.longest + 1, 2)
+        Takes the chances given z, of each of the factor's entries.
+
+    """
+    start, size = graph.first[factor], graph.first[factor + 1] - graph.first[factor]
+    before[0] = 0.0
+    for place in range(size):
+        entry = start + place
+        hazard = chance(state.sent_odds[graph.node[entry]] - state.messages[entry])
+        safe, hazardous = graph.lost[entry, 0], graph.lost[entry, 1]
+        loss[place] = safe + hazard * (hazardous - safe)
+        before[place + 1] = before[place] + (1.0 - before[place]) * loss[place]
+    after = 0.0
+    for place in range(size - 1, -1, -1):
+        entry = start + place
+        others = before[place] + (1.0 - before[place]) * after
+        likelihood[place, 0] = others + (1.0 - others) * graph.lost[entry, 0]
+        likelihood[place, 1] = others + (1.0 - others) * graph.lost[entry, 1]
+        after += (1.0 - after) * loss[place]
+    return float(before[size])
+
+
+@compiled
+def weigh_steps(
+    graph: FactorGraph, state: MessageState, factor: int, likelihood: NDArray[np.float64]
+) -> float:
+    """
+    Do what `weigh_visits` does, of a loss of which it is known how well each step fits.
+
+    Equation :eq:`located-exact`, with the cavity beliefs of the cells. Their chances to spare the
+    robot in each step, given that they did so before, are found once. Forward sums hold the loss
+    in the steps before the first visit to a cell, backward sums that in the steps after its last.
+    """
+    start, size = graph.first[factor], graph.first[factor + 1] - graph.first[factor]
+    steps = graph.place[graph.first_step[factor] : graph.first_step[factor + 1]]
+    lost_at = graph.lost_at[graph.first_step[factor] : graph.first_step[factor + 1]]
+    survived, died = graph.survived[factor], graph.died[factor]
+    chances = np.empty((size, 2))
+    first, last = np.full(size, steps.size), np.zeros(size, dtype=np.int64)
+    for place in range(size):
+        entry = start + place
+        log_odds = state.sent_odds[graph.node[entry]] - state.messages[entry]
+        chances[place, 0], chances[place, 1] = chance(-log_odds), chance(log_odds)
+    lost, spared = np.empty(steps.size), np.empty(steps.size)
+    before, reached = np.zeros(steps.size + 1), np.ones(steps.size + 1)
+    for step in range(steps.size):
+        place = steps[step]
+        own = chances[place]
+        lost[step] = own[0] * died[0] + own[1] * died[1]
+        spared[step] = own[0] * survived[0] + own[1] * survived[1]
+        if spared[step] > 0.0:
+            own[0] *= survived[0] / spared[step]
+            own[1] *= survived[1] / spared[step]
+        before[step + 1] = before[step] + reached[step] * lost_at[step] * lost[step]
+        reached[step + 1] = reached[step] * spared[step]
+        first[place], last[place] = min(first[place], step), step
+    after = np.zeros(steps.size + 1)
+    for step in range(steps.size - 1, -1, -1):
+        after[step] = lost_at[step] * lost[step] + spared[step] * after[step + 1]
+    for place in range(size):
+        for hazard in range(2):
+            rest = after[last[place] + 1]
+            for step in range(last[place], first[place] - 1, -1):
+                if steps[step] == place:
+                    rest = lost_at[step] * died[hazard] + survived[hazard] * rest
+                else:
+                    rest = lost_at[step] * lost[step] + spared[step] * rest
+            likelihood[place, hazard] = before[first[place]] + reached[first[place]] * rest
+    return float(before[steps.size])
+
+
+@compiled
 def send(
     graph: FactorGraph,
     state: MessageState,
     factor: int,
     before: NDArray[np.float64],
     loss: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
 ) -> None:
     r"""
     Send the messages of one factor again.
@@ -112,8 +225,8 @@ def send(
         - \ln \Bigl( 1 - s_0^{n_{ai}} \prod_{k \ne i} S_{k \setminus a} \Bigr),
 
     over the other cells k of the factor, with the survival :math:`S_{k \setminus a}` from the log
-    odds that cell k sent less the message of this factor.
-    Complements of the products are added up, for precision where nearly everybody survives.
+    odds that cell k sent less the message of this factor. Where it is known how well each step
+    fits, the chances of the loss are those of `weigh_steps`.
 
     Parameters
     ----------
@@ -123,26 +236,21 @@ def send(
         What was sent; changed.
     factor : int
         Which one sends.
-    before, loss : ndarray, shape (graph.longest + 1,)
-        Room to work in: 1 - S_k of each cell, and 1 - prod S_k of those before it.
+    before, loss, likelihood : ndarray
+        Room to work in, as in `weigh_visits`.
 
     """
     start, size = graph.first[factor], graph.first[factor + 1] - graph.first[factor]
-    before[0] = 0.0
-    for place in range(size):
-        entry = start + place
-        hazard = chance(state.sent_odds[graph.node[entry]] - state.messages[entry])
-        safe, hazardous = graph.lost[entry, 0], graph.lost[entry, 1]
-        loss[place] = safe + hazard * (hazardous - safe)
-        before[place + 1] = before[place] + (1.0 - before[place]) * loss[place]
-    log_lost = math.log(max(before[size], SMALLEST))
+    if graph.first_step[factor] == graph.first_step[factor + 1]:
+        total = weigh_visits(graph, state, factor, before, loss, likelihood)
+    else:
+        total = weigh_steps(graph, state, factor, likelihood)
+    log_lost = math.log(max(total, SMALLEST))
     term = log_lost
-    after = 0.0
     for place in range(size - 1, -1, -1):
         entry = start + place
-        others = before[place] + (1.0 - before[place]) * after
-        safe = math.log(max(others + (1.0 - others) * graph.lost[entry, 0], SMALLEST))
-        hazardous = math.log(max(others + (1.0 - others) * graph.lost[entry, 1], SMALLEST))
+        safe = math.log(max(likelihood[place, 0], SMALLEST))
+        hazardous = math.log(max(likelihood[place, 1], SMALLEST))
         message = hazardous - safe
         state.message_sums[graph.node[entry]] += graph.copies[factor] * (
             message - state.messages[entry]
@@ -150,7 +258,6 @@ def send(
         state.messages[entry] = message
         # The mean over Z_i of exp(Z_i * message), without the factor's own message.
         term -= log_lost - safe
-        after += (1.0 - after) * loss[place]
     state.evidence[0] += graph.copies[factor] * (term - state.terms[factor])
     state.terms[factor] = term
 
@@ -196,10 +303,11 @@ def propagate(
     """
     cells, factors = len(odds), len(graph.copies)
     before, loss = np.empty(graph.longest + 1), np.empty(graph.longest + 1)
+    likelihood = np.empty((graph.longest + 1, 2))
     step, direction = np.ones(cells), np.zeros(cells)
     queue, is_queued = np.empty(factors, dtype=np.int64), np.zeros(factors, dtype=np.bool_)
     for factor in range(first_silent, factors):
-        send(graph, state, factor, before, loss)
+        send(graph, state, factor, before, loss, likelihood)
     times = factors - first_silent
     for _ in range(rounds):
         queued = 0
@@ -231,6 +339,6 @@ def propagate(
             break
         for place in range(queued):
             is_queued[queue[place]] = False
-            send(graph, state, queue[place], before, loss)
+            send(graph, state, queue[place], before, loss, likelihood)
         times += queued
     return times

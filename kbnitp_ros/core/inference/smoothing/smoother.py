@@ -3,11 +3,12 @@
 Smoothing: all losses held as factors, by belief propagation conditioned on a few cells.
 
 A loss ties the hazards of its path together, which a belief of independent cells forgets. Here
-every lost path stays a factor 1 - prod_i s_{z_i}^{n_i} over its cells, and every return a local
-log-likelihood. Sum-product messages between them give the marginals. Where losses share cells
-the graph has cycles and plain messages count evidence twice; the cells that carry most of it are
-therefore fixed to each of their joint values in turn (cutset conditioning, Pearl 1988), and the
-answers are averaged with the Bethe approximation of each value's evidence as weights.
+every lost path stays a factor over its cells, 1 - prod_i s_{z_i}^{n_i} or the sum over steps where
+more is known of the loss, and every return a local log-likelihood. Sum-product messages between
+them give the marginals. Where losses share cells the graph has cycles and plain messages count
+evidence twice; the cells that carry most of it are therefore fixed to each of their joint values
+in turn (cutset conditioning, Pearl 1988), and the answers are averaged with the Bethe
+approximation of each value's evidence as weights.
 
 All messages are kept from one deployment to the next, and only factors whose cells have something
 new to tell send again. So a deployment costs what it changes, however many came before it.
@@ -20,6 +21,7 @@ from typing import ClassVar
 
 from kbnitp_ros.core.field import Belief, Observation, RobotType, SensorModel, Visits
 from kbnitp_ros.core.inference.filtering import (
+    can_be_lost,
     check_cells,
     condition,
     KnownModel,
@@ -149,6 +151,7 @@ class Smoother(KnownModel):
     """
 
     version: ClassVar[int] = 2
+    takes_lost_at: ClassVar[bool] = True
 
     def __init__(self, prior: Belief, model: SensorModel, *_: object) -> None:
         super().__init__(prior, model)
@@ -183,16 +186,15 @@ class Smoother(KnownModel):
         else:
             visits = Visits.of(observation.path[: observation.steps_survived + 1])
             log_likelihood = survived_log_likelihood(model, visits)[:, :, None]
-            steps = observation.steps_survived
-            lost = Visits.of(observation.path[steps:])
-            losses = losses.with_loss(lost, model)
+            path, lost_at = observation.lost_on
+            losses = losses.with_loss(path, model, lost_at)
         local, odds = self._local.copy(), self._odds.copy()
         local[visits.cells] += log_likelihood
         odds[visits.cells] = log_odds((self._log_prior + local)[visits.cells])
         check_possible(odds, losses)
         self._local, self._odds, self._losses = local, odds, losses
         self._visited = self._visited.copy()
-        self._visited[observation.path[1:]] = True
+        self._visited[visits.cells] = self._visited[losses.cells] = True
         self.belief = self._belief()
 
     def _belief(self) -> Belief:
@@ -279,6 +281,16 @@ def check_possible(odds: NDArray[np.float64], losses: Losses) -> None:
         explained = (graph.lost[:, 1] > 0.0) & (odds[losses.cells[graph.node]] > -np.inf)
         explained |= graph.lost[:, 0] > 0.0
         unexplained = not np.logical_or.reduceat(explained, graph.first[:-1]).all()
+        possible = np.stack([odds < np.inf, odds > -np.inf], axis=1)[losses.cells]
+        for factor in np.flatnonzero(np.diff(graph.first_step)).tolist():
+            steps = losses.steps(factor)
+            unexplained = unexplained or not can_be_lost(
+                possible[graph.node[losses.entries(factor)]],
+                graph.place[steps],
+                graph.lost_at[steps],
+                graph.survived[factor],
+                graph.died[factor],
+            )
     if np.isnan(odds).any() or unexplained:
         raise ValueError(
             'the outcome is impossible under this prior, sensor model and what came before: '
