@@ -13,6 +13,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from kbnitp_ros.core import Observation
 from kbnitp_ros.figures import LOST, MAPS, RETURNED
 from kbnitp_ros.log.log_path import NAME
 from kbnitp_ros.report.curves import Curves, out_at
@@ -28,6 +29,9 @@ from plotly.offline import get_plotlyjs
 MOST_BYTES = 15_000_000
 
 SECOND = 10**9
+
+# Steps that fit what was heard this well, the best one as 1, are shown as where a robot was lost.
+LIKELY = 0.5
 
 # Of the curves of missions whose truth is on record.
 SCORED = (
@@ -280,12 +284,26 @@ def moment_of(
         'sortie': sortie,
         'survived': None if seen is None else seen.survived,
         'known': 0 if seen is None else seen.steps_survived,
+        'heard': heard_on(seen),
         'walk': walk,
         'readings': readings,
         'out': out.tolist(),
         'told': told_of(mission, place),
         'facts': list(facts_of(mission, curves, table, place, out)),
     }
+
+
+def heard_on(seen: Observation | None) -> tuple[int, int] | None:
+    """
+    Return the stretch of its path where a robot was lost by what was heard; None if nothing was.
+
+    Between the steps that lead to it and from it all are that fit at least half as well as the
+    best one.
+    """
+    if seen is None or seen.lost_at is None:
+        return None
+    (likely,) = np.nonzero(seen.lost_at >= LIKELY)
+    return int(likely[0]), int(likely[-1]) + 1
 
 
 def told_of(mission: Mission, place: int) -> str:
@@ -323,6 +341,8 @@ def facts_of(
             yield 'outcome', f'lost on a path of {seen.steps} steps'
             if seen.steps_survived:
                 yield 'last contact', f'after {seen.steps_survived} steps'
+            if heard := heard_on(seen):
+                yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):
         if np.isfinite(values[place]):
             yield f'information {name}', f'{values[place]:.3f} nats'

@@ -17,7 +17,7 @@ from plotly import graph_objects
 from plotly.subplots import make_subplots
 
 # Where the page puts what changes: the places of these traces in each believed map.
-TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'base')
+TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'heard', 'base')
 
 # A trace stands for the path, and a marker for its end, of either fate; the page takes these.
 WALKS = {
@@ -76,6 +76,7 @@ def map_plot(grid: Grid, name: str, values: NDArray[np.float64] | None = None) -
                 **marked, marker={'symbol': 'circle-open', 'size': 6, 'color': '#333333'}
             ),
             graph_objects.Scatter(**marked, marker={'size': 11, 'line': edge}),
+            graph_objects.Scatter(**lined, line={'color': LOST.colour, 'width': 9}, opacity=0.5),
         ]
     base = {
         'symbol': 'square',

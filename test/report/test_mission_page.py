@@ -6,9 +6,11 @@ import shutil
 import subprocess
 import sys
 
+from kbnitp_ros.core import Observation
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.page import page_of
-from missions import single, team
+from mission_log import GRID, record
+from missions import sent_by_single, single, team
 import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
@@ -138,6 +140,26 @@ def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
         read = [] if moment.outcome.readings is None else moment.outcome.readings.tolist()
         assert sum(each is not None for each in traces[4]) == read.count(1)
         assert sum(each is not None for each in traces[5]) == read.count(0)
+
+
+def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
+    whole, path = sent_by_single(2), [GRID.base, 1, 2, 3, 2, 1, GRID.base]
+    whole.deploy(Observation(path, False, lost_at=[0.0, 0.1, 0.6, 1.0, 0.5, 0.2]))
+    mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    file = tmp_path / 'report.html'
+    file.write_text(page_of(mission, curves_of(mission))[0])
+    page = opened(file=file)
+    drawn = 'document.getElementById("hazard").data.map(each => [each.x, each.y])[7]'
+    move(page, 3)
+    x, y = page.evaluate(drawn)
+    assert np.column_stack([x, y])[:-1].astype(float) == pytest.approx(
+        mission.grid.centers(path[2:6])
+    )
+    facts = page.locator('#deployment').inner_text()
+    assert 'after 1 steps' in facts
+    assert 'in steps 3 to 5' in facts
+    move(page, 1)
+    assert page.evaluate(drawn)[0] == []
 
 
 def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, shown):

@@ -130,7 +130,11 @@ class Estimator:
 
     @property
     def sampling_error(self) -> float:
-        """How far chance takes the belief, as an expected KL divergence in nats; 0 without."""
+        """
+        How far chance takes the belief, as an expected KL divergence in nats; 0 without.
+
+        It is found from the spread of chains and blind to a bias that they share.
+        """
         return self._inference.sampling_error
 
     @property

@@ -5,9 +5,11 @@ from dataclasses import replace
 from itertools import permutations
 
 import brute_force
+import hazards_in_time
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
+    Dynamics,
     Estimator,
     Grid,
     Ledger,
@@ -309,3 +311,32 @@ def test_the_report_that_tells_most_of_where_counts():
     assert ledger.belief.joint.tobytes() == expected.joint.tobytes()
     with pytest.raises(ValueError, match=r'deployment scout_1 at .*lost_at\[2\] is nan'):
         ledger.record_report(key, Report(False, lost_at=(1.0, 1.0, float('nan'), 1.0)))
+
+
+# Hazards that change or are used up
+
+
+@for_each('kind, seed', [(kind, n) for n in range(300) for kind in ('changing', 'used_up')], 5)
+def test_where_robots_were_lost_is_taken_in_exactly_in_time(kind, seed):
+    """Each deployment from what was believed of each cell before it, some of which are losses."""
+    joint, model, path, _, lost_at = located(seed)
+    rng = np.random.default_rng([seed, 25])
+    rates = rng.choice([0.01, 0.2, 1.0], 2) if kind == 'changing' else (0.0, 0.0)
+    dynamics = Dynamics(kind, *rates)
+    model = replace(model, malfunction=max(model.malfunction, 0.01))
+    prior = Belief(joint)
+    estimator = Estimator(prior, model, 'kappa_bnitp', dynamics=dynamics)
+    weights = [lost_at, draw_lost_at(rng, lost_at.size)]
+    for number, fit in enumerate(weights):
+        believed = estimator.belief.joint
+        # A robot that learns nothing on its only step lets the hazards change before the next.
+        uneventful = (SensorModel(0.0, malfunction=0.0), [path[0]] * 2, [-1], None)
+        expected = hazards_in_time.posterior(
+            believed,
+            dynamics,
+            *([uneventful] if number else []),
+            (model, path, None, fit / fit.max()),
+            possible=prior.hazard > 0,
+        )
+        estimator.assimilate(Observation(path, False, lost_at=fit))
+        assert estimator.belief.joint == pytest.approx(expected, rel=0, abs=1e-12)

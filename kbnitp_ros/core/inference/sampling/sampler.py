@@ -82,7 +82,7 @@ class Sampler:
         What is known of each unknown number.
     sampling_error : float
         The KL divergence, in nats, expected between the belief and what endless sweeps would
-        give.
+        give, by the spread of the chains: blind to a bias that they share.
     is_converged : bool
         Whether that is as little as aimed at.
 
