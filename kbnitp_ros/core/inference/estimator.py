@@ -164,7 +164,7 @@ class Estimator:
 
         """
         if observation.lost_at is not None:
-            check_takes_lost_at(self.method)
+            check_takes_lost_at(METHODS.find(self.method), name_of(self.method))
         inference = self._inference.copy()
         with METHODS.blamed(self.method):
             inference.assimilate(observation, robot_type)

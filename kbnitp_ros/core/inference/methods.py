@@ -138,7 +138,7 @@ def dynamics_of(method: object) -> tuple[str, ...]:
     return tuple(getattr(method, 'dynamics', ()))
 
 
-def check_takes_lost_at(method: str) -> None:
+def check_takes_lost_at(method: Method, name: str) -> None:
     """
     Check that a method uses what is known of where robots were lost.
 
@@ -148,11 +148,10 @@ def check_takes_lost_at(method: str) -> None:
         If it does not; names those that do.
 
     """
-    if not getattr(METHODS.find(method), 'takes_lost_at', False):
-        able = [name for name, each in METHODS.items() if getattr(each, 'takes_lost_at', False)]
+    if not getattr(method, 'takes_lost_at', False):
+        able = [each for each in METHODS if getattr(METHODS[each], 'takes_lost_at', False)]
         raise ValueError(
-            f'lost_at is given, and {method} does not use it: use {", ".join(able)}, '
-            'or leave it out'
+            f'lost_at is given, and {name} does not use it: use {", ".join(able)}, or leave it out'
         )
 
 
