@@ -178,16 +178,18 @@ class Hypotheses:
         log_survival = np.array([each.log_survival for each in models])[tally.robot_type]
         spared = times_log(tally.steps - exposed, log_survival[:, 0])
         spared += times_log(exposed, log_survival[:, 1])
-        first = tally.first_step
+        ends = tally.first_step[1:-1]
         explained = all(
             can_be_lost(
                 possible,
-                tally.step_cell[first[loss] : first[loss + 1]],
-                tally.lost_at[first[loss] : first[loss + 1]],
+                cells,
+                lost_at,
                 np.exp(models[robot_type].log_survival),
                 -np.expm1(models[robot_type].log_survival),
             )
-            for loss, robot_type in enumerate(tally.located_type.tolist())
+            for cells, lost_at, robot_type in zip(
+                np.split(tally.step_cell, ends), np.split(tally.lost_at, ends), tally.located_type
+            )
         )
         if not (possible.any(axis=1).all() and (spared < 0.0).all() and explained):
             raise ValueError(

@@ -168,8 +168,8 @@ def weigh_steps(
     in the steps before the first visit to a cell, backward sums that in the steps after its last.
     """
     start, size = graph.first[factor], graph.first[factor + 1] - graph.first[factor]
-    steps = graph.place[graph.first_step[factor] : graph.first_step[factor + 1]]
-    lost_at = graph.lost_at[graph.first_step[factor] : graph.first_step[factor + 1]]
+    begin, end = graph.first_step[factor], graph.first_step[factor + 1]
+    steps, lost_at = graph.place[begin:end], graph.lost_at[begin:end]
     survived, died = graph.survived[factor], graph.died[factor]
     chances = np.empty((size, 2))
     first, last = np.full(size, steps.size), np.zeros(size, dtype=np.int64)
