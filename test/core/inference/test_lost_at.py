@@ -101,7 +101,7 @@ def test_the_published_methods_weigh_each_step_by_it(seed):
     while not lost_at[first]:
         first += 1
     alive = joint.copy()
-    for cell in path[1 : first + 1]:
+    for cell in path[: first + 1][1:]:
         alive[cell] *= np.array(brute_force.step_survival(model))[:, None]
     alive /= alive.sum(axis=(1, 2), keepdims=True)
     expected = brute_force.published_loss(alive, model, path[first:], lost_at[first:])
