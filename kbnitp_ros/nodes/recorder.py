@@ -41,7 +41,7 @@ from kbnitp_ros.messages.sizes import (
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
 from kbnitp_ros.nodes.recorders import Precedence
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, State, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -134,6 +134,7 @@ class RecorderNode(MissionNode):
         self._precedence.begin(self._log.path)
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True
+        self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
         # Of each path and operator's action on record, by topic, stamp and mission: the hash of
         # the first, which counts.
@@ -176,6 +177,15 @@ class RecorderNode(MissionNode):
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
+            self._show_life()
+
+    def _show_life(self) -> None:
+        """Be heard however much waits to be written: another recorder may replace a silent one."""
+        now = time.monotonic()
+        if now > self._shown_at + PERIOD:
+            self._shown_at = now
+            self._precedence.check()
+            self.diagnostics.publish()
 
     def close(self) -> None:
         """Finish the file."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from signal import SIGCONT, SIGSTOP
 import time
+from types import SimpleNamespace
 
 from base import Base
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,9 +14,10 @@ from kbnitp_ros.bag import is_finished, read_log
 from kbnitp_ros.bag.log_files import parts_of
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.nodes import recorders
+from kbnitp_ros.nodes import recorder, recorders
 from kbnitp_ros.nodes.instances import SILENT
 from kbnitp_ros.nodes.runtime import qos
+import numpy as np
 import pytest
 import rclpy
 
@@ -137,6 +139,24 @@ def test_a_recorder_that_stood_still_gives_way_and_no_deployment_is_lost(field):
     base.come_back()
     base.until_held(4)
     assert len(base.replayed().evidence.reports) == base.parameters['robots']
+
+
+def test_a_recorder_with_much_to_write_is_heard(monkeypatch):
+    """Of messages that take half a second each, on a clock of their own."""
+    written, heard = [], []
+    monkeypatch.setattr(recorder.time, 'monotonic', lambda: 0.5 * len(written))
+    arrived = [(None, b'', {'received_timestamp': number}) for number in range(100)]
+    node = SimpleNamespace(
+        _write=lambda *message: written.append(message),
+        _shown_at=0.0,
+        _precedence=SimpleNamespace(check=lambda: None),
+        diagnostics=SimpleNamespace(publish=lambda: heard.append(0.5 * len(written))),
+    )
+    node._show_life = lambda: recorder.RecorderNode._show_life(node)
+    waiting = SimpleNamespace(arrived=lambda: [iter(arrived)])
+    recorder.RecorderNode._write_arrived_on(node, [waiting])
+    assert len(written) == 100
+    assert max(np.diff([0.0, *heard, 50.0])) < SILENT
 
 
 class Forger:
