@@ -67,6 +67,7 @@ def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
         'belief/kappa': 'Map',
         **{f'{scout}/{name}': 'Path' for scout in scouts for name in ('path', 'proposal')},
         **{f'{scout}/readings': 'Marker' for scout in scouts},
+        'decision/lane': 'Path',
     }
     for display in topics.values():
         assert display['Enabled']

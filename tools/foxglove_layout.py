@@ -31,6 +31,9 @@ LINES = {'solid': 'solid', 'dash': 'dashed', 'dot': 'dotted', 'dashdot': 'dashed
 # What a map is white and full of.
 COLOURS = {'hazard': '#67000d', 'target': '#00441b', 'kappa': '#3f007d'}
 
+# The safest lane of a mission with such a goal.
+LANE = '#009e73'
+
 
 def layout(agents: int) -> Layout:
     """Return the layout of a mission: the maps, what is known, and how the nodes are."""
@@ -75,6 +78,10 @@ def map_panel(name: str, agents: int) -> ThreeDeePanel:
             visible=True, type='line', line_width=0.1, gradient=(colour, colour)
         )
         topics[f'/scout_{number}/readings'] = BaseRendererRosMarkerTopicSettings(visible=True)
+    if name == 'hazard':
+        topics['/decision/lane'] = BaseRendererPosesTopicSettings(
+            visible=True, type='line', line_width=0.2, gradient=(LANE, LANE)
+        )
     config = ThreeDeeConfig(follow_tf='map', follow_mode='follow-none', topics=topics)
     return ThreeDeePanel(config=config, title=name)
 

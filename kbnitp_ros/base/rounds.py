@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import time
 from typing import Any
 
+from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.configuration import search_options, type_to_plan, value_for
 from kbnitp_ros.core import (
     count_visits,
@@ -14,7 +15,7 @@ from kbnitp_ros.core import (
     Grid,
     keepout_cells,
     Plan,
-    plan_team,
+    plan_round,
     RobotType,
     Team,
 )
@@ -29,11 +30,36 @@ Plans = dict[DeploymentKey, Plan]
 
 
 class Rounds:
-    """Plans rounds, each on a belief."""
+    """
+    Plans rounds, each on a belief.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    values : mapping
+        The planner's parameters by name, kept up to date.
+    warn : callable
+        Called with a sentence for the operator.
+    knowledge : Knowledge
+        The goal, and what is known of the hazards for it.
+
+    Attributes
+    ----------
+    why_not_worth : str
+        Why the plans made last are not worth flying; empty if they are.
+
+    """
 
     def __init__(
-        self, grid: Grid, values: Mapping[str, Any], warn: Callable[[str], object]
+        self,
+        grid: Grid,
+        values: Mapping[str, Any],
+        warn: Callable[[str], object],
+        knowledge: Knowledge,
     ) -> None:
+        self.why_not_worth = ''
+        self._knowledge = knowledge
         self._grid = grid
         self._values = values
         self._warn = warn
@@ -79,7 +105,10 @@ class Rounds:
             return type_to_plan(self._values, agent, known.robot_types)
 
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
-        team = plan_team(
+        goal = self._knowledge.goal
+        team = plan_round(
+            goal,
+            self._knowledge.draws(known) if goal is not None else None,
             self._grid,
             known.belief,
             known.model,
@@ -94,6 +123,7 @@ class Rounds:
             value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
             for agent, planned in zip(agents, team.plans)
         ]
+        self.why_not_worth = self._knowledge.stop.why_not_worth(team)
         self._say_if_slow(time.monotonic() - start, max(away))
         return {
             DeploymentKey(agent, stamp + number): planned
@@ -112,6 +142,9 @@ class Rounds:
 
         Some of the others may have reported, so nobody could plan these later.
         """
+        if self._knowledge.goal is not None:
+            # Draws of the time of that belief are gone: those who stayed leave in the next round.
+            return {}
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
         if len(recorded) >= len(agents):
             return {}

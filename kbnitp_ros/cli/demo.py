@@ -17,7 +17,7 @@ import signal
 import sys
 from typing import Any
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
 from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.base.reachability import reach_note
 from kbnitp_ros.cli.output import command, complain, say
@@ -51,6 +51,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
@@ -131,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all robots were deployed and the log replays to the same beliefs, else 1; 2 for
+        0 if the mission came to its end and the log replays to the same beliefs, else 1; 2 for
         unusable options, 130 if interrupted.
 
     """
@@ -414,7 +415,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
 
 def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """
-    Start the nodes, watch until all robots are deployed, and stop the nodes.
+    Start the nodes, watch until the mission is over, and stop the nodes.
 
     Raises
     ------
@@ -459,6 +460,8 @@ class Observer(Node):
         self._held = 0
         self._survived: dict[DeploymentKey, bool] = {}
         self._belief: Belief | None = None
+        self._over = ''
+        self.create_subscription(Progress, 'progress', self._on_progress, qos.LATCHED)
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         for agent in agents:
             self.create_subscription(
@@ -469,13 +472,17 @@ class Observer(Node):
         snapshot = read_belief_maps(message)
         self._held, self._belief = snapshot.deployments, snapshot.belief
 
+    def _on_progress(self, message: Progress) -> None:
+        is_over = message.state == MissionState.DONE and not message.out
+        self._over = message.reason if is_over else ''
+
     def _on_report(self, message: DeploymentReport) -> None:
         key, report = read_report(message)
         self._survived[key] = report.survived or self._survived.get(key, False)
 
     def watch(self, robots: int, processes: Processes) -> None:
         """
-        Return when the belief holds all robots.
+        Return when the belief holds all robots, or the mission is over by its goal or a stop.
 
         Raises
         ------
@@ -486,7 +493,7 @@ class Observer(Node):
         executor = SingleThreadedExecutor()
         executor.add_node(self)
         with tqdm(total=robots, unit='robot', disable=None) as bar:
-            while self._belief is None or self._held < robots:
+            while self._belief is None or (self._held < robots and not self._over):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
@@ -495,6 +502,8 @@ class Observer(Node):
                     lost = len(self._survived) - sum(self._survived.values())
                     bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
                 bar.update(self._held - bar.n)
+        if self._over:
+            say(self._over)
 
 
 def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) -> int:

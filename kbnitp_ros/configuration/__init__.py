@@ -10,6 +10,7 @@ from kbnitp_ros.configuration.agents import (
 )
 from kbnitp_ros.configuration.estimator import estimator_of
 from kbnitp_ros.configuration.field import grid_of
+from kbnitp_ros.configuration.goal import check_goal, goal_of, stop_of
 from kbnitp_ros.configuration.known import (
     check_known,
     check_own,
@@ -49,12 +50,14 @@ __all__ = [
     'TABLE',
     'Parameter',
     'agents_of',
+    'check_goal',
     'check_known',
     'check_own',
     'check_search',
     'dynamics_of',
     'estimator_of',
     'execution_of',
+    'goal_of',
     'grid_of',
     'most_steps',
     'nearest',
@@ -67,6 +70,7 @@ __all__ = [
     'robot_types_of',
     'search_options',
     'sensor_model_of',
+    'stop_of',
     'type_to_plan',
     'unknowns_of',
     'value_for',

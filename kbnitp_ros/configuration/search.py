@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from kbnitp_ros.configuration.agents import agents_of, robot_type_of
+from kbnitp_ros.configuration.goal import check_goal
 from kbnitp_ros.core import (
     check_bounded,
     check_team,
@@ -65,9 +66,11 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     Raises
     ------
     ValueError
-        If it does not seek the objective; with an estimate, if it takes too much.
+        If it does not seek the objective; with an estimate, if it takes too much; if the goal
+        cannot be reached or the stops contradict each other.
 
     """
+    check_goal(values, grid)
     types = [type_to_plan(values, agent, believed) for agent in agents_of(values, grid)]
     options = search_options(values)
     check_team(PathFinder(grid, options), types)

@@ -6,6 +6,7 @@ from kbnitp_ros.configuration.parameter import Parameter
 from kbnitp_ros.core import (
     ALLOCATIONS,
     ALPHAS,
+    GOALS,
     HAZARDS,
     METHODS,
     OBJECTIVES,
@@ -352,6 +353,61 @@ TABLE = (
         limits=(0.0, 1e9),
         read_only=False,
         per_agent=True,
+    ),
+    Parameter(
+        'goal',
+        'map',
+        'What the mission is to make sure of: map, where the most is to be learnt; lane, a way '
+        'from the base to a cell that is free of hazards; area, cells that are.',
+        ('planner',),
+        choices=GOALS,
+    ),
+    Parameter(
+        'goal.cells',
+        (),
+        'Cells of the goal: of a lane the one that it leads to.',
+        ('planner',),
+        element=int,
+    ),
+    Parameter(
+        'goal.position',
+        (),
+        'A point in the one cell of the goal, x and y in metres in the frame map, in place of '
+        'goal.cells; empty for none.',
+        ('planner',),
+        element=float,
+    ),
+    Parameter(
+        'goal.mask',
+        '',
+        'YAML file of a map, as map_server reads it, with a pixel for each cell of the field: '
+        'occupied ones are the goal, in place of goal.cells; empty for none.',
+        ('planner',),
+    ),
+    Parameter(
+        'stop.confidence',
+        0.0,
+        'Probability at which the goal is reached and no more robots leave; 0 for never.',
+        ('planner',),
+        limits=(0.0, 1.0 - 1e-6),
+        read_only=False,
+    ),
+    Parameter(
+        'stop.gain',
+        0.0,
+        'No more robots leave when the best deployment gains less than this for each robot that '
+        'it is expected to lose: nats, with the goal lane probability; 0 for never.',
+        ('planner',),
+        limits=(0.0, 1e9),
+        read_only=False,
+    ),
+    Parameter(
+        'stop.losses',
+        0,
+        'No more robots leave when so many are lost; 0 for never.',
+        ('planner',),
+        limits=(0, MOST_ROBOTS),
+        read_only=False,
     ),
     Parameter(
         'minimum_survival',

@@ -25,6 +25,7 @@ from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
     lost_after_contact,
+    NoPathError,
     observation_of,
     ORDINARY,
 )
@@ -44,6 +45,7 @@ from kbnitp_ros.messages.operator_action import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.messages.sizes import largest_belief, largest_path, largest_report, RECORDED
 from kbnitp_ros.nodes.bounded_progress import BoundedProgress
+from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.recorders import records
@@ -80,6 +82,8 @@ class Obstacle(Enum):
     UNREPORTED = auto()
     BELIEF_BEHIND = auto()
     ALL_DEPLOYED = auto()
+    UNDECIDED = auto()
+    OVER = auto()
     SEVERAL_RECORDERS = auto()
     NOT_HEARD = auto()
     ALL_LEFT = auto()
@@ -109,7 +113,10 @@ class PlannerNode(FieldNode):
             for agent in self._agents
         }
         self._tracker = MissionTracker()
-        self._rounds = Rounds(self.grid, self.values, self.get_logger().warning)
+        self._decisions = Decisions(self, self.grid)
+        self._rounds = Rounds(
+            self.grid, self.values, self.get_logger().warning, self._decisions.knowledge
+        )
         self._bounds = BoundedProgress(self) if self.values['bound'] else None
         self._peers = Peers(self, self._agents)
         self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
@@ -125,9 +132,11 @@ class PlannerNode(FieldNode):
         self._is_heard = False
         if self.values['resume']:
             self._restore(self.values['resume'])
+            self._decisions.restore(self.values['resume'])
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
         self.add_on_set_parameters_callback(self._check_changes)
+        self.add_post_set_parameters_callback(lambda _: self._decisions.review())
         # Before the beliefs: none holds a path that was not heard.
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         self._beliefs = self._hear_beliefs()
@@ -245,6 +254,7 @@ class PlannerNode(FieldNode):
             self._left_unknown = unknown
         self._notice_incomplete(snapshot.deployments)
         if self._tracker.accept_belief(snapshot, known):
+            self._decisions.take(snapshot)
             self._deploy()
 
     def _known(self, mission: int) -> int:
@@ -291,6 +301,7 @@ class PlannerNode(FieldNode):
             self.diagnostics.refuse(f'{agent}/report', error)
             return
         self._in_flight.end(key)
+        self._decisions.knowledge.note_report(key, report)
         self._deploy()
 
     def _on_path(self, agent: str, message: Path) -> None:
@@ -360,11 +371,21 @@ class PlannerNode(FieldNode):
             self._tell(obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
                 self._proposals.withdraw()
-            if obstacle is Obstacle.ALL_DEPLOYED and not self.values['keep_running']:
+            if (
+                obstacle in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
+                and not self.values['keep_running']
+            ):
                 self.end()
             return
         assert newest is not None
-        plans = self._next_plans(newest)
+        try:
+            plans = self._next_plans(newest)
+            self._decisions.note_not_worth(self._rounds.why_not_worth)
+        except NoPathError as error:
+            self._decisions.note_not_worth(error)
+        if self._decisions.why_over():
+            self._deploy()
+            return
         if self.values['approval'] and not self._are_approved(plans):
             self._tell(Obstacle.UNAPPROVED)
             return
@@ -377,7 +398,7 @@ class PlannerNode(FieldNode):
         state = MissionState.RUNNING
         if self._operator.state.is_ended:
             state = MissionState.ENDED
-        elif obstacle is Obstacle.ALL_DEPLOYED:
+        elif obstacle in (Obstacle.ALL_DEPLOYED, Obstacle.OVER):
             state = MissionState.DONE
         elif self._operator.state.is_paused:
             state = MissionState.PAUSED
@@ -421,6 +442,7 @@ class PlannerNode(FieldNode):
             message = path_message(self.grid, plan.path, key.stamp, mission)
             self._in_flight.leave(key, plan.path, content_hash(message))
             self._rounds.note_path(plan.path)
+            self._decisions.knowledge.note_path(key, plan.path, content_hash(message))
             self._paths[key.agent].publish(message)
             self.deployment_logger.info(f'{key} leaves {describe_plan(self.grid, plan)}')
             self._last_stamp = max(self._last_stamp, key.stamp)
@@ -464,6 +486,10 @@ class PlannerNode(FieldNode):
             return Obstacle.BELIEF_BEHIND
         if held >= self._robots:
             return Obstacle.ALL_DEPLOYED
+        if not self._decisions.is_ready():
+            return Obstacle.UNDECIDED
+        if self._decisions.why_over():
+            return Obstacle.UNREPORTED if self._unreported else Obstacle.OVER
         if len(self._peers.recorders) > 1:
             return Obstacle.SEVERAL_RECORDERS
         if not self._is_heard and self._missing_listeners:
@@ -494,11 +520,17 @@ class PlannerNode(FieldNode):
         """Return what the planner does while an obstacle keeps robots from leaving."""
         if obstacle is Obstacle.ALL_DEPLOYED:
             return done(self._how_it_ended())
+        if obstacle is Obstacle.OVER:
+            return done(f'{self._how_it_ended()}: {self._decisions.why_over()}')
         awaited = {
             Obstacle.ACTION_UNRECORDED: lambda: self._operator.awaited,
             Obstacle.NO_BELIEF: self._first_belief,
             Obstacle.UNREPORTED: self._report,
             Obstacle.BELIEF_BEHIND: self._next_belief,
+            Obstacle.UNDECIDED: lambda: (
+                'all evidence of the belief, for the goal: restart the planner with the parameter '
+                'resume, which names the log'
+            ),
             Obstacle.SEVERAL_RECORDERS: lambda: (
                 f'all but one recorder to end: {records(self._peers.recorders)}'
             ),

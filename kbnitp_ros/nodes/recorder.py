@@ -74,6 +74,8 @@ TYPES = {
     'model': MODEL,
     'operator': OPERATOR,
     'progress': PROGRESS,
+    'decision': 'kbnitp_msgs/msg/Decision',
+    'decision/lane': PATH,
     **{f'belief/{name}': GRID for name in VIEWS},
 }
 AGENT_TYPES = {

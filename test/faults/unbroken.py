@@ -7,10 +7,12 @@ from kbnitp_ros.configuration import (
     dynamics_of,
     estimator_of,
     execution_of,
+    goal_of,
     grid_of,
     robot_types_of,
     search_options,
     sensor_model_of,
+    stop_of,
     TABLE,
     unknowns_of,
 )
@@ -85,6 +87,8 @@ def core_mission(parameters):
         truth=Truth(execution=execution_of(values)),
         learning=Learning(unknowns_of(values), values['seed']),
         dynamics=dynamics_of(values),
+        goal=goal_of(values, grid),
+        stop=stop_of(values),
     )
 
 

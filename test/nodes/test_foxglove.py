@@ -65,6 +65,7 @@ def test_a_layout_names_only_what_a_running_mission_has(field, agents, name):
     assert set(topics) == {
         *(f'/belief/{each}' for each in ('hazard', 'target', 'kappa')),
         *(f'/{agent}/{each}' for agent in team for each in ('path', 'readings')),
+        '/decision/lane',
         '/diagnostics',
     }
     parameters = {**PLACE, 'agents': team}

@@ -45,6 +45,7 @@ def plan_round(
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
+    bound: bool = False,
 ) -> Round:
     """
     Plan a round for a goal, robot after robot, each for what it adds to those before it.
@@ -55,8 +56,8 @@ def plan_round(
         None to map the field, as `plan_team` does.
     draws : HazardDraws or None
         What is known of the hazards, if there is a goal.
-    grid, belief, model, team, options, in_flight, visited, keepout
-        As of `plan_team`.
+    grid, belief, model, team, options, in_flight, visited, keepout, bound
+        As of `plan_team`; plans for a goal have no bound.
 
     Raises
     ------
@@ -77,6 +78,7 @@ def plan_round(
             in_flight=in_flight,
             visited=visited,
             keepout=keepout,
+            bound=bound,
         )
         return Round(planned.plans, tuple(plan.information for plan in planned.plans))
 

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the base knows of the hazards together: the estimator's fold, made again for draws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from kbnitp_ros.configuration import goal_of, stop_of
+from kbnitp_ros.core import (
+    Decision,
+    DeploymentKey,
+    Deployments,
+    Estimator,
+    Goal,
+    Grid,
+    HazardDraws,
+    Ledger,
+    Report,
+    RobotType,
+    Stop,
+)
+from kbnitp_ros.messages.beliefs import Snapshot
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Told of a path or a report, a register of deployments takes note of it.
+Event = Callable[[Deployments], bool]
+
+
+class Knowledge:
+    """
+    The evidence of a mission, and the draws and decisions that it gives.
+
+    A belief message has the hazards of single cells alone. What several cells are like together is
+    drawn from an estimator that assimilates the same paths and reports, when it is asked for.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    values : mapping
+        The planner's parameters by name, kept up to date.
+    robot_types : mapping of str to RobotType
+        Of agents whose robots are not like all others.
+
+    """
+
+    def __init__(
+        self, grid: Grid, values: Mapping[str, Any], robot_types: Mapping[str, RobotType]
+    ) -> None:
+        self._grid = grid
+        self._values = values
+        self._register = Deployments(grid, values['max_steps'], robot_types)
+        self._prior: Snapshot | None = None
+        self._ledger: Ledger | None = None
+        # All evidence so far, and how much of it the ledger has taken in.
+        self._events: list[Event] = []
+        self._taken = 0
+        # The draws made last, and after how many assimilations.
+        self._drawn: tuple[int, HazardDraws] | None = None
+
+    @property
+    def goal(self) -> Goal | None:
+        """Return what the mission is to make sure of; None to map the field."""
+        return goal_of(self._values, self._grid)
+
+    @property
+    def stop(self) -> Stop:
+        """Return when it is over before its last robot has left."""
+        return stop_of(self._values)
+
+    @property
+    def lost(self) -> int:
+        """How many robots are known to be lost."""
+        return self._register.lost
+
+    def begin(self, prior: Snapshot) -> None:
+        """Take the first belief of an estimator for the prior."""
+        if self._prior is None or self._prior.rules() != prior.rules():
+            self._prior, self._ledger, self._taken = prior, None, 0
+
+    def note_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> None:
+        """Take note of the path of a robot."""
+        self._note(lambda register: register.record_path(key, path, content))
+
+    def note_report(self, key: DeploymentKey, report: Report) -> None:
+        """Take note of what became of a robot."""
+        self._note(lambda register: register.record_report(key, report))
+
+    def _note(self, event: Event) -> None:
+        # What the estimator refuses is refused here as well, and told by the estimator.
+        with suppress(ValueError):
+            event(self._register)
+        self._events.append(event)
+
+    def draws(self, known: Snapshot) -> HazardDraws | None:
+        """Return draws of the hazards that go with a belief; None if it is not known how."""
+        ledger = self._ledger_now()
+        if ledger is None or not np.array_equal(ledger.belief.joint, known.belief.joint):
+            return None
+        if self._drawn is None or self._drawn[0] != ledger.assimilations:
+            draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
+            self._drawn = ledger.assimilations, draws
+        return self._drawn[1]
+
+    def decision(self, known: Snapshot) -> Decision | None:
+        """Return what may be relied on with a belief; None if that cannot be said."""
+        goal, draws = self.goal, None
+        if goal is not None:
+            draws = self.draws(known)
+        if goal is None or draws is None:
+            return None
+        return goal.decide(self._grid, draws, known.model, self._values['max_steps'])
+
+    def _ledger_now(self) -> Ledger | None:
+        """Return the ledger with all evidence; None if the prior is not known."""
+        if self._prior is None:
+            return None
+        if self._ledger is None:
+            prior = self._prior
+            estimator = Estimator(
+                prior.prior,
+                prior.model,
+                prior.method,
+                prior.unknowns,
+                prior.seed,
+                dynamics=prior.dynamics,
+            )
+            self._ledger = Ledger(prior.grid, prior.max_steps, estimator, prior.robot_types)
+            self._drawn = None
+        taken = self._taken
+        for event in self._events[taken:]:
+            with suppress(ValueError):
+                event(self._ledger)
+        self._taken = len(self._events)
+        return self._ledger
