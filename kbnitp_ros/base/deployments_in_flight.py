@@ -105,19 +105,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return sum(max(0, left - self._kept) for left in self._left_by_agent.values())
 
     def leave(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
-        """
-        Take note of a robot that leaves.
-
-        Parameters
-        ----------
-        key : DeploymentKey
-            Its deployment.
-        path : ndarray of int, shape (steps + 1,)
-            Its cells.
-        content : int
-            Hash of the message that sends it.
-
-        """
+        """Take note of a robot that leaves on a path, sent by a message with this content."""
         self._in_flight[key] = DeploymentInFlight(path, content)
         self._sent.add(key)
         self._others.pop(key, None)
@@ -126,17 +114,6 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
         """
         Take note of a path, whoever sent it.
-
-        Parameters
-        ----------
-        key : DeploymentKey
-            Its deployment.
-        path : ndarray of int, shape (steps + 1,)
-            Its cells.
-        content : int
-            Hash of its message.
-        mission : int
-            When its mission began, in nanoseconds.
 
         Returns
         -------
