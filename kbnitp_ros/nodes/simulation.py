@@ -89,11 +89,9 @@ class Simulation:
 
     def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
         """Have a robot leave when those before it have left that may change the field."""
-        if key in self._out:
-            self.leave[key.agent](key, self._out.pop(key))
-            return
         before = self.field.world
-        leaving = self.field.take(key, path)
+        is_on_record = key in self._out
+        leaving = [(key, self._out.pop(key))] if is_on_record else self.field.take(key, path)
         if not np.array_equal(before.hazard, self.field.world.hazard):
             self._publish_truth()
         for robot, made in leaving:

@@ -27,7 +27,7 @@ from kbnitp_ros.core.inference.filtering import (
     OnePass,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.sampling import Sampler
+from kbnitp_ros.core.inference.sampling import Sampled
 from kbnitp_ros.core.inference.smoothing import Smoother
 from kbnitp_ros.plugins import Registry, takes
 
@@ -166,7 +166,7 @@ METHODS = Registry(
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
         'kappa_bnitp': OnePass(lost_likelihood, correlated=True, dynamics=('changing', 'used_up')),
         'kappa_bnitp_smoothed': Smoother,
-        'kappa_bnitp_sampled': Sampler,
+        'kappa_bnitp_sampled': Sampled(),
     },
 )
 

@@ -4,6 +4,9 @@
 from kbnitp_ros.core.inference.filtering.evidence import (
     check_cells,
     condition,
+    IMPOSSIBLE,
+    loss_weights,
+    read_log_likelihood,
     returned_log_likelihood,
     survived_log_likelihood,
 )
@@ -14,17 +17,26 @@ from kbnitp_ros.core.inference.filtering.loss_likelihood import (
     multi_universe_likelihood,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.filtering.one_pass import OnePass
+from kbnitp_ros.core.inference.filtering.one_pass import (
+    OnePass,
+    OnePassEstimate,
+    UsedUpEstimate,
+)
 
 __all__ = [
+    'IMPOSSIBLE',
     'KnownModel',
     'OnePass',
+    'OnePassEstimate',
+    'UsedUpEstimate',
     'can_be_lost',
     'check_cells',
     'condition',
+    'loss_weights',
     'lost_likelihood',
     'multi_universe_likelihood',
     'published_likelihood',
+    'read_log_likelihood',
     'returned_log_likelihood',
     'survived_log_likelihood',
 ]

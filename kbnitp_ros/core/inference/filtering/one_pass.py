@@ -143,17 +143,25 @@ class ChangingEstimate(OnePassEstimate):
 
 
 class UsedUpEstimate(OnePassEstimate):
-    """A belief about hazards that are gone once they strike."""
+    """
+    A belief about hazards that are gone once they strike.
+
+    Attributes
+    ----------
+    explanations : Explanations
+        Of the losses so far.
+
+    """
 
     def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
         super().__init__(belief, model, method)
-        self._explanations = Explanations(belief.hazard > 0.0)
+        self.explanations = Explanations(belief.hazard > 0.0)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Assimilate one more deployment."""
         model = robot_type.model(self.model)
         belief = update_used_up(self.belief, model, observation)
-        self._explanations = self._explanations.with_deployment(observation, model)
+        self.explanations = self.explanations.with_deployment(observation, model)
         self.belief = belief
 
 

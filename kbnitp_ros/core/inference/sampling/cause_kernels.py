@@ -1,0 +1,484 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps over the causes of losses, with the hazards of all cells summed out in time."""
+
+from __future__ import annotations
+
+from math import exp, inf, log
+from typing import NamedTuple
+
+from kbnitp_ros.core.field import compiled
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Flights(NamedTuple):
+    """
+    All deployments in their order, and what each did to the cells that may have a hazard.
+
+    Attributes
+    ----------
+    first_entry : ndarray of int, shape (deployments + 1,)
+        Deployment t visits the cells ``cell[first_entry[t]:first_entry[t + 1]]``.
+    cell, time, visits : ndarray of int, shape (entries,)
+        Such a cell, which deployment it is of, and its visits on the whole path.
+    first_of_cell : ndarray of int, shape (cells + 1,)
+        The entries of cell c are ``of_cell[first_of_cell[c]:first_of_cell[c + 1]]``, in order.
+    of_cell : ndarray of int, shape (entries,)
+    first_step : ndarray of int, shape (deployments + 1,)
+        The steps of a lost robot are ``first_step[t]`` to ``first_step[t + 1]``; of one that
+        returned there are none.
+    entry : ndarray of int, shape (steps,)
+        Which entry a step leads to, -1 where no hazard may be.
+    weight : ndarray, shape (steps,)
+        How well what is known fits a loss in the step, times the chance of no malfunction before.
+    remains, spent : ndarray, shape (deployments,)
+        Chances of a visit to a hazard without malfunction that the robot survives and the hazard
+        stays, and that it survives and the hazard is gone.
+    failed, struck : ndarray, shape (deployments,)
+        Chances of a step that the robot fails, and that a hazard destroys it.
+    lost : ndarray of int, shape (losses,)
+        Which deployments ended with a loss.
+
+    """
+
+    first_entry: NDArray[np.intp]
+    cell: NDArray[np.intp]
+    time: NDArray[np.intp]
+    visits: NDArray[np.intp]
+    first_of_cell: NDArray[np.intp]
+    of_cell: NDArray[np.intp]
+    first_step: NDArray[np.intp]
+    entry: NDArray[np.intp]
+    weight: NDArray[np.float64]
+    remains: NDArray[np.float64]
+    spent: NDArray[np.float64]
+    failed: NDArray[np.float64]
+    struck: NDArray[np.float64]
+    lost: NDArray[np.intp]
+
+
+class Change(NamedTuple):
+    """
+    What becomes of a hazard.
+
+    Attributes
+    ----------
+    appear, vanish : float
+        Its rates between deployments.
+    after_strike : int
+        Whether it is there after it destroyed a robot, 0 or 1.
+
+    """
+
+    appear: float
+    vanish: float
+    after_strike: int
+
+
+@compiled
+def set_cause(
+    flights: Flights,
+    loss: int,
+    cause: int,
+    made: NDArray[np.intp],
+    hit: NDArray[np.int8],
+) -> None:
+    """Note the visits that a lost robot made, and where it was struck, for one cause."""
+    t = flights.lost[loss]
+    for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
+        made[e] = 0
+        hit[e] = 0
+    if cause < 0:
+        return
+    start = flights.first_step[t]
+    for step in range(start, start + cause // 2):
+        if flights.entry[step] >= 0:
+            made[flights.entry[step]] += 1
+    if cause % 2 == 1:
+        hit[flights.entry[start + cause // 2]] = 1
+
+
+@compiled
+def move_on(change: Change, times: int, state: NDArray[np.float64]) -> None:
+    """Have P(Z, X) of a cell, shape (2, 2), change so many times."""
+    if change.appear == 0.0 and change.vanish == 0.0:
+        return
+    for _ in range(times):
+        for x in range(2):
+            there, free = state[1, x], state[0, x]
+            state[1, x] = there * (1.0 - change.vanish) + free * change.appear
+            state[0, x] = free * (1.0 - change.appear) + there * change.vanish
+
+
+@compiled
+def visit(
+    flights: Flights, change: Change, e: int, made: int, hit: int, state: NDArray[np.float64]
+) -> float:
+    """Have visits move P(Z, X) of a cell, shape (2, 2), and return their chance."""
+    t = flights.time[e]
+    total = 0.0
+    for x in range(2):
+        for _ in range(made):
+            state[0, x] += state[1, x] * flights.spent[t]
+            state[1, x] *= flights.remains[t]
+        if hit == 1:
+            struck = state[1, x]
+            state[0, x] = 0.0
+            state[1, x] = 0.0
+            state[change.after_strike, x] = struck
+        total += state[0, x] + state[1, x]
+    if total > 0.0:
+        for x in range(2):
+            state[0, x] /= total
+            state[1, x] /= total
+    return total
+
+
+@compiled
+def look_back(
+    flights: Flights,
+    change: Change,
+    last: int,
+    made: NDArray[np.intp],
+    hit: NDArray[np.int8],
+    ahead: NDArray[np.float64],
+    later: NDArray[np.float64],
+    since: NDArray[np.intp],
+) -> None:
+    """Find what comes after each entry makes of Z, `ahead` of shape (entries, 2)."""
+    later[:] = 1.0
+    since[:] = last
+    for e in range(flights.cell.size - 1, -1, -1):
+        c, t = flights.cell[e], flights.time[e]
+        b = later[c]
+        if change.appear > 0.0 or change.vanish > 0.0:
+            for _ in range(since[c] - t):
+                free = (1.0 - change.appear) * b[0] + change.appear * b[1]
+                b[1] = change.vanish * b[0] + (1.0 - change.vanish) * b[1]
+                b[0] = free
+        since[c] = t
+        ahead[e, 0] = b[0]
+        ahead[e, 1] = b[1]
+        if hit[e] == 1:
+            b[1] = b[change.after_strike]
+            b[0] = 0.0
+        for _ in range(made[e]):
+            b[1] = flights.spent[t] * b[0] + flights.remains[t] * b[1]
+        most = max(b[0], b[1])
+        if most > 0.0:
+            b[0] /= most
+            b[1] /= most
+
+
+@compiled
+def draw_cause(
+    flights: Flights,
+    change: Change,
+    t: int,
+    state: NDArray[np.float64],
+    ahead: NDArray[np.float64],
+    uniform: float,
+    now: NDArray[np.float64],
+    log_chance: NDArray[np.float64],
+    log_weight: NDArray[np.float64],
+) -> int:
+    """Draw the cause of a loss given all others; -1 if none explains it."""
+    total, impossible = 0.0, 0
+    for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
+        c = flights.cell[e]
+        now[e, 0] = state[c, 0, 0] + state[c, 0, 1]
+        now[e, 1] = state[c, 1, 0] + state[c, 1, 1]
+        chance = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
+        log_chance[e] = log(chance) if chance > 0.0 else -inf
+        if chance > 0.0:
+            total += log_chance[e]
+        else:
+            impossible += 1
+    start = flights.first_step[t]
+    steps = flights.first_step[t + 1] - start
+    peak = -inf
+    for k in range(steps):
+        e, weight = flights.entry[start + k], flights.weight[start + k]
+        log_weight[2 * k] = -inf
+        log_weight[2 * k + 1] = -inf
+        if weight > 0.0 and impossible == 0 and flights.failed[t] > 0.0:
+            log_weight[2 * k] = log(weight) + log(flights.failed[t]) + total
+        if e < 0:
+            peak = max(peak, log_weight[2 * k])
+            continue
+        own = log_chance[e]
+        struck = now[e, 1] * ahead[e, change.after_strike] * flights.struck[t] * weight
+        if struck > 0.0:
+            if impossible == 0:
+                log_weight[2 * k + 1] = log(struck) + total - own
+            elif impossible == 1 and own == -inf:
+                log_weight[2 * k + 1] = log(struck) + total
+        peak = max(peak, log_weight[2 * k], log_weight[2 * k + 1])
+        if own == -inf:
+            impossible -= 1
+        else:
+            total -= own
+        now[e, 0] += now[e, 1] * flights.spent[t]
+        now[e, 1] *= flights.remains[t]
+        chance = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
+        log_chance[e] = log(chance) if chance > 0.0 else -inf
+        if chance > 0.0:
+            total += log_chance[e]
+        else:
+            impossible += 1
+    if peak == -inf:
+        return -1
+    whole = 0.0
+    for each in range(2 * steps):
+        whole += exp(log_weight[each] - peak)
+    drawn, below, cause = uniform * whole, 0.0, -1
+    for each in range(2 * steps):
+        share = exp(log_weight[each] - peak)
+        if share > 0.0:
+            cause = each
+            below += share
+            if drawn < below:
+                break
+    return cause
+
+
+@compiled
+def cell_log_likelihood(
+    flights: Flights,
+    change: Change,
+    c: int,
+    made: NDArray[np.intp],
+    hit: NDArray[np.int8],
+    before: NDArray[np.float64],
+    state: NDArray[np.float64],
+) -> float:
+    """Return the log likelihood of all that happened in a cell."""
+    for z in range(2):
+        for x in range(2):
+            state[z, x] = before[c, z, x]
+    since, total = 0, 0.0
+    for place in range(flights.first_of_cell[c], flights.first_of_cell[c + 1]):
+        e = flights.of_cell[place]
+        move_on(change, flights.time[e] - since, state)
+        since = flights.time[e]
+        chance = visit(flights, change, e, made[e], hit[e], state)
+        if chance <= 0.0:
+            return -inf
+        total += log(chance)
+    return total
+
+
+@compiled
+def paths_log_likelihood(
+    flights: Flights,
+    change: Change,
+    one: int,
+    other: int,
+    made: NDArray[np.intp],
+    hit: NDArray[np.int8],
+    before: NDArray[np.float64],
+    seen: NDArray[np.intp],
+    mark: int,
+    state: NDArray[np.float64],
+) -> float:
+    """Return the log likelihood of all cells on the paths of two losses."""
+    total = 0.0
+    for loss in (one, other):
+        t = flights.lost[loss]
+        for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
+            c = flights.cell[e]
+            if seen[c] != mark:
+                seen[c] = mark
+                total += cell_log_likelihood(flights, change, c, made, hit, before, state)
+                if total == -inf:
+                    return total
+    return total
+
+
+@compiled
+def step_into(flights: Flights, loss: int, c: int, uniform: float) -> tuple[int, int]:
+    """Draw a step of a lost robot into a cell; return it and how many there are."""
+    t = flights.lost[loss]
+    start, end = flights.first_step[t], flights.first_step[t + 1]
+    count = 0
+    for step in range(start, end):
+        e = flights.entry[step]
+        if e >= 0 and flights.cell[e] == c and flights.weight[step] > 0.0:
+            count += 1
+    if count == 0:
+        return -1, 0
+    which = min(int(uniform * count), count - 1)
+    for step in range(start, end):
+        e = flights.entry[step]
+        if e >= 0 and flights.cell[e] == c and flights.weight[step] > 0.0:
+            if which == 0:
+                return step - start, count
+            which -= 1
+    return -1, 0
+
+
+@compiled
+def exchange(
+    flights: Flights,
+    change: Change,
+    causes: NDArray[np.intp],
+    uniforms: NDArray[np.float64],
+    made: NDArray[np.intp],
+    hit: NDArray[np.int8],
+    before: NDArray[np.float64],
+    seen: NDArray[np.intp],
+    mark: int,
+    state: NDArray[np.float64],
+) -> None:
+    """Propose that two losses exchange the hazards that caused them (Metropolis-Hastings)."""
+    losses = flights.lost.size
+    one = min(int(uniforms[0] * losses), losses - 1)
+    other = min(int(uniforms[1] * losses), losses - 1)
+    if one == other or causes[one] % 2 != 1 or causes[other] % 2 != 1:
+        return
+    first = flights.first_step[flights.lost[one]]
+    second = flights.first_step[flights.lost[other]]
+    here = flights.cell[flights.entry[first + causes[one] // 2]]
+    there = flights.cell[flights.entry[second + causes[other] // 2]]
+    if here == there:
+        return
+    to, ways_to = step_into(flights, one, there, uniforms[2])
+    back, ways_back = step_into(flights, other, here, uniforms[3])
+    if ways_to == 0 or ways_back == 0:
+        return
+    _, from_here = step_into(flights, one, here, 0.0)
+    _, from_there = step_into(flights, other, there, 0.0)
+    was, was_other = causes[one], causes[other]
+    old = paths_log_likelihood(
+        flights, change, one, other, made, hit, before, seen, 2 * mark, state
+    )
+    set_cause(flights, one, 2 * to + 1, made, hit)
+    set_cause(flights, other, 2 * back + 1, made, hit)
+    new = paths_log_likelihood(
+        flights, change, one, other, made, hit, before, seen, 2 * mark + 1, state
+    )
+    is_taken = False
+    if new > -inf:
+        ratio = flights.weight[first + to] * flights.weight[second + back]
+        ratio *= ways_to * ways_back
+        by = flights.weight[first + was // 2] * flights.weight[second + was_other // 2]
+        by *= from_here * from_there
+        is_taken = log(1.0 - uniforms[4]) < new - old + log(ratio) - log(by)
+    if is_taken:
+        causes[one] = 2 * to + 1
+        causes[other] = 2 * back + 1
+    else:
+        set_cause(flights, one, was, made, hit)
+        set_cause(flights, other, was_other, made, hit)
+
+
+@compiled
+def sweep(
+    flights: Flights,
+    change: Change,
+    before: NDArray[np.float64],
+    causes: NDArray[np.intp],
+    drawn_from: int,
+    uniforms: NDArray[np.float64],
+    exchanges: NDArray[np.float64],
+    joints: NDArray[np.float64],
+) -> bool:
+    """
+    Draw the causes of losses in all chains once, and add up the cells' joints.
+
+    Parameters
+    ----------
+    flights, change
+        The evidence, and what becomes of hazards.
+    before : ndarray, shape (cells, 2, 2)
+        The cells' joints before the first deployment, given all readings.
+    causes : ndarray of int, shape (chains, losses)
+        Twice the step of each loss, and 1 more if a hazard struck; -1: yet to be drawn. Changed.
+    drawn_from : int
+        The first deployment whose cause is drawn.
+    uniforms : ndarray, shape (chains, losses)
+        That they are drawn by.
+    exchanges : ndarray, shape (chains, proposals, 5)
+        That exchanges are proposed and taken by.
+    joints : ndarray, shape (chains, cells, 2, 2)
+        Added to.
+
+    Returns
+    -------
+    bool
+        Whether each chain explains each loss.
+
+    """
+    entries, cells, flown = flights.cell.size, before.shape[0], flights.failed.size
+    longest = 1
+    for t in range(flown):
+        longest = max(longest, flights.first_step[t + 1] - flights.first_step[t])
+    made = flights.visits.copy()
+    hit = np.zeros(entries, np.int8)
+    ahead, now = np.empty((entries, 2)), np.empty((entries, 2))
+    log_chance, log_weight = np.empty(entries), np.empty(2 * longest)
+    later, state = np.empty((cells, 2)), np.empty((cells, 2, 2))
+    since, seen = np.empty(cells, np.intp), np.zeros(cells, np.intp)
+    scratch = np.empty((2, 2))
+    is_explained, mark = True, 0
+    for chain in range(causes.shape[0]):
+        for loss in range(flights.lost.size):
+            set_cause(flights, loss, causes[chain, loss], made, hit)
+        look_back(flights, change, flown - 1, made, hit, ahead, later, since)
+        state[:] = before
+        since[:] = 0
+        loss = 0
+        for t in range(flown):
+            for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
+                c = flights.cell[e]
+                move_on(change, t - since[c], state[c])
+                since[c] = t
+            if flights.first_step[t + 1] > flights.first_step[t]:
+                if t >= drawn_from:
+                    cause = draw_cause(
+                        flights,
+                        change,
+                        t,
+                        state,
+                        ahead,
+                        uniforms[chain, loss],
+                        now,
+                        log_chance,
+                        log_weight,
+                    )
+                    if cause < 0:
+                        is_explained = False
+                    else:
+                        causes[chain, loss] = cause
+                    set_cause(flights, loss, causes[chain, loss], made, hit)
+                loss += 1
+            for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
+                visit(flights, change, e, made[e], hit[e], state[flights.cell[e]])
+        for c in range(cells):
+            move_on(change, flown - 1 - since[c], state[c])
+            total = 0.0
+            for z in range(2):
+                for x in range(2):
+                    total += state[c, z, x]
+            if total > 0.0:
+                for z in range(2):
+                    for x in range(2):
+                        joints[chain, c, z, x] += state[c, z, x] / total
+            else:
+                is_explained = False
+        if drawn_from == 0 and flights.lost.size > 1:
+            for number in range(exchanges.shape[1]):
+                mark += 1
+                exchange(
+                    flights,
+                    change,
+                    causes[chain],
+                    exchanges[chain, number],
+                    made,
+                    hit,
+                    before,
+                    seen,
+                    mark,
+                    scratch,
+                )
+    return is_explained
