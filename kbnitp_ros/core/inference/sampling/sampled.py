@@ -14,13 +14,14 @@ class Sampled:
 
     Attributes
     ----------
-    learns, version, dynamics
+    learns, version, takes_lost_at, dynamics
         As of a `Method`.
 
     """
 
     learns = Sampler.learns
     version = Sampler.version
+    takes_lost_at = Sampler.takes_lost_at
     dynamics = ('changing', 'used_up')
 
     def __call__(
