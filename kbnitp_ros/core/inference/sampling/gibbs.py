@@ -265,15 +265,10 @@ def located_chance(
 
 
 @compiled
-def set_hazard(
-    sums: LocatedSums,
-    located: LocatedGraph,
-    hazardous: NDArray[np.int8],
-    cell: int,
-    hazard: int,
+def sum_through(
+    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], cell: int
 ) -> None:
-    """Have a cell be hazardous or safe, and find the sums of its located losses again."""
-    hazardous[cell] = hazard
+    """Find the sums of the located losses through a cell again."""
     for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
         sum_steps(sums, located, hazardous, located.loss[entry])
 
@@ -337,11 +332,14 @@ def draw_hazards(
         np.empty(located.cell.size),
         np.empty((factors.step_endured.shape[1], 2)),
     )
+    # Handing so many arrays to a function takes longer than what it does without such losses.
+    any_located = located.cell.size > 0
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         tabulate_losses(state, factors, chain, table)
-        sum_all_steps(sums, located, state, factors, chain)
+        if any_located:
+            sum_all_steps(sums, located, state, factors, chain)
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
             here = hazardous[cell]
@@ -357,12 +355,15 @@ def draw_hazards(
                     ratio = min(ratio * (with_hazard / without), LARGE)
                     with_hazard, without = 1.0, 1.0
             ratio = min(ratio * (with_hazard / without), LARGE)
-            ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
             if drawn != here:
-                set_hazard(sums, located, hazardous, cell, drawn)
+                hazardous[cell] = drawn
                 add_exposures(exposures, graph, cell, drawn - here)
+                if any_located:
+                    sum_through(sums, located, hazardous, cell)
 
 
 @compiled
@@ -392,11 +393,14 @@ def swap_hazards(
         np.empty(located.cell.size),
         np.empty((factors.step_endured.shape[1], 2)),
     )
+    # Handing so many arrays to a function takes longer than what it does without such losses.
+    any_located = located.cell.size > 0
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         tabulate_losses(state, factors, chain, table)
-        sum_all_steps(sums, located, state, factors, chain)
+        if any_located:
+            sum_all_steps(sums, located, state, factors, chain)
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
             path = int(numbers[0] * (graph.first_cell.size - 1))
@@ -411,16 +415,21 @@ def swap_hazards(
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             # The new hazard comes first, so that no loss is left unexplained in between.
             ratio = loss_ratio(exposures, factors, graph, table, new, 1, odds[new] / odds[old])
-            ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
-            set_hazard(sums, located, hazardous, new, 1)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
+                hazardous[new] = 1
+                sum_through(sums, located, hazardous, new)
             ratio = loss_ratio(exposures, factors, graph, table, old, -1, ratio)
-            ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
-            if numbers[3] < ratio:
-                set_hazard(sums, located, hazardous, old, 0)
-            else:
-                set_hazard(sums, located, hazardous, new, 0)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
+            changed = old if numbers[3] < ratio else new
+            hazardous[new], hazardous[old] = 1, 1
+            hazardous[changed] = 0
+            if changed == new:
                 add_exposures(exposures, graph, new, -1)
                 add_exposures(exposures, graph, old, 1)
+            if any_located:
+                sum_through(sums, located, hazardous, changed)
 
 
 @compiled
