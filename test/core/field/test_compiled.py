@@ -136,15 +136,17 @@ def test_torn_files_are_compiled_anew(tmp_path, torn):
 
 MISSIONS = """
 from kbnitp_ros.core import (
-    Belief, Grid, Learning, plan, run_mission, SearchOptions, SensorModel, Team, Unknowns, World
+    Belief, Dynamics, Grid, Learning, plan, run_mission, SearchOptions, SensorModel, Team,
+    Unknowns, World,
 )
 import numpy as np
 
 grid, model = Grid(4, 4), SensorModel(0.9)
 prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-for method, objective, unknowns in (
-    ('kappa_bnitp_smoothed', 'behavioral', Unknowns()),
-    ('kappa_bnitp_sampled', 'information', Unknowns(lethality=(0.0, 1.0))),
+for method, objective, unknowns, effect in (
+    ('kappa_bnitp_smoothed', 'behavioral', Unknowns(), 'static'),
+    ('kappa_bnitp_sampled', 'information', Unknowns(lethality=(0.0, 1.0)), 'static'),
+    ('kappa_bnitp_sampled', 'information', Unknowns(), 'used_up'),
 ):
     rng = np.random.default_rng(1)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
@@ -152,7 +154,7 @@ for method, objective, unknowns in (
     mission = run_mission(
         grid, prior, model, world, 8, rng, method,
         SearchOptions(max_steps=6, objective=objective, alpha=alpha),
-        team=Team(2), learning=Learning(unknowns),
+        team=Team(2), learning=Learning(unknowns), dynamics=Dynamics(effect),
     )
     print(mission[-1].belief.joint.tobytes().hex())
 print(plan(grid, prior, model, 6, bound=True).upper_bound)
