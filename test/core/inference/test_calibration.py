@@ -13,7 +13,6 @@ import extent
 from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
 from kbnitp_ros.core.inference.sampling import gibbs
 from kbnitp_ros.core.inference.sampling.chains import Chains
-from laws import for_each
 import numpy as np
 import pytest
 
@@ -114,8 +113,9 @@ def planted(name):
     return wrong
 
 
+# A minute each: workers share them.
 @pytest.mark.full
-@for_each('name', UNKNOWNS.priors)
+@pytest.mark.parametrize('name', UNKNOWNS.priors)
 def test_an_error_in_the_draw_of_a_number_is_found(name, monkeypatch):
     monkeypatch.setattr(Chains, '_draw', planted(name))
     p, _ = worst()
