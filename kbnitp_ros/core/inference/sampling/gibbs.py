@@ -203,6 +203,14 @@ def loss_ratio(
 
 
 @compiled
+def new_sums(located: LocatedGraph, factors: Factors) -> LocatedSums:
+    """Return the sums of one chain, not found yet."""
+    steps = located.cell.size
+    survival = np.empty((factors.step_endured.shape[1], 2))
+    return LocatedSums(np.empty(steps), np.empty(steps), np.empty(steps), survival)
+
+
+@compiled
 def sum_steps(
     sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
 ) -> None:
@@ -326,12 +334,7 @@ def draw_hazards(
     shape, takes the conditional odds of a hazard that each was drawn with.
     """
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
-    sums = LocatedSums(
-        np.empty(located.cell.size),
-        np.empty(located.cell.size),
-        np.empty(located.cell.size),
-        np.empty((factors.step_endured.shape[1], 2)),
-    )
+    sums = new_sums(located, factors)
     # Handing so many arrays to a function takes longer than what it does without such losses.
     any_located = located.cell.size > 0
     for chain in range(state.hazardous.shape[0]):
@@ -387,12 +390,7 @@ def swap_hazards(
     as before, so proposals are symmetric.
     """
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
-    sums = LocatedSums(
-        np.empty(located.cell.size),
-        np.empty(located.cell.size),
-        np.empty(located.cell.size),
-        np.empty((factors.step_endured.shape[1], 2)),
-    )
+    sums = new_sums(located, factors)
     # Handing so many arrays to a function takes longer than what it does without such losses.
     any_located = located.cell.size > 0
     for chain in range(state.hazardous.shape[0]):
