@@ -36,8 +36,9 @@ def path(number, cells=HOME):
 
 
 def on_disk(message):
-    """Return what the recorder says of a path that it has on disk."""
-    return Recorded(stamp=message.header.stamp, content=content_hash(message))
+    """Return what the recorder says of a path, or of a departure, that it has on disk."""
+    stamp = getattr(message, 'deployment', message.header.stamp)
+    return Recorded(stamp=stamp, content=content_hash(message))
 
 
 def prior(mission=0):

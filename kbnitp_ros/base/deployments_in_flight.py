@@ -1,24 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which deployments were ordered, which of them are in flight, and when one times out."""
+"""Which robots were sent, which of them have departed, and when one times out."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from kbnitp_ros.configuration import MOST_ROBOTS, value_for
 from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.messages.headers import SECOND
+from kbnitp_ros.messages.status import AgentStatus, State
 import numpy as np
 from numpy.typing import NDArray
+
+K = TypeVar('K')
+V = TypeVar('V')
+
+# How many messages that are on disk, or tell of unknown deployments, are remembered until what
+# they belong to is heard.
+MOST_UNHEARD = 1000
 
 
 @dataclass
 class DeploymentInFlight:
     """
-    A robot that was sent and not reported yet.
+    A robot that was sent and not reported yet, nor refused its order.
 
     Attributes
     ----------
@@ -27,11 +36,15 @@ class DeploymentInFlight:
     content : int
         Hash of the message that sent it.
     is_recorded : bool
-        Whether that is on disk, so that it leaves.
+        Whether that is on disk, so that its agent takes it.
+    departure : int or None
+        Hash of the status by which it departs; None as long as it was not heard.
+    has_departed : bool
+        Whether it is known to have left the base.
     recorded_content : int or None
         Hash of the path that is on disk instead of it, until that path is heard.
     due : int or None
-        When it times out, nanoseconds of ROS time; None until it has left and the clock runs.
+        When it times out, nanoseconds of ROS time; None until it has departed and the clock runs.
     is_overdue : bool
         Whether it had timed out at the last look.
 
@@ -40,6 +53,8 @@ class DeploymentInFlight:
     path: NDArray[np.intp]
     content: int
     is_recorded: bool = False
+    departure: int | None = None
+    has_departed: bool = False
     recorded_content: int | None = None
     due: int | None = None
     is_overdue: bool = False
@@ -47,7 +62,11 @@ class DeploymentInFlight:
 
 class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     """
-    The robots in flight, by deployment.
+    The robots in flight, by deployment: those that were sent and not reported.
+
+    An order that its agent refuses is as if it had never been. Of the others a robot is known to
+    have departed when its agent says so, and, with the parameter `recorded`, when that is on disk:
+    it moves no sooner. With `presume_departure` it is when its path is.
 
     Parameters
     ----------
@@ -63,9 +82,14 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self._kept = kept
         self._in_flight: dict[DeploymentKey, DeploymentInFlight] = {}
         self._sent: set[DeploymentKey] = set()
+        self._departures = Departures()
+        # What is on disk besides paths, and what was said of orders that nobody is known to have
+        # sent: a planner that was restarted may send them again.
+        self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
+        self._unknown: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
         # Deployments whose paths others than this planner have sent, and their missions.
         self._others: dict[DeploymentKey, int] = {}
-        self._left_by_agent: Counter[str] = Counter()
+        self._sent_by_agent: Counter[str] = Counter()
         self._time = 0
 
     def __getitem__(self, key: DeploymentKey) -> DeploymentInFlight:
@@ -91,25 +115,40 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return {key.agent for key in self._in_flight}
 
     @property
-    def left(self) -> int:
-        """How many robots have left, whether they are in flight or not."""
+    def sent(self) -> int:
+        """How many robots were sent and may leave, or have; whether they are in flight or not."""
         return len(self._sent)
+
+    @property
+    def undeparted(self) -> list[DeploymentKey]:
+        """The robots that may never depart: their agents have not said that they do."""
+        if self._values['presume_departure']:
+            return []
+        return [key for key in self._in_flight if not self.has_departed(key)]
+
+    def has_departed(self, key: DeploymentKey) -> bool:
+        """Return whether a robot in flight is known to have left the base."""
+        robot = self._in_flight[key]
+        is_on_record = robot.is_recorded or not self._values['recorded']
+        return robot.has_departed or (self._values['presume_departure'] and is_on_record)
 
     def known(self, mission: int) -> int:
         """Return how many deployments of a mission are known, those sent by others included."""
-        return self.left + sum(each == mission for each in self._others.values())
+        return self.sent + sum(each == mission for each in self._others.values())
 
     @property
     def forgotten(self) -> int:
         """How many deployments nobody hears again: their publishers keep them no longer."""
-        return sum(max(0, left - self._kept) for left in self._left_by_agent.values())
+        return sum(max(0, sent - self._kept) for sent in self._sent_by_agent.values())
 
-    def leave(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
-        """Take note of a robot that leaves on a path, sent by a message with this content."""
+    def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
+        """Take note of a robot that is sent on a path, by a message with this content."""
         self._in_flight[key] = DeploymentInFlight(path, content)
         self._sent.add(key)
         self._others.pop(key, None)
-        self._left_by_agent[key.agent] += 1
+        self._sent_by_agent[key.agent] += 1
+        if (status := self._unknown.pop(key, None)) is not None:
+            self.take(key, status)
 
     def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
         """
@@ -155,15 +194,82 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
         """
         robot = self._in_flight.get(key)
+        if robot is None or content != robot.content:
+            # It may be a departure, which can be told sooner than the path.
+            remember(self._recorded, (key, content), None)
         if robot is None:
+            return False
+        self._depart_if_recorded(key, robot)
+        if robot.is_recorded:
+            # Of two paths of one stamp the first is on disk.
             return False
         robot.is_recorded = content == robot.content
         robot.recorded_content = None if robot.is_recorded else content
         return not robot.is_recorded
 
-    def end(self, key: DeploymentKey) -> None:
-        """Take note that a robot was reported."""
+    def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
+        """
+        Take note of what an agent says of an order.
+
+        Returns
+        -------
+        bool
+            Whether it says something new.
+
+        Raises
+        ------
+        ValueError
+            If nobody sent it, or the status cannot follow what was said before.
+
+        """
+        is_known = key in self._sent or key in self._others or self._departures.is_refused(key)
+        if not is_known:
+            remember(self._unknown, key, status)
+            raise ValueError(
+                f'deployment {key} is {status.state.name}, and no path of it was sent, as far as '
+                'is known here'
+            )
+        if not self._departures.take(key, status):
+            return False
+        robot = self._in_flight.get(key)
+        if robot is None:
+            return True
+        if status.state is State.REFUSED:
+            del self._in_flight[key]
+            self._sent.discard(key)
+        elif status.state is State.DEPARTED:
+            robot.departure = status.content
+            self._depart_if_recorded(key, robot)
+        return True
+
+    def _depart_if_recorded(self, key: DeploymentKey, robot: DeploymentInFlight) -> None:
+        if robot.departure is not None:
+            is_recorded = (key, robot.departure) in self._recorded
+            robot.has_departed |= is_recorded or not self._values['recorded']
+
+    def restore(self, key: DeploymentKey, status: AgentStatus) -> None:
+        """Take note of a status that is on record."""
+        self.take(key, status)
+        if status.state is State.DEPARTED and key in self._in_flight:
+            self._in_flight[key].has_departed = True
+
+    def end(self, key: DeploymentKey, reported: int | None = None) -> None:
+        """
+        Take note that a robot was reported.
+
+        Parameters
+        ----------
+        key : DeploymentKey
+            Its deployment.
+        reported : int or None
+            When its agent made the report, in nanoseconds; None if it was given up.
+
+        """
+        if self._departures.is_refused(key):
+            # Whoever comes back has been away.
+            self._sent.add(key)
         self._in_flight.pop(key, None)
+        self._departures.end(key, reported)
 
     def overdue(self, now: int) -> list[DeploymentKey]:
         """
@@ -180,7 +286,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             return []
         overdue = []
         for key, robot in list(self._in_flight.items()):
-            if self._values['recorded'] and not robot.is_recorded:
+            if not self.has_departed(key):
                 continue
             # Robots do not come home sooner because the clock was set back.
             robot.due = self._due(now, key.agent, robot) if robot.due is None else robot.due + jump
@@ -191,8 +297,15 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return overdue
 
     def _due(self, now: int, agent: str, robot: DeploymentInFlight) -> int:
-        """Return when a robot that leaves now times out, in nanoseconds."""
+        """Return when a robot that departs now times out, in nanoseconds."""
         steps, period = robot.path.size - 1, value_for(self._values, 'step_period', agent)
         wait = steps * period + self._values['return_deadline']
         due: int = now + round(wait * SECOND)
         return due
+
+
+def remember(known: OrderedDict[K, V], key: K, value: V) -> None:
+    """Remember something, and of too many the newest."""
+    known[key] = value
+    if len(known) > MOST_UNHEARD:
+        known.popitem(last=False)

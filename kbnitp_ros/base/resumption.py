@@ -68,13 +68,17 @@ class Resumption:
         return max(stamps, default=0)
 
     def note(self, in_flight: DeploymentsInFlight, rounds: Rounds) -> None:
-        """Take note of all robots that have left, and of those that were reported."""
+        """Take note of all robots that were sent, and of what became of them."""
         for key, recorded in self.deployments.items():
-            in_flight.leave(key, recorded.path, recorded.content)
-            rounds.note_path(recorded.path)
+            in_flight.send(key, recorded.path, recorded.content)
             in_flight.record(key, recorded.content)
-            if recorded.observation is not None:
-                in_flight.end(key)
+            if recorded.status is not None:
+                in_flight.restore(key, recorded.status)
+            if recorded.is_refused:
+                continue
+            rounds.note_path(recorded.path)
+            if (observation := recorded.observation) is not None:
+                in_flight.end(key, recorded.reported if observation.survived else None)
 
     def losses(self) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
         """Yield the losses that the planner before this one reported."""

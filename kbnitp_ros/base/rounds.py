@@ -64,12 +64,16 @@ class Rounds:
         self._values = values
         self._warn = warn
         self._is_slow = False
-        # How often the paths of all robots that left enter each cell.
+        # How often the paths of all robots that were sent enter each cell.
         self._visited = count_visits(grid, [])
 
     def note_path(self, path: NDArray[np.intp]) -> None:
-        """Take note of the path of a robot that leaves, shape (steps + 1,)."""
+        """Take note of the path of a robot that is sent, shape (steps + 1,)."""
         np.add.at(self._visited, path[1:], 1)
+
+    def forget_path(self, path: NDArray[np.intp]) -> None:
+        """Take note that the robot of a path stays at the base."""
+        np.subtract.at(self._visited, path[1:], 1)
 
     def plan(
         self,

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from kbnitp_ros.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import recorded_environment
 from kbnitp_ros.log.environment import numerical_environment
 from kbnitp_ros.log.replay import replay
@@ -109,12 +110,21 @@ def lines(report: ReplayReport) -> Iterator[str]:
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
     for key in evidence.without_report:
-        yield f'deployment {key} has no report on record: the robot was still out'
+        yield f'deployment {key} has no report on record: {where_robot_was(report, key)}'
     for key in evidence.without_path:
         yield f'deployment {key} has no path on record'
     yield from first_few('refused', evidence.refused, REFUSALS)
     if not report.finished:
         yield 'the log is unfinished: it was still being written, or its end is missing'
+
+
+def where_robot_was(report: ReplayReport, key: DeploymentKey) -> str:
+    """Return in words what a log tells last of a robot that was not reported."""
+    if not report.departures.is_at_base(key):
+        return 'the robot was still out'
+    status = report.departures.status(key)
+    why = f', and refused: {status.reason}' if status and status.reason else ''
+    return f'the robot was at the base{why}'
 
 
 def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:

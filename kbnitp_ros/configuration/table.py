@@ -489,6 +489,15 @@ TABLE = (
         limits=(1e-3, 1e9),
     ),
     Parameter(
+        'presume_departure',
+        False,
+        'Whether robots are taken to have departed when their paths are sent, and with recorded '
+        'on disk; otherwise when their agents say so on AGENT/status. With silent_loss an agent '
+        'that never does gets no path.',
+        ('planner',),
+        read_only=False,
+    ),
+    Parameter(
         'publish_pose',
         False,
         'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
@@ -571,14 +580,14 @@ TABLE = (
     Parameter(
         'recorded',
         False,
-        'Whether a robot leaves only when the recorder has its path on disk, and the estimator '
-        'takes that path only.',
+        'Whether a robot leaves only when the recorder has its path, and its departure, on disk, '
+        'and the estimator takes that path only.',
         ('planner', 'estimator', 'agent'),
     ),
     Parameter(
         'recorded',
         True,
-        'Whether the robot leaves only when the recorder has its path on disk.',
+        'Whether the robot leaves only when the recorder has its path and its departure on disk.',
         ('robot',),
     ),
     Parameter(

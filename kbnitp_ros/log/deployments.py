@@ -11,12 +11,14 @@ from types import MappingProxyType
 
 from kbnitp_ros.bag import LoggedMessage, read_log, same_types
 from kbnitp_ros.core import deployment_order, DeploymentKey, Grid, Observation, RobotType
+from kbnitp_ros.log.departures import read_departures
 from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, REPORT
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import mission_of_belief, mission_of_path
+from kbnitp_ros.messages.status import AgentStatus, State
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +40,8 @@ class RecordedDeployment:
         What came of it; None if the robot was still out.
     reported : int
         When the base learnt that, in nanoseconds.
+    status : AgentStatus or None
+        What its agent said last of it; None if nothing.
 
     """
 
@@ -46,6 +50,18 @@ class RecordedDeployment:
     content: int
     observation: Observation | None = None
     reported: int = 0
+    status: AgentStatus | None = None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether its robot stays at the base."""
+        return self.status is not None and self.status.state is State.REFUSED
+
+    @property
+    def has_departed(self) -> bool:
+        """Whether its robot is known to have left the base."""
+        says_so = self.status is not None and self.status.state is State.DEPARTED
+        return says_so or self.observation is not None
 
 
 def read_deployments(
@@ -80,6 +96,7 @@ def read_deployments(
     evidence = Evidence(grid, max_steps, robot_types)
     if belief:
         evidence.allow(belief.max_steps, belief.robot_types)
+    departures = read_departures(log)
     messages: dict[DeploymentKey, tuple[bytes, int]] = {}
     with same_types(log):
         for logged in read_log(log, (PATH, REPORT)):
@@ -90,15 +107,20 @@ def read_deployments(
                 key = key_of_path(logged.topic, logged.message)
                 if key and key in evidence.paths:
                     messages.setdefault(key, (logged.data, content_hash(logged.message)))
-    return {
-        key: RecordedDeployment(
-            evidence.path(key),
-            *messages[key],
-            evidence.observation(key) if key in evidence.reports else None,
-            evidence.reports[key].stamp if key in evidence.reports else 0,
+
+    def deployment(key: DeploymentKey) -> RecordedDeployment:
+        path, status = evidence.path(key), departures.status(key)
+        report = evidence.reports.get(key)
+        if report and report.survived and departures.is_refused(key):
+            # Whoever comes back has been away.
+            status = None
+        if report is None or (status is not None and status.state is State.REFUSED):
+            return RecordedDeployment(path, *messages[key], status=status)
+        return RecordedDeployment(
+            path, *messages[key], evidence.observation(key), report.stamp, status
         )
-        for key in sorted(evidence.paths, key=deployment_order)
-    }
+
+    return {key: deployment(key) for key in sorted(evidence.paths, key=deployment_order)}
 
 
 def read_newest_round(
@@ -123,7 +145,8 @@ def read_newest_round(
         If that belief is not one.
 
     """
-    keys = list(deployments)
+    # Nobody waits for an order that was refused: no belief holds it.
+    keys = [key for key, each in deployments.items() if not each.is_refused]
     planned_on = None
     with same_types(log):
         for logged in read_log(log, (BELIEF,)):
@@ -132,8 +155,14 @@ def read_newest_round(
                 planned_on = logged.message
         if planned_on is None:
             return None
-        first = planned_on.deployments
-        return read_belief_maps(planned_on), keys[first:]
+        snapshot = read_belief_maps(planned_on)
+        first = snapshot.deployments
+        newest = {*keys[first:]}
+        return snapshot, [
+            key
+            for key, each in deployments.items()
+            if key in newest or (each.is_refused and key.stamp >= snapshot.stamp)
+        ]
 
 
 def read_mission(log: str | Path) -> int | None:

@@ -46,6 +46,11 @@ class OperatorState:
         self.is_ended = False
         self.given_up: dict[DeploymentKey, int] = {}
 
+    @property
+    def is_holding(self) -> bool:
+        """Whether robots that were sent and have not departed stay at the base."""
+        return self.is_paused or self.is_ended
+
     def apply(self, action: OperatorAction) -> bool:
         """Have an action hold; return whether it was not known."""
         if action.stamp in self.actions:

@@ -18,6 +18,7 @@ from typing import Any
 from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.core import DeploymentKey, Estimator, Grid, Ledger
 from kbnitp_ros.log.compare import differences
+from kbnitp_ros.log.departures import STATUS
 from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
 from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
@@ -31,10 +32,12 @@ from kbnitp_ros.messages.beliefs import (
     read_joint,
     Snapshot,
 )
+from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
 from kbnitp_ros.messages.operator_action import read_operator_action
+from kbnitp_ros.messages.status import read_status
 
 # What the paths of a log without a belief would be judged by.
 NO_RULES = Grid(1, 1), 1
@@ -67,12 +70,17 @@ def replay(
     evidence = Evidence(*((first.grid, first.max_steps, first.robot_types) if first else NO_RULES))
     fold = Fold(ReplayReport(evidence, finished=is_finished(path)))
     operator = OperatorState()
+    departures = fold.report.departures
+    types = BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL
     with same_types(path):
-        for logged in progress(read_log(path, (BELIEF, PATH, REPORT, OPERATOR, GRID, MODEL))):
+        for logged in progress(read_log(path, types)):
             if logged.type_name == BELIEF:
                 evidence.pass_belief(logged.message)
             elif logged.type_name in (GRID, MODEL):
                 fold.views.note(logged)
+            elif logged.type_name == STATUS:
+                with evidence.refusals(logged.topic):
+                    departures.take(*read_status(logged.message, agent_of(logged.topic)))
             elif logged.type_name != OPERATOR:
                 evidence.take(logged)
             elif is_operator_action(logged):

@@ -10,6 +10,7 @@ from math import isnan
 
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.compare import Difference
+from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.operator_action import OperatorAction
@@ -68,6 +69,8 @@ class ReplayReport:
     ----------
     evidence : Evidence
         The deployments on record.
+    departures : Departures
+        What agents said of their orders.
     actions : list of OperatorAction
         What the operator did, in the order on record.
     prior : Snapshot or None
@@ -88,6 +91,7 @@ class ReplayReport:
     """
 
     evidence: Evidence
+    departures: Departures = field(default_factory=Departures)
     actions: list[OperatorAction] = field(default_factory=list)
     prior: Snapshot | None = None
     compared: Counter[str] = field(default_factory=Counter)

@@ -72,6 +72,7 @@ def progress_message(
     before: Held | None,
     world: World | None,
     stamp: int,
+    out: int,
     standing: Standing = NOT_KNOWN,
 ) -> Progress:
     """
@@ -87,6 +88,8 @@ def progress_message(
         The truth, if it is known.
     stamp : int
         Of the belief that it goes with, in nanoseconds.
+    out : int
+        How many robots have departed and were not reported.
     standing : Standing
         As the planner tells it.
 
@@ -97,7 +100,7 @@ def progress_message(
         deployments=len(ledger.deployments),
         lost=ledger.lost,
         ordered=len(ledger.paths),
-        out=ledger.in_flight,
+        out=out,
         hazard_entropy=float(binary_entropy(belief.hazard).sum()),
         target_entropy=float(binary_entropy(belief.target).sum()),
         joint_entropy=belief.joint_entropy(),

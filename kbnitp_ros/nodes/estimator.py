@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 import sys
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.configuration import (
     agents_of,
@@ -19,6 +19,7 @@ from kbnitp_ros.configuration import (
     value_for,
 )
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
+from kbnitp_ros.log.departures import Departures, read_departures
 from kbnitp_ros.log.deployments import is_of_mission, read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
 from kbnitp_ros.messages.beliefs import belief_maps
@@ -27,7 +28,8 @@ from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.models import model_belief
-from kbnitp_ros.messages.sizes import largest_report
+from kbnitp_ros.messages.sizes import largest_report, STATUS_SIZE
+from kbnitp_ros.messages.status import read_status
 from kbnitp_ros.nodes.assimilated import NewEvidence
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
@@ -61,6 +63,7 @@ class EstimatorNode(FieldNode):
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
         self._mission: int | None = None
+        self._departures = Departures()
         if self.values['resume']:
             self._restore(self.values['resume'])
         agents = agents_of(self.values, self.grid)
@@ -90,6 +93,13 @@ class EstimatorNode(FieldNode):
                 qos.EVIDENCE,
                 largest_report(value_for(self.values, 'max_steps', agent)),
             )
+            self.hear(
+                AgentStatus,
+                f'{agent}/status',
+                partial(self._on_status, agent),
+                qos.EVIDENCE,
+                STATUS_SIZE,
+            )
         self._started = 0
         self._unconverged = ''
         self._awaiting = self.create_poll(self._publish_first)
@@ -102,6 +112,7 @@ class EstimatorNode(FieldNode):
         """
         check_same_field(log, self._ledger.grid)
         self._mission = read_mission(log)
+        self._departures = read_departures(log)
         agents = agents_of(self.values, self.grid)
         with same_types(log):
             evidence = read_log(log, (PATH, REPORT))
@@ -110,6 +121,8 @@ class EstimatorNode(FieldNode):
                     # What was refused when it came is refused again.
                     with suppress(ValueError):
                         record(self._ledger, logged)
+        for key in self._ledger.deployments:
+            self._departures.end(key, None)
 
     def _publish_first(self) -> None:
         missing, now = self.missing_listeners([self._belief]), self.now()
@@ -154,12 +167,32 @@ class EstimatorNode(FieldNode):
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, report = read_report(message, agent)
+            if not report.survived:
+                self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
             changed = self._ledger.record_report(key, named)
         except ValueError as error:
             self._refuse(f'{agent}/report', error)
         else:
+            self._departures.end(key, report.stamp if report.survived else None)
             self._accept(key, changed)
+
+    def _on_status(self, agent: str, message: AgentStatus) -> None:
+        """Take note of what an agent does: no belief depends on it but by reports."""
+        try:
+            is_new = self._departures.take(*read_status(message, agent))
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/status', error)
+            return
+        self.diagnostics.accept()
+        if is_new:
+            self._count_out()
+            if self._awaiting.is_canceled():
+                self._views.show_out(self._ledger)
+
+    def _count_out(self) -> None:
+        """Count the robots that are out; departures may be heard before their paths."""
+        self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
         """
@@ -198,13 +231,14 @@ class EstimatorNode(FieldNode):
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
         self._say_what_is_pending()
+        self._count_out()
         if self._awaiting.is_canceled():
             if changed:
                 self._new.add(key)
                 self._publish(self._ledger)
                 self._tell_ending(key)
             else:
-                self._views.show_in_flight(self._ledger)
+                self._views.show_out(self._ledger)
             self._say_what_is_held()
         if changed and key in self._ledger.contradicted:
             # The return that was held until now counts no longer.

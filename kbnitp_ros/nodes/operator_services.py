@@ -101,6 +101,7 @@ class Operator:
         grid: Grid,
         in_flight: DeploymentsInFlight,
         proposals: Proposals,
+        hold: Callable[[bool], None],
         act: Callable[[OperatorAction], None],
     ) -> None:
         self.state = OperatorState()
@@ -108,6 +109,7 @@ class Operator:
         self._grid = grid
         self._in_flight = in_flight
         self._proposals = proposals
+        self._hold = hold
         self._act = act
         # What is not on disk yet, and the hash of its message.
         self._pending: tuple[OperatorAction, int, Response, Future] | None = None
@@ -159,10 +161,11 @@ class Operator:
             told = f'no robot of {shown(request.agent)} is out: {names} is'
             return answered(response, False, told)
         key = min(out)
-        if self._node.values['recorded'] and not self._in_flight[key].is_recorded:
+        if not self._in_flight.has_departed(key):
             told = (
-                f'{key} has not left: the recorder has not confirmed on '
-                f'{request.agent}/recorded that its path is on disk; ask again when it has'
+                f'{key} is not known to have departed, and a robot at its base is not lost: its '
+                f'agent tells on {request.agent}/status when it departs. Of an agent that tells '
+                'nothing the parameter presume_departure presumes it'
             )
             return answered(response, False, told)
         try:
@@ -187,8 +190,10 @@ class Operator:
         except ValueError as error:
             return answered(response, False, str(error))
         stamp = next_name(self._node.now(), *self.state.actions)
-        action = OperatorAction(stamp, what, self._in_flight.left, dict(paths or {}), steps)
+        action = OperatorAction(stamp, what, self._in_flight.sent, dict(paths or {}), steps)
         message = operator_action_message(self._grid, action)
+        if what in (Action.PAUSE, Action.END):
+            self._hold(True)
         self._publisher.publish(message)
         if not self._node.values['recorded']:
             return self._take(action, response)
@@ -204,11 +209,13 @@ class Operator:
     def _take(self, action: OperatorAction, response: Response) -> Response:
         """Have an action hold from now on."""
         self.state.apply(action)
+        self._hold(self.state.is_holding)
         self._node.get_logger().info(f'the operator {action}')
         self._act(action)
         pending = ''
-        if action.action == Action.END and self._in_flight:
-            pending = f'; it is over when {some(self._in_flight)} are reported'
+        out = [key for key in self._in_flight if key not in self._in_flight.undeparted]
+        if action.action == Action.END and out:
+            pending = f'; it is over when {some(out)} are reported'
         return answered(response, True, f'the operator {action}{pending}')
 
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 import time
 
+from kbnitp_ros.log.departures import STATUS
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.nodes.instances import Instance
@@ -49,6 +50,10 @@ class Peers:
     def is_present(self, agent: str) -> bool:
         """Return whether somebody answers for an agent."""
         return self._answering.get(agent, 0) > 0
+
+    def says_status(self, agent: str) -> bool:
+        """Return whether somebody tells when robots of an agent depart."""
+        return self._node.count_authors(f'{agent}/status', STATUS) > 0
 
     def look_for_agents(self) -> None:
         """Notice which agents somebody answers for, and who answers for one that is taken."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import time
 
 from kbnitp_ros.configuration import value_for
@@ -32,14 +33,24 @@ class PendingPaths:
 
     """
 
-    def __init__(self, node: FieldNode, agent: str, prefix: str, journal: Journal) -> None:
+    def __init__(
+        self,
+        node: FieldNode,
+        agent: str,
+        prefix: str,
+        journal: Journal,
+        accept: Callable[[Deployment], None],
+    ) -> None:
         self.is_listening = False
         self._node = node
         self._agent = agent
         self._journal = journal
+        self._accept = accept
         self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
         self._sent = RecordedPaths(node, agent, prefix, self._read_path, self._take_path)
+        # Has a robot move when its departure is on record.
+        self.when_recorded = self._sent.when_recorded
         self._last = 0.0
 
     def listen(self) -> None:
@@ -55,7 +66,7 @@ class PendingPaths:
         known = self._known(deployment.stamp)
         if known is not None and known.path != deployment.path:
             raise ValueError(f'deployment {key} is known with another path: the first path counts')
-        if known is not None:
+        if known is not None or deployment.stamp in self._journal.refusals:
             return None
         self._node.diagnostics.accept()
         self._last = time.monotonic()
@@ -64,6 +75,7 @@ class PendingPaths:
     def _take_path(self, deployment: Deployment) -> None:
         self._last = time.monotonic()
         self._pending[deployment.stamp] = deployment
+        self._accept(deployment)
 
     def _check_mission(self, mission: int) -> None:
         try:

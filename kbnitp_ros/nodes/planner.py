@@ -8,10 +8,11 @@ from enum import auto, Enum
 from functools import partial
 import sys
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.reachability import cut_off_note, reach_note
+from kbnitp_ros.base.refusals import Refusals
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import (
@@ -43,9 +44,18 @@ from kbnitp_ros.messages.headers import next_name, read_name
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.operator_action import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
-from kbnitp_ros.messages.sizes import largest_belief, largest_path, largest_report, RECORDED
+from kbnitp_ros.messages.sizes import (
+    largest_belief,
+    largest_path,
+    largest_report,
+    RECORDED,
+    STATUS_SIZE,
+)
+from kbnitp_ros.messages.status import read_status
+from kbnitp_ros.messages.status import State as AgentState
 from kbnitp_ros.nodes.bounded_progress import BoundedProgress
 from kbnitp_ros.nodes.decisions import Decisions
+from kbnitp_ros.nodes.hold import Holding
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
 from kbnitp_ros.nodes.recorders import records
@@ -121,9 +131,15 @@ class PlannerNode(FieldNode):
         self._peers = Peers(self, self._agents)
         self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
         self._proposals = Proposals(self, self.grid, self._agents)
-        self._operator = Operator(self, self.grid, self._in_flight, self._proposals, self._act)
-        # How many robots that have left only the belief knows of.
-        self._left_unknown = 0
+        self._refusals = Refusals()
+        # Where robots go that were sent and are not known to have departed, in words.
+        self._goals: dict[DeploymentKey, str] = {}
+        self._holding = Holding(self)
+        self._operator = Operator(
+            self, self.grid, self._in_flight, self._proposals, self._holding.tell, self._act
+        )
+        # How many robots that were sent only the belief knows of.
+        self._sent_unknown = 0
         # How many deployments the belief heard last holds, and whether it was told that an
         # estimator will never hold them all.
         self._held = 0
@@ -135,6 +151,7 @@ class PlannerNode(FieldNode):
             self._decisions.restore(self.values['resume'])
             if refusal := self._too_few(self.values['robots']):
                 raise ValueError(refusal)
+        self._holding.tell(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(lambda _: self._decisions.review())
         # Before the beliefs: none holds a path that was not heard.
@@ -147,6 +164,13 @@ class PlannerNode(FieldNode):
                 partial(self._on_report, agent),
                 qos.EVIDENCE,
                 largest_report(value_for(self.values, 'max_steps', agent)),
+            )
+            self.hear(
+                AgentStatus,
+                f'{agent}/status',
+                partial(self._on_status, agent),
+                qos.EVIDENCE,
+                STATUS_SIZE,
             )
             if self.values['recorded']:
                 self.hear(
@@ -165,7 +189,8 @@ class PlannerNode(FieldNode):
         for action, message in resumed.actions:
             self._operator.restore(action, message)
         for key, recorded in resumed.deployments.items():
-            self._paths[key.agent].publish(recorded.message)
+            if not recorded.is_refused:
+                self._paths[key.agent].publish(recorded.message)
         resumed.note(self._in_flight, self._rounds)
         for key, report in resumed.losses():
             self._losses[key.agent].publish(report)
@@ -187,15 +212,15 @@ class PlannerNode(FieldNode):
 
     def _too_few(self, robots: int) -> str:
         """Return why there must be more robots than these; empty when enough."""
-        if robots >= self._left:
+        if robots >= self._sent:
             return ''
         return (
-            f'parameter robots is {robots}: {self._left} robots have left, and it must be at '
-            f'least that; {self._left} ends the mission'
+            f'parameter robots is {robots}: {self._sent} robots were sent, and it must be at '
+            f'least that; {self._sent} ends the mission'
         )
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse fewer robots than have left, and searches that take too much memory."""
+        """Refuse fewer robots than were sent, and searches that take too much memory."""
         known = {each.name: parameter_of('planner', each.name) for each in changes}
         try:
             given = {
@@ -231,6 +256,7 @@ class PlannerNode(FieldNode):
         self._peers.look_for_unknown_agents()
 
     def _go_on(self) -> None:
+        self._tell_departures()
         self._give_up_overdue()
         self._deploy()
 
@@ -244,14 +270,14 @@ class PlannerNode(FieldNode):
             self.diagnostics.refuse('belief', error)
             return
         self.diagnostics.accept()
-        unknown = snapshot.deployments - self._in_flight.left
-        if unknown > self._left_unknown:
+        unknown = snapshot.deployments - self._in_flight.sent
+        if unknown > self._sent_unknown:
             self.get_logger().warning(
                 f'the belief holds {unknown} deployments more than are '
                 'known here: their paths died with the planner before this one, and a restarted '
                 'estimator will lack them, unless the parameter resume names the log'
             )
-            self._left_unknown = unknown
+            self._sent_unknown = unknown
         self._notice_incomplete(snapshot.deployments)
         if self._tracker.accept_belief(snapshot, known):
             self._decisions.take(snapshot)
@@ -260,13 +286,13 @@ class PlannerNode(FieldNode):
     def _known(self, mission: int) -> int:
         """Return how many deployments of a mission may be in a belief, as far as known here."""
         # Each agent may have had a robot out when the planner before this one died.
-        out_before = len(self._agents) if self._left_unknown else 0
+        out_before = len(self._agents) if self._sent_unknown else 0
         return self._in_flight.known(mission) + out_before
 
     @property
-    def _left(self) -> int:
-        """How many robots have left, those that only the belief knows of included."""
-        return self._in_flight.left + self._left_unknown
+    def _sent(self) -> int:
+        """How many robots were sent, those that only the belief knows of included."""
+        return self._in_flight.sent + self._sent_unknown
 
     def _notice_incomplete(self, held: int) -> None:
         """Say if an estimator was restarted that will never hear of all deployments."""
@@ -300,9 +326,41 @@ class PlannerNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/report', error)
             return
-        self._in_flight.end(key)
+        self._tell_departure(key)
+        self._in_flight.end(key, report.stamp if report.survived else None)
         self._decisions.knowledge.note_report(key, report)
         self._deploy()
+
+    def _on_status(self, agent: str, message: AgentStatus) -> None:
+        """Take note of what an agent does with an order."""
+        try:
+            key, status = read_status(message, agent)
+            robot = self._in_flight.get(key)
+            if not self._in_flight.take(key, status):
+                return
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/status', error)
+            return
+        self.diagnostics.accept()
+        if status.state is AgentState.REFUSED and robot is not None:
+            self._rounds.forget_path(robot.path)
+            self._refusals.add(agent)
+            self._goals.pop(key, None)
+            self.get_logger().warning(
+                f'{key} is refused by its agent, and its robot stays at the base: '
+                f'{status.reason}; nothing is learnt of it'
+            )
+        self._tell_departures()
+
+    def _tell_departures(self) -> None:
+        """Tell on the console which robots have departed."""
+        for key in [key for key in self._goals if self._in_flight.has_departed(key)]:
+            self._tell_departure(key)
+
+    def _tell_departure(self, key: DeploymentKey) -> None:
+        if goal := self._goals.pop(key, None):
+            self._refusals.clear(key.agent)
+            self.deployment_logger.info(f'{key} leaves {goal}')
 
     def _on_path(self, agent: str, message: Path) -> None:
         """Take note of a path: the recorder may have that of another planner on disk."""
@@ -331,6 +389,7 @@ class PlannerNode(FieldNode):
             # Whoever sent it keeps it for those who ask later.
             self.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._hear_paths(agent)
+        self._tell_departures()
 
     def _hear_beliefs_anew(self) -> None:
         """
@@ -351,6 +410,7 @@ class PlannerNode(FieldNode):
 
     def _give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
         """Report a robot lost that is out."""
+        self._tell_departure(key)
         path, contact = self._in_flight[key].path, self.values['contact_probability']
         lost = lost_after_contact(path, steps_survived, contact)
         self._losses[key.agent].publish(report_message(key, lost, self.now(), source))
@@ -412,8 +472,8 @@ class PlannerNode(FieldNode):
 
     def _next_plans(self, newest: Snapshot) -> Plans:
         """Return the plans of the robots to leave next; those that are proposed if they are it."""
-        agents = self._free_agents()[: self._robots - self._left]
-        refused = self._operator.state.refused(self._in_flight.left)
+        agents = self._free_agents()[: self._robots - self._sent]
+        refused = self._operator.state.refused(self._in_flight.sent)
         situation = newest.stamp, newest.deployments, agents, len(refused)
         if self._proposals.are_for(situation):
             return self._proposals.plans
@@ -428,31 +488,44 @@ class PlannerNode(FieldNode):
 
     def _are_approved(self, plans: Plans) -> bool:
         paths = {key: plan.path for key, plan in plans.items()}
-        return self._operator.state.is_approved(self._in_flight.left, paths)
+        return self._operator.state.is_approved(self._in_flight.sent, paths)
 
     @property
     def _robots(self) -> int:
-        """How many robots are to be deployed."""
-        return self._left if self._operator.state.is_ended else self.values['robots']
+        """How many robots are to be deployed; after the end those that have departed."""
+        if self._operator.state.is_ended:
+            return self._sent - len(self._in_flight.undeparted)
+        robots: int = self.values['robots']
+        return robots
 
     def _send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
         mission = self._tracker.begin(mission)
         for key, plan in plans.items():
             message = path_message(self.grid, plan.path, key.stamp, mission)
-            self._in_flight.leave(key, plan.path, content_hash(message))
+            self._in_flight.send(key, plan.path, content_hash(message))
             self._rounds.note_path(plan.path)
             self._decisions.knowledge.note_path(key, plan.path, content_hash(message))
             self._paths[key.agent].publish(message)
-            self.deployment_logger.info(f'{key} leaves {describe_plan(self.grid, plan)}')
+            self._goals[key] = describe_plan(self.grid, plan)
             self._last_stamp = max(self._last_stamp, key.stamp)
 
     def _free_agents(self) -> list[str]:
         """Return the agents that somebody answers for and whose robots are home."""
         busy = self._in_flight.agents
         return [
-            agent for agent in self._agents if self._peers.is_present(agent) and agent not in busy
+            agent
+            for agent in self._agents
+            if self._peers.is_present(agent)
+            and agent not in busy
+            and not self._refusals.is_left_alone(agent)
+            and not self._is_mute(agent)
         ]
+
+    def _is_mute(self, agent: str) -> bool:
+        """Return whether an agent does not say when it departs, and its silence would count."""
+        is_presumed = self.values['presume_departure'] or not self.values['silent_loss']
+        return not is_presumed and not self._peers.says_status(agent)
 
     def _next_stamp(self, newest: Snapshot) -> int:
         """
@@ -477,7 +550,7 @@ class PlannerNode(FieldNode):
         """
         if self._operator.awaited:
             return Obstacle.ACTION_UNRECORDED
-        if held is None and (self._left or not self._operator.state.is_ended):
+        if held is None and (self._sent or not self._operator.state.is_ended):
             return Obstacle.NO_BELIEF
         held = held or 0
         if self._unreported and not self.values['rolling']:
@@ -495,7 +568,7 @@ class PlannerNode(FieldNode):
         if not self._is_heard and self._missing_listeners:
             return Obstacle.NOT_HEARD
         self._is_heard = True
-        if self._left >= self._robots:
+        if self._sent >= self._robots:
             return Obstacle.ALL_LEFT
         if self._operator.state.is_paused:
             return Obstacle.PAUSED
@@ -504,13 +577,19 @@ class PlannerNode(FieldNode):
     @property
     def _unreported(self) -> list[DeploymentKey]:
         """Return the deployments in flight that the next round waits for."""
-        # An agent that has left the graph does not keep the others from their next round.
-        return [key for key in self._in_flight if self._peers.is_present(key.agent)]
+        # An agent that has left the graph does not keep the others from their next round, nor do
+        # robots that do not depart any more keep a mission from its end.
+        left_out = self._in_flight.undeparted if self._operator.state.is_ended else ()
+        return [
+            key
+            for key in self._in_flight
+            if self._peers.is_present(key.agent) and key not in left_out
+        ]
 
     @property
     def _reported(self) -> int:
         """How many deployments were reported, so that a belief must hold them."""
-        return self._left - len(self._in_flight)
+        return self._sent - len(self._in_flight)
 
     @property
     def _missing_listeners(self) -> str:
@@ -536,7 +615,7 @@ class PlannerNode(FieldNode):
             ),
             Obstacle.NOT_HEARD: lambda: self._missing_listeners,
             Obstacle.ALL_LEFT: lambda: (
-                f'robots that are out: {some(self._in_flight)}; no more leave (parameter robots)'
+                f'robots that were sent: {some(self._in_flight)}; no more are (parameter robots)'
             ),
             Obstacle.PAUSED: lambda: (
                 'the operator to end the pause by the service '
@@ -586,8 +665,12 @@ class PlannerNode(FieldNode):
         wait = f'{key} to be reported on {agent}/report'
         if self.values['recorded'] and not self._in_flight[key].is_recorded:
             return (
-                f'{wait}: it leaves when the recorder tells on {agent}/recorded that its path is '
-                'on disk (parameter recorded)'
+                f'{wait}: it may leave when the recorder tells on {agent}/recorded that its '
+                'path is on disk (parameter recorded)'
+            )
+        if not self._in_flight.has_departed(key) and self._peers.says_status(key.agent):
+            return (
+                f'{key} to depart, as its agent tells on {agent}/status; it is not given up before'
             )
         if self.values['silent_loss']:
             deadline = self.values['return_deadline']
@@ -603,9 +686,20 @@ class PlannerNode(FieldNode):
             for agent in self._agents
             if not self._peers.is_present(agent)
         ]
+        mute = [
+            self.resolve_topic_name(f'{agent}/status')
+            for agent in self._agents
+            if self._peers.is_present(agent) and self._is_mute(agent)
+        ]
+        resting = [agent for agent in self._agents if self._refusals.is_left_alone(agent)]
         reasons = [
             f'nobody publishes {some(absent)}' if absent else '',
             f'{some(self._in_flight)} are out' if self._in_flight else '',
+            f'{some(resting)} refused the last order' if resting else '',
+            f'nobody publishes {some(mute)}, so that the silence of a robot that has not left '
+            'would count as its loss (parameter presume_departure)'
+            if mute
+            else '',
         ]
         why = '; '.join(filter(None, reasons))
         return f'an agent whose robot is home: {why} (parameter agents)'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paths that an agent is sent, each as it is on record."""
+"""The paths that an agent is sent, each as it is on record, and its departures."""
 
 from __future__ import annotations
 
@@ -64,6 +64,8 @@ class RecordedPaths(Generic[P]):
         self._take = take
         # Paths that the recorder has not named, by stamp and content.
         self._pending: dict[tuple[int, int], P] = {}
+        # What follows from departures that the recorder has not named, by stamp and content.
+        self._departures: dict[tuple[int, int], Callable[[], None]] = {}
         self._has_missed = False
         self._interval = ASK_FIRST
         self._ask_at = 0.0
@@ -91,6 +93,25 @@ class RecordedPaths(Generic[P]):
             f'the recorder to tell on {self._agent}/recorded that the path of '
             f'{DeploymentKey(self._agent, stamp)} is on disk (parameter recorded)'
         )
+
+    def when_recorded(self, stamp: int, content: int, depart: Callable[[], None]) -> None:
+        """
+        Have a robot move when its departure is on record; at once without that parameter.
+
+        Parameters
+        ----------
+        stamp : int
+            That of its path, in nanoseconds.
+        content : int
+            Hash of the status that says so, which is published after this.
+        depart : callable
+            Called then.
+
+        """
+        if self._node.values['recorded']:
+            self._departures[stamp, content] = depart
+        else:
+            depart()
 
     def _hear_recorded(self) -> Subscription:
         self._has_missed = False
@@ -122,6 +143,9 @@ class RecordedPaths(Generic[P]):
             stamp = read_name('stamp', message.stamp)
         except ValueError as error:
             self._node.diagnostics.refuse(f'{self._agent}/recorded', error)
+            return
+        if depart := self._departures.pop((stamp, message.content), None):
+            depart()
             return
         path = self._pending.pop((stamp, message.content), None)
         if path is None:

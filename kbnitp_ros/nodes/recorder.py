@@ -17,7 +17,9 @@ from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.bag import check_texts, LARGEST_MESSAGE, LogWriter, qos_profiles_yaml
 from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
 from kbnitp_ros.configuration import MOST_AGENTS, MOST_CELLS, MOST_STEPS
+from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
+from kbnitp_ros.log.departures import Departures, read_departures, STATUS
 from kbnitp_ros.log.deployments import read_mission, read_paths
 from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT
 from kbnitp_ros.log.log_path import new_log
@@ -37,7 +39,10 @@ from kbnitp_ros.messages.sizes import (
     largest_path,
     largest_progress,
     largest_report,
+    STATUS_SIZE,
 )
+from kbnitp_ros.messages.status import read_status
+from kbnitp_ros.messages.status import State as AgentState
 from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
 from kbnitp_ros.nodes.recorders import Precedence
 from kbnitp_ros.nodes.runtime import qos
@@ -59,7 +64,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-EVIDENCE = (PATH, REPORT, OPERATOR)
+EVIDENCE = (PATH, REPORT, STATUS, OPERATOR)
 
 # Without whom there is no mission.
 AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to publish belief'}
@@ -82,6 +87,7 @@ AGENT_TYPES = {
     'path': PATH,
     'proposal': PATH,
     'report': REPORT,
+    'status': STATUS,
     'recorded': 'kbnitp_msgs/msg/Recorded',
 }
 
@@ -89,6 +95,7 @@ AGENT_TYPES = {
 LARGEST = {
     PATH: largest_path(MOST_STEPS),
     REPORT: largest_report(MOST_STEPS),
+    STATUS: STATUS_SIZE,
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
     MODEL: largest_model(),
@@ -142,10 +149,14 @@ class RecorderNode(MissionNode):
         # the first, which counts.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
+        # Which paths are on record, whatever their mission.
+        self._ordered: set[DeploymentKey] = set()
+        self._departures = Departures()
         if resume:
             self._tracker.mission = read_mission(resume)
             for name, stamp, mission, content in read_paths(resume):
                 self._note(name, stamp, mission, content)
+            self._departures = read_departures(resume)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, Topic] = {}
@@ -308,9 +319,10 @@ class RecorderNode(MissionNode):
 
     def _acknowledging(self, name: str, type_name: str) -> Publisher | None:
         """Return what tells which messages of a topic are on the disk, if anything does."""
-        if type_name == PATH and name.endswith('/path'):
-            recorded = f'{name.removesuffix("path")}recorded'
-            return self.create_publisher(Recorded, recorded, qos.EVIDENCE)
+        agent, _, last = name.rpartition('/')
+        if (last, type_name) in (('path', PATH), ('status', STATUS)):
+            # Each with a history of its own, which is as deep as DDS has it.
+            return self.create_publisher(Recorded, f'{agent}/recorded', qos.EVIDENCE)
         is_operator = type_name == OPERATOR and name == self.resolve_topic_name('operator')
         return self._precedence.publisher if is_operator else None
 
@@ -347,16 +359,18 @@ class RecorderNode(MissionNode):
         )
 
     def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
-        if topic.type_name == BELIEF:
-            # A belief is judged by the paths that are known, and callbacks come in any order.
+        if topic.type_name in (BELIEF, STATUS):
+            # They are judged by the paths that are known, and callbacks come in any order.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.type_name == PATH
             )
         self._write(topic, data, info)
         if topic.type_name == PATH:
             self._write_early()
-        is_stated = topic.type_name == BELIEF and self._is_any_untold
-        if topic.type_name in EVIDENCE or is_stated:
+        # Of these many keep nobody waiting; but the paths that were read with them do.
+        is_seldom_awaited = topic.type_name in (BELIEF, STATUS)
+        is_evidence = topic.type_name in EVIDENCE and not is_seldom_awaited
+        if is_evidence or (is_seldom_awaited and self._is_any_untold):
             # One sync serves all that waits: the paths of a round come together, and so does a
             # whole history. What was published before this is then on the disk before it counts.
             self._write_arrived()
@@ -415,7 +429,9 @@ class RecorderNode(MissionNode):
             return
         message = deserialize_message(data, message_class(topic.type_name))
         check_texts(topic.type_name, data)
-        if topic.recorded:
+        if topic.type_name == STATUS:
+            self._check_status(topic, message)
+        elif topic.recorded:
             stamp, mission = self._name(topic, message)
             content = content_hash(message)
             first = self._note(topic.name, stamp, mission, content)
@@ -433,12 +449,37 @@ class RecorderNode(MissionNode):
                     'nodes publish this topic?)'
                 )
         elif topic.type_name == REPORT:
-            read_report(message, agent_of(topic.name))
+            key, report = read_report(message, agent_of(topic.name))
+            self._departures.end(key, report.stamp if report.survived else None)
         elif topic.name == self.resolve_topic_name('belief'):
             snapshot = read_belief_maps(message)
             known = self._paths[snapshot.mission]
             self._tracker.check_belief(snapshot, self.count_authors(topic.name, BELIEF), known)
             self._tracker.accept_belief(snapshot, known)
+
+    def _check_status(self, topic: Topic, message: Any) -> None:
+        """
+        Check what an agent says of an order, and have a departure told to be on the disk.
+
+        Of two departures of one deployment, as two robots of one name make them, only the first
+        is told, so that only one moves.
+
+        Raises
+        ------
+        PathsUnknownError
+            If the order is not on record, or not yet.
+        ValueError
+            If it cannot follow what is on record.
+
+        """
+        key, status = read_status(message, agent_of(topic.name))
+        if key not in self._ordered:
+            raise PathsUnknownError(
+                f'deployment {key} is {status.state.name}, and its path is not on record'
+            )
+        self._departures.take(key, status)
+        if status.state is AgentState.DEPARTED:
+            topic.untold.append((key.stamp, status.content, NOT_TOLD))
 
     def _name(self, topic: Topic, message: Any) -> tuple[int, int]:
         """
@@ -461,6 +502,7 @@ class RecorderNode(MissionNode):
         key = name, stamp, mission
         if key not in self._first and name.endswith('/path'):
             self._paths[mission] += 1
+            self._ordered.add(DeploymentKey(agent_of(name), stamp))
         return self._first.setdefault(key, content)
 
     @property

@@ -11,16 +11,20 @@ from pathlib import Path
 import sys
 import time
 
-from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey, LONGEST_WALK
 from kbnitp_ros.files import in_words
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.messages.status import State as AgentState
+from kbnitp_ros.messages.status import status_message
 from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
 from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.duplicate_names import DuplicateNames
+from kbnitp_ros.nodes.hold import Hold
 from kbnitp_ros.nodes.pending_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
@@ -48,7 +52,8 @@ class RobotNode(FieldNode):
     Send one real robot along each path of its agent, by Nav2, and report how that went.
 
     What it is ordered, where it goes and what it reads is on the disk before anything follows from
-    it, so it can lose its power at any moment. Back in the field it goes home then.
+    it, so it can lose its power at any moment. Back in the field it goes home then. It says that
+    it departs, and moves when that is on the base's disk.
     """
 
     def __init__(self) -> None:
@@ -60,8 +65,10 @@ class RobotNode(FieldNode):
         detections = detection_class(values['detection_type'])
         self._journal = Journal(values['journal'] or self._usual_journal(), self._agent, self.grid)
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
+        self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
-        self._pending = PendingPaths(self, self._agent, prefix, self._journal)
+        self._hold = Hold(self, prefix)
+        self._pending = PendingPaths(self, self._agent, prefix, self._journal, self._accept)
         self._duplicates = DuplicateNames(self, self._reports.topic_name)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
@@ -72,6 +79,8 @@ class RobotNode(FieldNode):
         # What is wrong by now, by what it is about, and what of it the console was told.
         self._troubles = {'/tf': 'nothing was heard yet'}
         self._is_driving = False
+        # Whether it has said that it departs, and that is not on record.
+        self._is_at_gate = False
         # When the goal that was driven last was seen to have ended, in nanoseconds; 0 before.
         self._ended_at = 0
         self._stays_until: int | None = None
@@ -101,7 +110,10 @@ class RobotNode(FieldNode):
         if self._journal.corruption:
             self.get_logger().warning(self._journal.corruption)
             self.diagnostics.values['journal'] = self._journal.corruption
+        for stamp, (time_refused, reason) in self._journal.refusals.items():
+            self._say_status(stamp, AgentState.REFUSED, time_refused, reason)
         for deployment in self._journal.deployments:
+            self._say_status(deployment.stamp, AgentState.DEPARTED, deployment.departed)
             if deployment.is_home:
                 self._report(deployment)
         self._deployment: Deployment | None = None
@@ -122,6 +134,14 @@ class RobotNode(FieldNode):
 
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
+
+    def _say_status(self, stamp: int, state: AgentState, time_said: int, reason: str = '') -> None:
+        """Say what is done with the order of a path, or say it again."""
+        key = DeploymentKey(self._agent, stamp)
+        self._statuses.publish(status_message(key, state, time_said, reason))
+
+    def _accept(self, deployment: Deployment) -> None:
+        self._say_status(deployment.stamp, AgentState.ACCEPTED, self.now())
 
     def _on_transforms(self, is_static: bool, message: TFMessage) -> None:
         try:
@@ -246,30 +266,47 @@ class RobotNode(FieldNode):
             return waiting_for(awaited)
         if (deployment := self._pending.newest) is None:
             return working(f'taking paths of {self._agent}')
-        if awaited := self._duplicates.awaited or self._not_ready():
+        if awaited := self._duplicates.awaited:
             return waiting_for(awaited)
         for superseded in self._pending.superseded():
-            self.get_logger().warning(
-                f'deployment {self._key(superseded)} came while the robot was out: it does not '
-                'leave'
-            )
-            if not self._begin(superseded):
+            if not self._refuse(superseded, f'path {self._key(deployment)} came before it left'):
                 return self._no_room
-            self._arrive(superseded)
-        if not self._begin(deployment):
+        if awaited := self._not_ready() or self._hold.awaited:
+            return waiting_for(awaited)
+        if not self._depart(deployment):
             return self._no_room
-        self._set_out(deployment, deployment.path)
-        self.get_logger().info(
-            f'leaving on {self._key(deployment)}: {len(deployment.path) - 1} steps'
-        )
         return self._go_on(deployment)
 
-    def _begin(self, deployment: Deployment) -> bool:
-        """Have a deployment in the journal, and say whether it is."""
+    def _refuse(self, deployment: Deployment, reason: str) -> bool:
+        """Stay at the base for good, whatever that path is; say whether it is in the journal."""
+        stamp, now = deployment.stamp, self.now()
+        if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
+            return False
+        self._pending.close(deployment)
+        self._say_status(stamp, AgentState.REFUSED, now, reason)
+        self.get_logger().warning(f'deployment {self._key(deployment)} is refused: {reason}')
+        return True
+
+    def _depart(self, deployment: Deployment) -> bool:
+        """Say that the robot departs, once that is in the journal; say whether it is."""
+        deployment.departed = self.now()
         if not self._keep(partial(self._journal.depart, deployment)):
             return False
         self._pending.close(deployment)
+        self._set_out(deployment, deployment.path)
+        self._is_at_gate = True
+        departure = status_message(self._key(deployment), AgentState.DEPARTED, deployment.departed)
+        leave = partial(self._leave, deployment)
+        self._pending.when_recorded(deployment.stamp, content_hash(departure), leave)
+        self._statuses.publish(departure)
         return True
+
+    def _leave(self, deployment: Deployment) -> None:
+        """Have the robot move, unless it has turned back."""
+        if self._deployment is deployment:
+            self._is_at_gate = False
+            steps = len(deployment.path) - 1
+            self.get_logger().info(f'leaving on {self._key(deployment)}: {steps} steps')
 
     @property
     def _no_room(self) -> State:
@@ -291,6 +328,8 @@ class RobotNode(FieldNode):
 
     def _go_on(self, deployment: Deployment) -> State:
         """Have the robot do what is next; return what it does."""
+        if self._is_at_gate:
+            return self._wait_at_gate(deployment)
         itinerary = self._itinerary
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
@@ -318,6 +357,21 @@ class RobotNode(FieldNode):
         self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
         return working(f'driving {goal}')
+
+    def _wait_at_gate(self, deployment: Deployment) -> State:
+        """Stay at the base until the departure is on record; a pause ends it there."""
+        if self._hold.awaited:
+            self.get_logger().warning(
+                f'{self._key(deployment)}: the operator paused the mission before its departure '
+                'was on disk; it stays at the base'
+            )
+            self._is_at_gate = False
+            self._come_home(deployment)
+            return working(f'home from {self._key(deployment)}')
+        return waiting_for(
+            f'the recorder to tell on {self._agent}/recorded that the departure of '
+            f'{self._key(deployment)} is on disk (parameter recorded)'
+        )
 
     def _end_leg(self, place: Place) -> None:
         """Judge how a goal ended."""

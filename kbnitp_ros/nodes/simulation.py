@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import (
     agents_of,
     dynamics_of,
@@ -18,12 +18,15 @@ from kbnitp_ros.configuration import (
 from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import DeploymentKey, Observation, Traverse, World
 from kbnitp_ros.log.deployments import RecordedDeployment
+from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
+from kbnitp_ros.messages.status import State, status_message
 from kbnitp_ros.nodes.hidden_field import HiddenField
+from kbnitp_ros.nodes.hold import Hold
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -107,7 +110,9 @@ class Simulation:
         )
 
     def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
-        """Take note of a deployment on record."""
+        """Take note of a deployment on record, unless its robot is still to depart."""
+        if deployment.is_refused or (self.field.is_static and not deployment.has_departed):
+            return
         if self.field.is_static and self.is_over(deployment):
             self.field.pass_over(key.agent)
             return
@@ -116,7 +121,7 @@ class Simulation:
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
         """
-        Return the randomness of an agent's robot, counted from 0.
+        Return the randomness of an agent's robot, counted from 0 as they depart.
 
         Robots leave in rounds, the agents in their order, and the n-th of all robots has the n-th
         child of the seed, as in core's run_mission.
@@ -185,17 +190,24 @@ class AgentPaths:
         return key, path, mission
 
     def _take_path(self, sent: tuple[DeploymentKey, NDArray[np.intp], int]) -> None:
-        """Have a robot leave whose path no crash can take from the base any more."""
+        """Take a path that no crash can take from the base any more."""
         key, path, mission = sent
         check_mission(mission, self._mission)
         self._mission = mission
         self._known[key] = path
-        self._simulation.take(key, path)
+        self._follow(key)
+
+    def _follow(self, key: DeploymentKey) -> None:
+        """Have the simulation know of a path that is on record."""
+        self._simulation.take(key, self._known[key])
 
 
 class SimulatedAgent(AgentPaths):
     """
     Sends a simulated robot along each path that one agent is given, and reports how it ended.
+
+    A robot is at home when its path comes. It departs when it may, and moves when that is on
+    record.
 
     Parameters
     ----------
@@ -218,7 +230,11 @@ class SimulatedAgent(AgentPaths):
         self._prefix = prefix
         simulation.leave[name] = self._leave
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
+        self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        # Those whose robots may not depart yet.
+        self._at_home: list[DeploymentKey] = []
+        self._hold = Hold(self._node, prefix, self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
         for key, deployment in recorded.items():
@@ -232,7 +248,38 @@ class SimulatedAgent(AgentPaths):
         """Publish a report on record again, and do not make that deployment once more."""
         self._known[key] = deployment.path
         assert deployment.observation
+        self._say(key, State.DEPARTED)
         self.reports.publish(report_message(key, deployment.observation, deployment.reported))
+
+    @property
+    def pending(self) -> int:
+        """How many of its robots have not departed yet."""
+        return super().pending + len(self._at_home)
+
+    @property
+    def awaited(self) -> str:
+        """Return what its robots wait for; empty when none does."""
+        return (self._hold.awaited if self._at_home else '') or super().awaited
+
+    def _follow(self, key: DeploymentKey) -> None:
+        """Have a robot depart when it may."""
+        self._at_home.append(key)
+        self._say(key, State.ACCEPTED)
+        self._depart_all()
+
+    def _depart_all(self) -> None:
+        """Have all robots depart that are at home, if they may."""
+        if self._hold.awaited:
+            return
+        at_home, self._at_home = self._at_home, []
+        for key in at_home:
+            departure = content_hash(status_message(key, State.DEPARTED, key.stamp))
+            self._sent.when_recorded(key.stamp, departure, partial(super()._follow, key))
+            self._say(key, State.DEPARTED)
+
+    def _say(self, key: DeploymentKey, state: State) -> None:
+        """Say what is done with an order; an agent that was restarted says the very same again."""
+        self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
         period = value_for(self._node.values, 'step_period', self.name)

@@ -44,6 +44,11 @@ class Views:
     agents : sequence of str
         Of the mission. Each agent that is a node of its own publishes the same truth.
 
+    Attributes
+    ----------
+    out : int
+        How many robots have departed and were not reported.
+
     """
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
@@ -55,6 +60,7 @@ class Views:
         self._pending: tuple[Ledger, Held | None, int] | None = None
         self._message = Progress()
         self._standing = NOT_KNOWN
+        self.out = 0
         self._is_progress_pending = False
         self._maps = {
             name: node.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
@@ -111,10 +117,11 @@ class Views:
         self._newest = Held.by(ledger)
         self._publish_or_wait()
 
-    def show_in_flight(self, ledger: Ledger) -> None:
-        """Show how many robots are in flight, if that has changed."""
-        if ledger.in_flight != self._message.out:
-            self._message.ordered, self._message.out = len(ledger.paths), ledger.in_flight
+    def show_out(self, ledger: Ledger) -> None:
+        """Show how many robots were ordered and how many are out, if that has changed."""
+        counts = len(ledger.paths), self.out
+        if counts != (self._message.ordered, self._message.out):
+            self._message.ordered, self._message.out = counts
             self._is_progress_pending = True
             self._publish_or_wait()
 
@@ -138,7 +145,9 @@ class Views:
                 values = getattr(ledger.belief, name)
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
             world = World(**self._truth) if len(self._truth) == 2 else None
-            self._message = progress_message(ledger, before, world, stamp, self._standing)
+            self._message = progress_message(
+                ledger, before, world, stamp, self.out, self._standing
+            )
         if self._pending or self._is_progress_pending:
             self._progress.publish(self._message)
         self._pending, self._is_progress_pending = None, False

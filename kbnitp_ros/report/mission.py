@@ -24,6 +24,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.log.configuration import read_parameters, RUN
+from kbnitp_ros.log.departures import read_departures
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
 from kbnitp_ros.messages.models import Known
@@ -321,8 +322,9 @@ def notes_of(log: str | Path, evidence: Evidence) -> Iterator[str]:
     """Yield what is to be known of a log besides."""
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
-    if evidence.without_report:
-        number = len(evidence.without_report)
+    departures = read_departures(log)
+    number = sum(not departures.is_at_base(key) for key in evidence.without_report)
+    if number:
         robots = '1 robot was' if number == 1 else f'{number} robots were'
         yield f'{robots} still out when the log ends.'
     if evidence.without_path:

@@ -47,6 +47,8 @@ class Deployment:
         When its mission began, in nanoseconds.
     path : tuple of int
         The cells of its path.
+    departed : int
+        When the robot said that it departs, in nanoseconds; 0 before.
     steps : list of Step
         Those made so far.
     is_home : bool
@@ -57,6 +59,7 @@ class Deployment:
     stamp: int
     mission: int
     path: tuple[int, ...]
+    departed: int = 0
     steps: list[Step] = field(default_factory=list)
     is_home: bool = False
 

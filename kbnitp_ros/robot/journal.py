@@ -6,8 +6,10 @@ It survives a loss of power at any moment. A line is on the disk before the robo
 is never changed. A line is eight hexadecimal digits, a space, and JSON; the digits are the CRC-32
 of the JSON, begun with that of the line before, so that a line counts only where it was written.
 
-    {"journal": 1, "agent": NAME, "grid": {...}}                     once, first
-    {"deployment": NS, "mission": NS, "orders": [CELL, ...]}         before the robot leaves
+    {"journal": 2, "agent": NAME, "grid": {...}}                     once, first
+    {"refused": NS, "time": NS, "reason": TEXT}                      the robot stays at the base
+    {"deployment": NS, "mission": NS, "orders": [CELL, ...], "departed": NS}
+                                                                     before it says that it departs
     {"step": NUMBER, "cell": CELL, "time": NS, "reading": -1 or 0 or 1}
     {"home": NS}                                                     no step follows
 
@@ -30,7 +32,7 @@ from kbnitp_ros.core import Grid
 from kbnitp_ros.files import naming
 from kbnitp_ros.robot.deployment import Deployment, Step
 
-VERSION = 1
+VERSION = 2
 
 # What a journal says of its field, besides the blocked cells: of these there may be very many.
 FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
@@ -50,6 +52,8 @@ class Journal:
         The file.
     deployments : list of Deployment
         The deployments on record, in order.
+    refusals : dict of int to (int, str)
+        By the stamps of their paths: when orders were refused, in nanoseconds, and why.
     corruption : str
         What was cut off when it was opened, and where that is kept; empty when nothing.
 
@@ -65,6 +69,7 @@ class Journal:
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
         self.deployments: list[Deployment] = []
+        self.refusals: dict[int, tuple[int, str]] = {}
         self.corruption = ''
         # What is not on the disk yet, for want of room there.
         self._unwritten: deque[dict[str, Any]] = deque()
@@ -143,7 +148,11 @@ class Journal:
         """Take in a line that is as it was written."""
         if 'deployment' in entry:
             path = tuple(entry['orders'])
-            self.deployments.append(Deployment(entry['deployment'], entry['mission'], path))
+            self.deployments.append(
+                Deployment(entry['deployment'], entry['mission'], path, entry['departed'])
+            )
+        elif 'refused' in entry:
+            self.refusals[entry['refused']] = entry['time'], entry['reason']
         elif 'step' in entry:
             steps, number = self.deployments[-1].steps, entry['step']
             if not 1 <= number <= len(steps) + 1:
@@ -186,7 +195,7 @@ class Journal:
 
     def depart(self, deployment: Deployment) -> None:
         """
-        Begin a deployment.
+        Begin a deployment: when the robot departs is told by it.
 
         Raises
         ------
@@ -200,9 +209,33 @@ class Journal:
                 'deployment': deployment.stamp,
                 'mission': deployment.mission,
                 'orders': list(deployment.path),
+                'departed': deployment.departed,
             }
         )
         self.deployments.append(deployment)
+
+    def refuse(self, stamp: int, time: int, reason: str) -> None:
+        """
+        Keep that the robot does not follow an order, for good.
+
+        Parameters
+        ----------
+        stamp : int
+            That of its path, in nanoseconds.
+        time : int
+            When it is refused, in nanoseconds.
+        reason : str
+            Why.
+
+        Raises
+        ------
+        OSError
+            If that is not on the disk: then it is not refused.
+
+        """
+        self.write()
+        self._append({'refused': stamp, 'time': time, 'reason': reason})
+        self.refusals[stamp] = time, reason
 
     def step(self, deployment: Deployment, number: int) -> None:
         """

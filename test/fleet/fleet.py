@@ -70,6 +70,9 @@ class Fleet:
         self._detection_type = detection_type
         self._talkers = {}
         self.simulator = None
+        if not mission:
+            field.let_depart()
+            self.statuses = {name: field.record_departures(name) for name in names}
 
     def simulate(self, **places):
         """Start the simulator; robots begin where they were, or at these x and y."""

@@ -23,6 +23,8 @@ PARAMETERS = {
     'prior.hazard': 0.1,
     'robots': 4,
     'recorded': True,
+    # The agents that the test plays do not say when their robots depart.
+    'presume_departure': True,
 }
 NODES = ('recorder', 'estimator', 'planner')
 AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}

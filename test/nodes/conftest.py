@@ -11,6 +11,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import ForkedProcesses
+from kbnitp_msgs.msg import AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
@@ -20,6 +21,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from samples import on_disk
+from std_msgs.msg import Bool
 
 COVERED = 'COVERAGE_PROCESS_CONFIG' in os.environ
 
@@ -126,6 +129,25 @@ class Field:
         publisher = self.node.create_publisher(kind, topic, profile)
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
+
+    def let_depart(self, namespace=''):
+        """Tell the agents of a mission, in place of its planner, that robots may depart."""
+        publisher = self.node.create_publisher(Bool, f'{namespace}/hold', qos.LATCHED)
+        publisher.publish(Bool(data=False))
+        return publisher
+
+    def record_departures(self, agent):
+        """Tell an agent, in place of a recorder, what departures are on disk; list statuses."""
+        told = []
+        publisher = self.node.create_publisher(Recorded, f'/{agent}/recorded', qos.EVIDENCE)
+
+        def hear(status):
+            told.append(status)
+            if status.state == AgentStatus.DEPARTED:
+                publisher.publish(on_disk(status))
+
+        self.node.create_subscription(AgentStatus, f'/{agent}/status', hear, qos.EVIDENCE)
+        return told
 
     def until(self, condition, what, patience=PATIENCE, *, may_end=False):
         """Handle messages until something holds; no node may end meanwhile unless told so."""

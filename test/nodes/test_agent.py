@@ -22,6 +22,12 @@ from visualization_msgs.msg import Marker
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
 
 
+@pytest.fixture(autouse=True)
+def departing(field):
+    """Let robots depart."""
+    field.let_depart()
+
+
 def expected_reports(world, model, seed, paths):
     """Return what becomes of robots sent along these paths, by core alone."""
     rng = np.random.default_rng(seed)
@@ -163,6 +169,7 @@ def test_the_grid_may_lie_anywhere(field):
 def test_a_robot_leaves_when_its_path_is_on_disk(field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
+    field.record_departures('scout_1')
     field.start('agent', {**PARAMETERS, 'recorded': True})
     paths = field.talk(Path, '/scout_1/path')
     for number in (1, 2, 3):

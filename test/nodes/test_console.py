@@ -86,8 +86,16 @@ def test_the_planner_says_for_whom_it_waits(field):
 @pytest.mark.parametrize(
     'parameters, told',
     [
-        ({'silent_loss': True}, 'at most until 10.0 s after it is due (parameter return_deadline'),
-        ({'recorded': True}, 'it leaves when the recorder tells on /scout_1/recorded'),
+        (
+            {'silent_loss': True, 'presume_departure': True},
+            'at most until 10.0 s after it is due (parameter return_deadline',
+        ),
+        (
+            {'silent_loss': True},
+            'nobody publishes /scout_1/status, so that the silence of a robot that has not left '
+            'would count as its loss (parameter presume_departure)',
+        ),
+        ({'recorded': True}, 'it may leave when the recorder tells on /scout_1/recorded'),
     ],
 )
 def test_the_planner_says_what_ends_the_wait_for_a_robot(field, parameters, told):

@@ -43,14 +43,20 @@ def test_of_two_paths_of_one_stamp_that_on_disk_first_holds_for_all(field):
     field.start('agent', {**parameters, 'await_nodes': ['estimator', 'recorder']})
     field.until(lambda: beliefs, 'prior')
     begun = from_stamp(beliefs[0].header.stamp)
+    field.let_depart()
     planners = [field.talk(Path, '/scout_1/path') for _ in WALKS]
     for number in range(1, 4):
         sent = [path_message(GRID, walk, begun + number * SECOND, begun) for walk in WALKS]
         for planner, message in zip(planners, sent):
             planner.publish(message)
         field.until(lambda n=number: len(reports) == n, f'report {number}')
-        first = next(each for each in told if each.stamp == sent[0].header.stamp)
-        (walked,) = [w for w, s in zip(WALKS, sent) if content_hash(s) == first.content]
+        by_content = {content_hash(message): walk for message, walk in zip(sent, WALKS)}
+
+        def counted(by_content=by_content):
+            return [by_content[each.content] for each in told if each.content in by_content]
+
+        field.until(counted, f'acknowledgement {number}')
+        walked = counted()[0]
         report = read_report(reports[-1])[1]
         assert not report.survived or [cell for cell, _ in report.readings] == walked[1:]
     field.until(lambda: beliefs[-1].deployments == 3, 'belief')
@@ -69,6 +75,8 @@ def test_forged_acknowledgements_keep_no_robot_at_home(field):
     for number in range(5200):
         forger.publish(Recorded(stamp=to_stamp(number + 1)))
     field.start('agent', {**FIELD, 'recorded': True, 'await_nodes': ['test']})
+    field.let_depart()
+    field.record_departures('scout_1')
     field.talk(Path, '/scout_1/path').publish(path(1))
     field.until(lambda: reports, 'report')
     assert read_report(reports[0])[0] == key(1)
@@ -82,6 +90,7 @@ def test_a_planner_acknowledges_its_own_paths_only_and_gives_up_what_left(field)
     )
     field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     silent = {'silent_loss': True, 'return_deadline': 0.5, 'recorded': True}
+    silent['presume_departure'] = True
     field.start('planner', {**FIELD, **silent, 'robots': 1, 'await_nodes': ['test']})
     field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
     field.until(lambda: paths, 'path')

@@ -106,6 +106,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
 
 def test_a_report_that_does_not_fit_leaves_a_silent_robot_to_be_given_up(field):
     silent = {**FIELD, 'silent_loss': True, 'return_deadline': 0.5, 'robots': 1}
+    silent['presume_departure'] = True
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
@@ -193,6 +194,7 @@ def test_whoever_is_on_the_network_can_send_a_robot_out(field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     field.start('estimator', {**FIELD, 'await_nodes': ['test']})
     field.start('agent', {**FIELD, 'recorded': True, 'await_nodes': ['estimator']})
+    field.let_depart()
     field.until(lambda: beliefs, 'prior')
     paths = field.talk(Path, '/scout_1/path')
     begun = from_stamp(beliefs[0].header.stamp)
@@ -201,6 +203,7 @@ def test_whoever_is_on_the_network_can_send_a_robot_out(field):
     field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
     # The robot waits for the recorder, which anybody can pass for.
     field.talk(Recorded, '/scout_1/recorded').publish(on_disk(forged))
+    field.record_departures('scout_1')
     field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
     field.until(lambda: reports, 'report')
     assert len(reports) == 1

@@ -42,7 +42,9 @@ class Node:
 
 def test_a_pause_that_is_begun_and_ended_for_ever_stays_and_fills_no_log():
     node = Node()
-    operator = Operator(node, Grid(3, 3), DeploymentsInFlight({}, 1), None, lambda _: None)
+    operator = Operator(
+        node, Grid(3, 3), DeploymentsInFlight({}, 1), None, lambda _: None, lambda _: None
+    )
     for _ in range(MOST_TIMES):
         assert node.call('pause', SetBool, data=True).success
         assert node.call('pause', SetBool, data=False).success

@@ -301,7 +301,7 @@ def test_a_round_that_was_whole_is_left_as_it_is(field):
     assert heard == [[expected[0]], [expected[1]], []]
 
 
-SILENT = {'silent_loss': True, 'return_deadline': 0.3}
+SILENT = {'silent_loss': True, 'return_deadline': 0.3, 'presume_departure': True}
 
 
 def test_a_resumed_planner_says_again_which_robots_it_gave_up(field):
@@ -481,7 +481,7 @@ def test_a_search_beyond_memory_is_refused(field):
 
 
 def test_the_bound_of_a_plan_is_told_with_the_progress(field):
-    mission = Mission(field, {'robots': 1, 'bound': True})
+    mission = Mission(field, {'robots': 1, 'bound': True, 'presume_departure': True})
     shown = field.listen(Progress, '/progress')
     progress = field.node.create_publisher(Progress, '/progress', qos.LATCHED)
     field.until(lambda: progress.get_subscription_count() == 2, 'readers of progress')
@@ -523,7 +523,7 @@ def test_fewer_robots_than_have_left_are_refused(field):
     for robots in (0, 2):
         refused = set_number(field, 'robots', robots)
         assert not refused.successful
-        assert f'robots is {robots}: 3 robots have left' in refused.reason
+        assert f'robots is {robots}: 3 robots were sent' in refused.reason
     mission.reports.publish(mission.lose(2))
     assert set_number(field, 'robots', 3).successful
     mission.show_belief()
@@ -539,7 +539,7 @@ def test_a_log_of_more_robots_than_asked_for_is_not_resumed(field):
             writer.write('/scout_1/path', serialize_message(path), stamp, stamp)
     planner = field.start('planner', {**PARAMETERS, 'robots': 1, 'resume': str(log)})
     assert planner.wait(timeout=60) == 2
-    assert 'robots is 1: 2 robots have left, and it must be at least that' in field.said(
+    assert 'robots is 1: 2 robots were sent, and it must be at least that' in field.said(
         '/planner'
     )
 

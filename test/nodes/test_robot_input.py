@@ -37,7 +37,7 @@ def transform(field, x, y, parent='map', child='base_link', turned=1.0):
 def test_positions_that_none_can_be_make_no_step(field):
     """The robot goes where the test says; nothing drives it, so it waits for its action server."""
     fleet = Fleet(field)
-    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0), [Step(1, 1), Step(2, 2)])
+    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0), 1, [Step(1, 1), Step(2, 2)])
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
     journal.depart(deployment)
     for number in (1, 2):

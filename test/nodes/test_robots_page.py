@@ -6,10 +6,11 @@ import re
 import subprocess
 import sys
 
-from kbnitp_msgs.msg import DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.log.replay import replay
 from nav_msgs.msg import Path as PathMessage
 import pytest
+from std_msgs.msg import Bool
 
 PAGE = Path(__file__).parents[2] / 'docs/robots.md'
 PRINTED = re.search(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)[1]
@@ -35,7 +36,8 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     log = field.folder / 'log' / 'mission.mcap'
     log.parent.mkdir()
     reports = field.listen(DeploymentReport, '/scout_1/report')
-    parameters = {'robots': 3, 'file': str(log), 'max_steps': 8}
+    parameters = {'robots': 3, 'file': str(log), 'max_steps': 8, 'recorded': True}
+    parameters['silent_loss'] = True
     minimal_agent()
     for node in ('recorder', 'estimator'):
         field.start(node, parameters)
@@ -55,7 +57,10 @@ def test_the_page_names_topics_of_their_types():
     for topic, kind in (
         ('path', PathMessage),
         ('recorded', Recorded),
+        ('status', AgentStatus),
         ('report', DeploymentReport),
+        ('hold', Bool),
     ):
         package = kind.__module__.partition('.')[0]
-        assert f'| `AGENT/{topic}` | {package}/{kind.__name__} |' in PAGE.read_text()
+        above = '' if topic == 'hold' else 'AGENT/'
+        assert f'| `{above}{topic}` | {package}/{kind.__name__} |' in PAGE.read_text()

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which orders have departed and which were refused, by what their agents say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from kbnitp_ros.bag import read_log, same_types
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.messages.deployments import agent_of
+from kbnitp_ros.messages.status import AgentStatus, read_status, State
+
+STATUS = 'kbnitp_msgs/msg/AgentStatus'
+
+
+class Departures:
+    """
+    What became of orders: a fold of the statuses and the reports of all agents.
+
+    Both come on topics of their own, so that a report may be heard before the status that it
+    follows. A robot has departed if it said so, or if its agent reported how that ended.
+
+    Attributes
+    ----------
+    out : set of DeploymentKey
+        The robots that have departed and were not reported.
+
+    """
+
+    def __init__(self) -> None:
+        self.out: set[DeploymentKey] = set()
+        self._statuses: dict[DeploymentKey, AgentStatus] = {}
+        # When the agent made its report, by its own clock; None if another one did.
+        self._reported: dict[DeploymentKey, int | None] = {}
+
+    def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
+        """
+        Take note of a status; a refusal leaves everything as it was.
+
+        Returns
+        -------
+        bool
+            Whether it says something new.
+
+        Raises
+        ------
+        ValueError
+            If it contradicts what was said before, or comes after that or after the report.
+
+        """
+        known = self._statuses.get(key)
+        if known is not None and not self._follows(key, status, known):
+            return False
+        if key in self._reported:
+            reported = self._reported[key]
+            is_late = reported is not None and status.stamp > reported
+            if status.state is State.REFUSED or is_late:
+                raise ValueError(
+                    f'deployment {key} is {status.state.name} after it was reported: the report '
+                    'holds'
+                )
+        elif status.state is State.DEPARTED:
+            self.out.add(key)
+        self._statuses[key] = status
+        return True
+
+    @staticmethod
+    def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
+        """Return whether a status follows the one known; raises ValueError if it cannot."""
+        if status == known or status.state is known.state is State.ACCEPTED:
+            return False
+        if known.state is State.ACCEPTED:
+            return True
+        if status.state is State.ACCEPTED and status.stamp <= known.stamp:
+            # It was said before, and heard again by one that was restarted.
+            return False
+        raise ValueError(
+            f'deployment {key} is {status.state.name}, and was {known.state.name} before: the '
+            f'first counts (do two robots have the name {key.agent}?)'
+        )
+
+    def end(self, key: DeploymentKey, reported: int | None) -> None:
+        """
+        Take note of a report.
+
+        Parameters
+        ----------
+        key : DeploymentKey
+            Of which deployment.
+        reported : int or None
+            When the agent made it, in nanoseconds; None if others gave the robot up.
+
+        """
+        self._reported[key] = self._reported.get(key) if reported is None else reported
+        self.out.discard(key)
+        if self.is_refused(key):
+            # Whoever comes back has been away.
+            del self._statuses[key]
+
+    def status(self, key: DeploymentKey) -> AgentStatus | None:
+        """Return what was said last of an order; None if nothing was."""
+        return self._statuses.get(key)
+
+    def is_refused(self, key: DeploymentKey) -> bool:
+        """Return whether the robot stays at the base."""
+        status = self._statuses.get(key)
+        return status is not None and status.state is State.REFUSED
+
+    def is_at_base(self, key: DeploymentKey) -> bool:
+        """Return whether the agent said something of an order, and not that the robot departs."""
+        status = self._statuses.get(key)
+        return status is not None and status.state is not State.DEPARTED
+
+    def check_loss(self, key: DeploymentKey) -> None:
+        """
+        Check that a robot can have been lost.
+
+        Raises
+        ------
+        ValueError
+            If it stays at the base.
+
+        """
+        if self.is_refused(key):
+            raise ValueError(
+                f'deployment {key} is reported lost, and its robot stays at the base: '
+                f'{self._statuses[key].reason}'
+            )
+
+
+def read_statuses(log: str | Path) -> Iterator[tuple[DeploymentKey, AgentStatus]]:
+    """
+    Yield what is on record that agents said of their orders, as far as it can be read.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is corrupt.
+
+    """
+    with same_types(log):
+        for logged in read_log(log, (STATUS,)):
+            with suppress(ValueError):
+                yield read_status(logged.message, agent_of(logged.topic))
+
+
+def read_departures(log: str | Path) -> Departures:
+    """Return what became of the orders on record, as `Departures.take` judges it."""
+    departures = Departures()
+    for key, status in read_statuses(log):
+        # What was refused when it came is refused again.
+        with suppress(ValueError):
+            departures.take(key, status)
+    return departures

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Silence of a robot that may be at its base teaches nothing, and a pause keeps robots there."""
+
+from __future__ import annotations
+
+from base import Base, GRID
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.deployments import read_path
+from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.status import State, status_message
+from kbnitp_ros.nodes.runtime import qos
+from nav_msgs.msg import Path
+from samples import FIELD, on_disk, path
+from std_msgs.msg import Bool
+
+SILENT = {'silent_loss': True, 'return_deadline': 1.0, 'presume_departure': False}
+
+
+class StatedBase(Base):
+    """A base that takes silence for loss, and the test as agents that say when they depart."""
+
+    def __init__(self, field, agents=('scout_1',), **parameters):
+        self.statuses = {
+            each: field.node.create_publisher(AgentStatus, f'/{each}/status', qos.EVIDENCE)
+            for each in agents
+        }
+        self.holds = field.listen(Bool, '/hold')
+        self.progress = field.listen(Progress, '/progress')
+        super().__init__(field, agents, **{**SILENT, **parameters})
+
+    def say(self, state, reason='', agent='scout_1', stamp=None):
+        """Say what becomes of the newest order; return the message."""
+        key = max(read_path(GRID, agent, path)[0] for path in self.paths[agent])
+        message = status_message(key, state, key.stamp if stamp is None else stamp, reason)
+        self.statuses[agent].publish(message)
+        return message
+
+    def until_named(self, message, agent='scout_1'):
+        """Wait until a path or a departure is said to be on disk."""
+        content = content_hash(message)
+        self.field.until(
+            lambda: content in [each.content for each in self.acknowledged[agent]], 'record'
+        )
+
+
+def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(field):
+    base = StatedBase(field, robots=2)
+    base.until_sent(1)
+    # Neither silence nor acceptance says that it has left, however long it lasts.
+    base.say(State.ACCEPTED)
+    base.until_state('to depart, as its agent tells on /scout_1/status')
+    told = base.refused('give_up', agent='scout_1', steps_survived=0)
+    assert 'is not known to have departed, and a robot at its base is not lost' in told
+    # Longer than the deadline of one that departed.
+    begun = field.diagnosed_at('/planner')
+    field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
+    assert not base.heard['scout_1']
+    base.say(State.REFUSED, 'the battery is low')
+    base.until_sent(2)
+    assert 'the battery is low; nothing is learnt of it' in field.said('/planner')
+    base.until_named(base.say(State.DEPARTED))
+    field.until(lambda: base.heard['scout_1'], 'loss')
+    base.until_held(1)
+    newest = read_path(GRID, 'scout_1', base.paths['scout_1'][1])[0]
+    assert [from_stamp(each.deployment) for each in base.heard['scout_1']] == [newest.stamp]
+    assert f'{newest} leaves for' in field.said('/planner')
+    field.until(lambda: base.progress[-1].out == 0, 'nobody to be out')
+    assert max(each.out for each in base.progress) <= 1
+    # The order that was refused is none of the mission's robots, after any crash.
+    base.until_sent(3)
+    base.until_named(base.paths['scout_1'][-1])
+    base.crash()
+    # On record are two orders that count: the planner sends those again, and no third.
+    base.until_named(base.say(State.DEPARTED))
+    base.until_held(2)
+    base.until_state('done: 2 of 2')
+    report = base.replayed()
+    assert len(report.evidence.reports) == 2
+    (refused,) = report.evidence.without_report
+    assert report.departures.status(refused).reason == 'the battery is low'
+
+
+def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
+    base = StatedBase(field, robots=1, return_deadline=1000.0)
+    base.until_sent(1)
+    key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
+    unknown = status_message(DeploymentKey('scout_1', 5), State.DEPARTED, 6)
+    base.statuses['scout_1'].publish(unknown)
+    assert 'DEPARTED, and no path of it was sent' in field.until_refused('/planner', 1)
+    other = status_message(DeploymentKey('scout_2', key.stamp), State.DEPARTED, 6)
+    base.statuses['scout_1'].publish(other)
+    assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)
+    # The recorder waits for the path of a departure that it does not know, and then refuses it.
+    field.until(lambda: field.count('/recorder', 'refused') == 2, 'refusals by the recorder')
+    assert 'its path is not on record' in field.said('/recorder')
+    base.until_named(base.say(State.DEPARTED))
+    for number, (state, reason) in enumerate(
+        ((State.DEPARTED, ''), (State.REFUSED, 'too late'), (State.ACCEPTED, '')), start=3
+    ):
+        base.say(state, reason, stamp=key.stamp + 1)
+        assert 'and was DEPARTED before' in field.until_refused('/planner', number)
+    # Only the departure that came first is said to be on disk.
+    departures = [each for each in base.acknowledged['scout_1'] if from_stamp(each.stamp)]
+    assert len({each.content for each in departures}) == 2
+    base.come_back()
+    base.until_state('done: 1 of 1')
+    base.say(State.REFUSED, 'too late', stamp=key.stamp + 2)
+    field.until_refused('/planner', 6)
+    assert base.beliefs[-1].deployments == 1
+
+
+def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
+    base = StatedBase(field)
+    field.until(lambda: [each.data for each in base.holds] == [False], 'word that none is held')
+    base.until_sent(1)
+    field.kill('/recorder')
+    base.clients['pause'].wait_for_service(10.0)
+    answer = base.clients['pause'].call_async(base.clients['pause'].srv_type.Request(data=True))
+    field.until(lambda: base.holds[-1].data, 'hold')
+    assert not answer.done()
+    field.start('recorder', {**base.parameters, 'resume': str(base.log)})
+    field.until(answer.done, 'answer')
+    stranger = field.talk(Bool, '/hold', qos.LATCHED)
+    stranger.publish(Bool(data=False))
+    why = 'hold refused: data is False, and this planner says True, which holds: nodes'
+    field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
+    field.until(lambda: base.holds[-1].data, 'the planner to say it again')
+    base.crash()
+    # The planner that goes on knows that the mission is paused.
+    base.do('pause', data=False)
+    field.until(lambda: not base.holds[-1].data, 'end of the pause')
+
+
+def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_record(field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    statuses = field.listen(AgentStatus, '/scout_1/status')
+    recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
+    field.start('agent', {**FIELD, 'await_nodes': ['test'], 'recorded': True})
+    holds = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
+    paths = field.talk(Path, '/scout_1/path')
+    paths.publish(path(1))
+    field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
+    recorded.publish(on_disk(path(1)))
+    for state in ('the planner to tell on /hold', 'the operator to end the pause'):
+        field.until(lambda state=state: state in field.state('/agent'), state)
+        assert [each.state for each in statuses] == [State.ACCEPTED]
+        holds.publish(Bool(data=True))
+    holds.publish(Bool(data=False))
+    field.until(lambda: len(statuses) == 2, 'departure')
+    assert statuses[1].state == State.DEPARTED
+    assert not reports
+    recorded.publish(on_disk(statuses[1]))
+    field.until(lambda: reports, 'report')
+    assert reports[0].deployment == path(1).header.stamp
