@@ -121,7 +121,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     @property
     def undeparted(self) -> list[DeploymentKey]:
-        """The robots that may never depart: their agents have not said that they do."""
+        """Return the robots that may never depart: their agents have not said that they do."""
         if self._values['presume_departure']:
             return []
         return [key for key in self._in_flight if not self.has_departed(key)]
