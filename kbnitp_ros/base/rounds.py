@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 import time
 from typing import Any
 
@@ -29,6 +31,27 @@ Paths = dict[DeploymentKey, NDArray[np.intp]]
 Plans = dict[DeploymentKey, Plan]
 
 
+@dataclass(frozen=True)
+class PlannedRound:
+    """
+    What a search found.
+
+    Attributes
+    ----------
+    plans : dict of DeploymentKey to Plan
+        Of robots that leave together.
+    why_not_worth : str
+        Why they are not worth flying; empty if they are.
+    seconds : float
+        How long the search took.
+
+    """
+
+    plans: Plans
+    why_not_worth: str
+    seconds: float
+
+
 class Rounds:
     """
     Plans rounds, each on a belief.
@@ -44,11 +67,6 @@ class Rounds:
     knowledge : Knowledge
         The goal, and what is known of the hazards for it.
 
-    Attributes
-    ----------
-    why_not_worth : str
-        Why the plans made last are not worth flying; empty if they are.
-
     """
 
     def __init__(
@@ -58,7 +76,6 @@ class Rounds:
         warn: Callable[[str], object],
         knowledge: Knowledge,
     ) -> None:
-        self.why_not_worth = ''
         self._knowledge = knowledge
         self._grid = grid
         self._values = values
@@ -75,7 +92,7 @@ class Rounds:
         """Take note that the robot of a path stays at the base."""
         np.subtract.at(self._visited, path[1:], 1)
 
-    def plan(
+    def search(
         self,
         known: Snapshot,
         agents: Sequence[str],
@@ -83,9 +100,11 @@ class Rounds:
         stamp: int,
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
-    ) -> Plans:
+    ) -> Callable[[], PlannedRound]:
         """
-        Return the plans of robots that leave together.
+        Return the search for the paths of robots that leave together.
+
+        It has all that it needs by itself, so that it may run while other things change.
 
         Parameters
         ----------
@@ -103,14 +122,14 @@ class Rounds:
             The paths of this round that were taken note of before it is planned.
 
         """
-        start = time.monotonic()
 
         def robot_type(agent: str) -> RobotType:
             return type_to_plan(self._values, agent, known.robot_types)
 
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
-        goal = self._knowledge.goal
-        team = plan_round(
+        goal, stop = self._knowledge.goal, self._knowledge.stop
+        plan = partial(
+            plan_round,
             goal,
             self._knowledge.draws(known) if goal is not None else None,
             self._grid,
@@ -123,16 +142,17 @@ class Rounds:
             keepout=keepout_cells(self._grid, most_steps, len(agents), refused),
             bound=self._values['bound'],
         )
-        away = [
-            value_for(self._values, 'step_period', agent) * (len(planned.path) - 1)
-            for agent, planned in zip(agents, team.plans)
-        ]
-        self.why_not_worth = self._knowledge.stop.why_not_worth(team)
-        self._say_if_slow(time.monotonic() - start, max(away))
-        return {
-            DeploymentKey(agent, stamp + number): planned
-            for number, (agent, planned) in enumerate(zip(agents, team.plans))
-        }
+
+        def planned() -> PlannedRound:
+            start = time.monotonic()
+            team = plan()
+            plans = {
+                DeploymentKey(agent, stamp + number): each
+                for number, (agent, each) in enumerate(zip(agents, team.plans))
+            }
+            return PlannedRound(plans, stop.why_not_worth(team), time.monotonic() - start)
+
+        return planned
 
     def missing(
         self,
@@ -154,7 +174,7 @@ class Rounds:
             return {}
         first = next_name(planned_on.stamp, planned_on.mission)
         noted = list(recorded.values())
-        planned = self.plan(planned_on, agents, {}, first, refused, noted)
+        planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)
@@ -163,13 +183,17 @@ class Rounds:
             return {}
         return {key: plan for key, plan in planned.items() if key not in recorded}
 
-    def _say_if_slow(self, planning: float, away: float) -> None:
-        """Say once that robots wait longer for their paths than they are away, in seconds."""
-        if 0.0 < away < planning and not self._is_slow:
+    def say_if_slow(self, planned: PlannedRound) -> None:
+        """Say once that robots wait longer for their paths than they are away."""
+        away = max(
+            value_for(self._values, 'step_period', key.agent) * (len(plan.path) - 1)
+            for key, plan in planned.plans.items()
+        )
+        if 0.0 < away < planned.seconds and not self._is_slow:
             self._is_slow = True
             self._warn(
-                f'planning took {planning:.1f} s, and the robots are back after {away:.1f} s: '
-                'a lower beam_width, or the planner relaxed, takes less'
+                f'planning took {planned.seconds:.1f} s, and the robots are back after '
+                f'{away:.1f} s: a lower beam_width, or the planner relaxed, takes less'
             )
 
 

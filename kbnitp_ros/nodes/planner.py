@@ -67,8 +67,10 @@ from kbnitp_ros.nodes.runtime.diagnostics import (
     State,
     waiting_for,
 )
+from kbnitp_ros.nodes.runtime.executor import OneByOne
 from kbnitp_ros.nodes.runtime.node import FieldNode, some
 from kbnitp_ros.nodes.runtime.process import run
+from kbnitp_ros.nodes.search import Search, Situation
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -100,10 +102,16 @@ class Obstacle(Enum):
     PAUSED = auto()
     NO_FREE_AGENT = auto()
     UNAPPROVED = auto()
+    SEARCHING = auto()
 
 
 # What keeps robots from leaving for a while in every mission.
-PLAIN = {Obstacle.UNREPORTED, Obstacle.BELIEF_BEHIND, Obstacle.ALL_LEFT}
+PLAIN = {
+    Obstacle.UNREPORTED,
+    Obstacle.BELIEF_BEHIND,
+    Obstacle.ALL_LEFT,
+    Obstacle.SEARCHING,
+}
 
 
 class PlannerNode(FieldNode):
@@ -132,6 +140,11 @@ class PlannerNode(FieldNode):
         self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
         self._proposals = Proposals(self, self.grid, self._agents)
         self._refusals = Refusals()
+        # That for the paths of the next round; those that were found are kept while robots may
+        # not leave.
+        self._search: Search | None = None
+        # How often parameters were changed.
+        self._changes = 0
         # Where robots go that were sent and are not known to have departed, in words.
         self._goals: dict[DeploymentKey, str] = {}
         self._holding = Holding(self)
@@ -153,7 +166,7 @@ class PlannerNode(FieldNode):
                 raise ValueError(refusal)
         self._holding.tell(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
-        self.add_post_set_parameters_callback(lambda _: self._decisions.review())
+        self.add_post_set_parameters_callback(lambda _: self._note_change())
         # Before the beliefs: none holds a path that was not heard.
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         self._beliefs = self._hear_beliefs()
@@ -234,6 +247,11 @@ class PlannerNode(FieldNode):
         except ValueError as error:
             refusal = str(error)
         return SetParametersResult(successful=not refusal, reason=refusal)
+
+    def _note_change(self) -> None:
+        """Have what was planned by other parameters count no longer."""
+        self._changes += 1
+        self._decisions.review()
 
     def _hear_beliefs(self) -> Subscription:
         largest = largest_belief(self.grid.cells)
@@ -440,11 +458,13 @@ class PlannerNode(FieldNode):
         assert newest is not None
         try:
             plans = self._next_plans(newest)
-            self._decisions.note_not_worth(self._rounds.why_not_worth)
         except NoPathError as error:
             self._decisions.note_not_worth(error)
         if self._decisions.why_over():
             self._deploy()
+            return
+        if not plans:
+            self._tell(Obstacle.SEARCHING)
             return
         if self.values['approval'] and not self._are_approved(plans):
             self._tell(Obstacle.UNAPPROVED)
@@ -471,20 +491,61 @@ class PlannerNode(FieldNode):
             self.diagnostics.publish()
 
     def _next_plans(self, newest: Snapshot) -> Plans:
-        """Return the plans of the robots to leave next; those that are proposed if they are it."""
+        """
+        Return the plans of the robots to leave next; those that are proposed if they are it.
+
+        There are none as long as they are searched for.
+        """
         agents = self._free_agents()[: self._robots - self._sent]
         refused = self._operator.state.refused(self._in_flight.sent)
-        situation = newest.stamp, newest.deployments, agents, len(refused)
-        if self._proposals.are_for(situation):
+        belief = newest.stamp, newest.deployments
+        now = Situation(belief, agents, len(refused), self._changes)
+        if self._proposals.are_for(now):
             return self._proposals.plans
-        stamp = self._next_stamp(newest)
-        plans = self._rounds.plan(newest, agents, self._in_flight.paths, stamp, refused)
-        if self.values['approval'] and not self._are_approved(plans):
-            self._proposals.show(plans, situation)
-        for plan in plans.values():
+        search = self._search
+        if search is not None and not search.is_over:
+            return {}
+        if search is None or not self._is_wanted(search, now):
+            self._proposals.withdraw()
+            stamp, paths = self._next_stamp(newest), self._in_flight.paths
+            find = self._rounds.search(newest, agents, paths, stamp, refused)
+            self._search = Search(find, now, self._wake)
+            return {}
+        self._search = None
+        planned = search.found()
+        self._rounds.say_if_slow(planned)
+        self._decisions.note_not_worth(planned.why_not_worth)
+        if self.values['approval'] and not self._are_approved(planned.plans):
+            self._proposals.show(planned.plans, search.situation)
+        for plan in planned.plans.values():
             if self._bounds and plan.upper_bound is not None:
                 self._bounds.show(newest.stamp, plan.upper_bound)
-        return plans
+        return planned.plans
+
+    def _is_wanted(self, search: Search, now: Situation) -> bool:
+        """Return whether robots may leave on what a search has found."""
+        is_wanted = search.situation.lasts(now, self.values['rolling'])
+        if not is_wanted:
+            self.get_logger().info(
+                f'the paths found for {some(search.situation.agents)} are dropped: the belief, '
+                'the team, a parameter or what the operator refuses has changed since the search '
+                'began'
+            )
+        return is_wanted
+
+    def _wake(self) -> None:
+        """Have the thread of all callbacks look at what was found."""
+        executor = self.executor
+        if isinstance(executor, OneByOne):
+            executor.call_next(self._on_search_over)
+
+    def _on_search_over(self) -> None:
+        self._deploy()
+        if self._search and self._search.is_over:
+            self.get_logger().info(
+                f'paths were found for {some(self._search.situation.agents)}, and are kept: '
+                f'{self.diagnostics.state.sentence}'
+            )
 
     def _are_approved(self, plans: Plans) -> bool:
         paths = {key: plan.path for key, plan in plans.items()}
@@ -623,6 +684,7 @@ class PlannerNode(FieldNode):
             ),
             Obstacle.NO_FREE_AGENT: self._free_agent,
             Obstacle.UNAPPROVED: self._approval,
+            Obstacle.SEARCHING: self._searching,
         }
         return waiting_for(awaited[obstacle]())
 
@@ -648,6 +710,10 @@ class PlannerNode(FieldNode):
         if not self._peers.estimators:
             return f'{wait}: start an estimator'
         return f'{wait}: its estimator waits for those that its parameter await_nodes names'
+
+    def _searching(self) -> str:
+        assert self._search
+        return f'the search for the paths of {some(self._search.situation.agents)} to end'
 
     def _approval(self) -> str:
         topics = [

@@ -17,8 +17,10 @@ from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 import pytest
+from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from samples import on_disk
@@ -129,6 +131,15 @@ class Field:
         publisher = self.node.create_publisher(kind, topic, profile)
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
+
+    def set_parameter(self, full_name, name, value):
+        """Change a parameter of a node as `ros2 param set` does; return what the node answers."""
+        client = self.node.create_client(SetParameters, f'{full_name}/set_parameters')
+        self.until(client.service_is_ready, f'services of {full_name}')
+        wanted = Parameter(name, value=value).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[wanted]))
+        self.until(answer.done, f'answer of {full_name}')
+        return answer.result().results[0]
 
     def let_depart(self, namespace=''):
         """Tell the agents of a mission, in place of its planner, that robots may depart."""

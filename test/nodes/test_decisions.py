@@ -11,8 +11,6 @@ from kbnitp_ros.messages.deployments import read_path
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from unbroken import core_mission, with_defaults
 
 LANE = {
@@ -40,14 +38,6 @@ def ask(field, kind, service, request):
     future = client.call_async(request)
     field.until(future.done, f'answer of {service}')
     return future.result()
-
-
-def set_number(field, name, value):
-    """Set a parameter of the planner, and return the answer."""
-    number = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=number)])
-    (result,) = ask(field, SetParameters, '/m/planner/set_parameters', request).results
-    return result
 
 
 @pytest.mark.interpreter
@@ -85,9 +75,9 @@ def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field)
     request.goal.pose.position.x = 99.0
     assert not ask(field, GetPlan, '/m/safest_path', request).plan.poses
 
-    assert not set_number(field, 'stop.confidence', 0.9999).successful
+    assert not field.set_parameter('/m/planner', 'stop.confidence', 0.9999).successful
     sent = len(paths)
-    assert set_number(field, 'stop.confidence', 0.0).successful
+    assert field.set_parameter('/m/planner', 'stop.confidence', 0.0).successful
     field.until(lambda: len(paths) > sent + 1, 'robots that leave again')
     assert set(field.processes.stop().values()) == {0}
     recorded = [logged for logged in read_log(log) if logged.topic == '/m/decision']

@@ -15,8 +15,6 @@ from kbnitp_ros.messages.models import read_model_belief
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 import rosgraph_msgs.msg
@@ -249,17 +247,6 @@ def test_the_same_seed_gives_the_same_deployments(field):
     assert made('/first') == made('/second')
 
 
-def set_parameter(field, node, name, value):
-    """Change a parameter of a running node as `ros2 param set` does."""
-    client = field.node.create_client(SetParameters, f'{node}/set_parameters')
-    field.until(client.service_is_ready, f'{node}/set_parameters')
-    wanted = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
-    future = client.call_async(request)
-    field.until(future.done, 'answer to set_parameters')
-    return future.result().results[0]
-
-
 def test_viewers_see_all_maps(field):
     beliefs = field.listen(BeliefMaps, '/m/belief')
     field.start_mission({**SMALL, 'robots': 3}, '/m')
@@ -277,7 +264,7 @@ def test_viewers_see_all_maps(field):
     field.until(
         lambda: all(field.node.count_subscribers(topic) == 2 for topic in topics), 'both viewers'
     )
-    assert set_parameter(field, '/m/planner', 'robots', 4).successful
+    assert field.set_parameter('/m/planner', 'robots', 4).successful
     field.until(lambda: all(volatile.values()), 'map for the volatile viewer')
     field.until(lambda: beliefs[-1].deployments == 4, 'fourth belief')
     for name in MAPS:
@@ -288,8 +275,8 @@ def test_viewers_see_all_maps(field):
         assert shown.header == beliefs[-1].header
         percent = np.rint(100 * np.asarray(getattr(beliefs[-1], name)))
         assert list(shown.data) == percent.tolist()
-    assert not set_parameter(field, '/m/planner', 'grid.width', 4).successful
-    assert not set_parameter(field, '/m/planner', 'robots', -4).successful
+    assert not field.set_parameter('/m/planner', 'grid.width', 4).successful
+    assert not field.set_parameter('/m/planner', 'robots', -4).successful
 
 
 def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
@@ -316,7 +303,7 @@ def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
     for name in ('/planner', '/estimator'):
         field.until(lambda name=name: field.diagnosed_at(name) == 40 * 10**9, 'jump back in time')
     parameters['robots'] = 12
-    assert set_parameter(field, '/planner', 'robots', 12).successful
+    assert field.set_parameter('/planner', 'robots', 12).successful
     wait_for_end(field, parameters, heard)
     stamps = [from_stamp(path.header.stamp) for path in paths]
     # The mission began at 100 s, and its deployments have later names.

@@ -38,9 +38,6 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import POLL
 from nav_msgs.msg import Path
 import pytest
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -438,18 +435,6 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         assert told in field.said(f'{namespace}/planner')
 
 
-def set_number(field, name, number):
-    """Do `ros2 param set /planner NAME N`, and return what the planner answers."""
-    client = field.node.create_client(SetParameters, '/planner/set_parameters')
-    field.until(client.service_is_ready, 'service of the planner')
-    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=number)
-    request = SetParameters.Request(parameters=[ParameterMessage(name=name, value=value)])
-    future = client.call_async(request)
-    field.until(future.done, 'answer of the planner')
-    (result,) = future.result().results
-    return result
-
-
 def test_a_field_that_paths_hardly_reach_is_told(field):
     field.start('planner', {'grid.width': 30, 'grid.height': 30, 'max_steps': 18})
     told = '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all'
@@ -470,11 +455,11 @@ def test_robots_that_wait_for_their_plans_are_told_of_once(field):
 def test_a_search_beyond_memory_is_refused(field):
     large = {'grid.width': 100, 'grid.height': 100, 'max_steps': 200}
     field.start('planner', large)
-    refused = set_number(field, 'beam_width', 10_000)
+    refused = field.set_parameter('/planner', 'beam_width', 10_000)
     assert not refused.successful
     told = 'a beam width of 10000 and max_visits = 3 takes about'
     assert told in refused.reason
-    assert set_number(field, 'beam_width', 17).successful
+    assert field.set_parameter('/planner', 'beam_width', 17).successful
     planner = field.start('planner', {**large, 'beam_width': 10_000}, '/a')
     assert planner.wait(timeout=60) == 2
     assert told in field.said('/a/planner')
@@ -521,11 +506,11 @@ def test_fewer_robots_than_have_left_are_refused(field):
         if number < 2:
             mission.reports.publish(mission.lose(number))
     for robots in (0, 2):
-        refused = set_number(field, 'robots', robots)
+        refused = field.set_parameter('/planner', 'robots', robots)
         assert not refused.successful
         assert f'robots is {robots}: 3 robots were sent' in refused.reason
     mission.reports.publish(mission.lose(2))
-    assert set_number(field, 'robots', 3).successful
+    assert field.set_parameter('/planner', 'robots', 3).successful
     mission.show_belief()
     mission.until_state('done: 3 of 3 robots deployed')
 

@@ -100,7 +100,8 @@ def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
             'numba can keep compiled code nowhere: set NUMBA_CACHE_DIR to a folder to write in'
         )
         return kernel
-    code: Callable[..., Any] = numba.njit(kernel)
+    # Others of the process go on meanwhile.
+    code: Callable[..., Any] = numba.njit(nogil=True)(kernel)
     # What `cache=True` sets, but for files that cannot be used.
     code._cache = kept  # type: ignore[attr-defined]
     return code
@@ -117,6 +118,10 @@ def _kept_code(function_cache: type[Any]) -> type[Any]:
         numba does not flush them to the disk, so that a machine that loses power leaves some cut
         short or empty. pickle raises almost anything when it reads such a file.
         """
+
+        def _index_key(self, signature: Any, codegen: Any) -> Any:
+            """Return what the code is kept by: that which holds Python's lock is another."""
+            return *super()._index_key(signature, codegen), 'nogil'
 
         def load_overload(self, signature: Any, target: Any) -> Any:
             """Return the code for arguments of these types; None where it is to be compiled."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import dropwhile
 import time
@@ -53,6 +53,11 @@ class OneByOne(Executor):
         """Take note that something was created or destroyed."""
         self._has_changed = True
         super().wake()
+
+    def call_next(self, callback: Callable[[], object]) -> None:
+        """Have a callback made, as another thread asks for it; none after the shutdown."""
+        with suppress(AttributeError, rclpy_implementation.InvalidHandle):
+            self.create_task(callback)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Let go of all that was waited for."""

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planner listens while it searches, and a search ends as it must."""
+
+from __future__ import annotations
+
+from statistics import median
+import time
+
+from base import Base
+import pytest
+
+AGENTS = [f'scout_{number}' for number in range(1, 9)]
+WIDE = {
+    'grid.width': 30,
+    'grid.height': 30,
+    'max_steps': 60,
+    'robots': 16,
+    'recorded': False,
+    'beam_width': 64,
+}
+SEARCHING = 'waiting for the search for the paths of scout_1, scout_2, scout_3 and 5 more to end'
+
+
+@pytest.fixture
+def base(field):
+    """Return a base whose planner searches for many seconds."""
+    base = Base(field, AGENTS, **WIDE)
+    base.until_state(SEARCHING)
+    return base
+
+
+@pytest.mark.full
+def test_a_pause_is_answered_while_paths_are_searched_for_and_no_robot_is_sent(base):
+    seconds = []
+    for data in (True, False, True, False, True):
+        begun = time.monotonic()
+        base.do('pause', data=data)
+        seconds.append(time.monotonic() - begun)
+    assert median(seconds) < 0.5
+    field = base.field
+    assert 'paths were found' not in field.said('/planner')
+    kept = 'paths were found for scout_1, scout_2, scout_3 and 5 more, and are kept: waiting for '
+    field.until(lambda: f'{kept}the operator' in field.said('/planner'), 'end of the search')
+    assert not any(base.paths.values())
+    base.do('pause', data=False)
+    for agent in AGENTS:
+        field.until(lambda agent=agent: len(base.paths[agent]) == 1, f'path of {agent}')
+
+
+@pytest.mark.full
+def test_what_was_found_by_other_parameters_is_dropped(base):
+    base.field.set_parameter('/planner', 'loss_cost', 1.0)
+    dropped = 'the paths found for scout_1, scout_2, scout_3 and 5 more are dropped'
+    base.field.until(lambda: dropped in base.field.said('/planner'), 'that they are dropped')
+    assert not any(base.paths.values())
+    base.do('end_mission')
+    assert base.field.processes.stop(30)['/planner'] == 0
