@@ -2,10 +2,10 @@
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
 from collections.abc import Sequence
-from importlib import metadata
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.files import installed
 from kbnitp_ros.starting import EXECUTABLES, start
 
 USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(EXECUTABLES)}'
@@ -14,7 +14,7 @@ HELP = f"""{USAGE}
 
 demo runs a whole mission, study many without ROS, replay checks a recorded one and report shows
 it; the others are the nodes. `python3 -m kbnitp_ros NAME --help` tells more of each, --version
-which version this is.
+which version this is, and where it is installed.
 
 example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
 
@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(HELP)
         return 0
     if name == '--version':
-        say(f'kbnitp_ros {metadata.version("kbnitp_ros")}')
+        say(installed())
         return 0
     if name not in EXECUTABLES:
         complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)

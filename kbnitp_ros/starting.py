@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
 import os
 import signal
 import sys
 from types import FrameType
+
+from kbnitp_ros.plugins import extra
 
 # What pip installs of the packages that a command imports; all others need ROS 2.
 EXTRAS = {'study': 'study', 'replay': 'report', 'report': 'report'}
@@ -54,10 +57,10 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     handler = _end_well if name in NODES else _end_as_interrupted
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
+        with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
+            main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
     except ModuleNotFoundError as error:
-        extra = f"pip install 'kbnitp_ros[{EXTRAS[name]}]'" if name in EXTRAS else 'source ROS 2'
-        print(f'{name}: {error}; {extra}', file=sys.stderr)
+        print(f'{name}: {error}{"" if name in EXTRAS else "; source ROS 2"}', file=sys.stderr)
         return 2
     if name in COMMANDS:
         # A node takes signals in its own way at once, a command as it would without this.

@@ -3,10 +3,12 @@
 
 from importlib import metadata
 import json
+from pathlib import Path
 import re
 import subprocess
 import sys
 
+import kbnitp_ros
 from kbnitp_ros import __main__ as commands
 from kbnitp_ros.configuration import NODES, parameter_of, parameters_of
 from kbnitp_ros.nodes.runtime.command_line import node_parser
@@ -43,9 +45,9 @@ def test_every_command_tells_its_version_and_how_to_use_it(name):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
-    version = metadata.version('kbnitp_ros')
-    said = f'{name} of kbnitp_ros {version}' if name else f'kbnitp_ros {version}'
-    assert run('--version') == f'{said}\n'
+    here = Path(kbnitp_ros.__file__).parent
+    said = f'kbnitp_ros {metadata.version("kbnitp_ros")} in {here}'
+    assert run('--version') == (f'{name} of {said}\n' if name else f'{said}\n')
     told = run('--help')
     sentence = told.split('\n\n')[1]
     assert sentence[0].isupper() or not name

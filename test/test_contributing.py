@@ -36,7 +36,7 @@ from types import SimpleNamespace
 from kbnitp_ros.study.comparison import COMPARISONS
 last = COMPARISONS[-1]
 section = last.summarise(SimpleNamespace(scenario=None))
-assert last.markdown(section).splitlines()[-1] == '| 0.5 | 3 |'
+assert last.table(section).markdown().splitlines()[-1] == '| 0.5 | 3 |'
 """
 
 LATE = """

@@ -11,12 +11,12 @@ import signal
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import read_scenario
+from kbnitp_ros.study.shipped import scenario_file, shipped
 from kbnitp_ros.study.trial import trials_of
 from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm
@@ -98,28 +98,6 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) == 0:
         raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least 1')
     return int(text)
-
-
-def shipped() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
-    return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
-
-
-def scenario_file(name: str) -> Path:
-    """
-    Return where a scenario is: a file's path, or the name of one that comes with the package.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-
-    """
-    if name in shipped():
-        return share('scenarios') / f'{name}.yaml'
-    if not Path(name).is_file():
-        raise ValueError(f'scenario {name} is no file, and none of {", ".join(shipped())}')
-    return Path(name)
 
 
 def study(options: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core.field import Belief, binary_entropy, log_loss, Observation, World
+from kbnitp_ros.plugins import extra
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -42,10 +43,8 @@ def deployments_table(
         If pandas is not installed.
 
     """
-    try:
+    with extra('report'):
         import pandas
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"{error}; pip install 'kbnitp_ros[report]'") from error
     rows = [
         {**outcome(seen), **knowledge(belief, world)}
         for seen, belief, world in zip(observations, beliefs, worlds, strict=True)

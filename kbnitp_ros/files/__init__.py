@@ -2,7 +2,7 @@
 """Files from elsewhere: opened only if they have an end, YAML of bounded size, what went wrong."""
 
 from kbnitp_ros.files.regular import open_file
-from kbnitp_ros.files.share import share
+from kbnitp_ros.files.share import installed, share
 from kbnitp_ros.files.words import in_words, naming
 from kbnitp_ros.files.yaml_text import KeyTwiceError, NotYamlError, parse_yaml, read_yaml
 
@@ -10,6 +10,7 @@ __all__ = [
     'KeyTwiceError',
     'NotYamlError',
     'in_words',
+    'installed',
     'naming',
     'open_file',
     'parse_yaml',

@@ -99,6 +99,29 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def __hash__(self) -> int:
         return id(self)
 
+    @contextmanager
+    def including(self, given: Mapping[str, Any]) -> Iterator[None]:
+        """
+        Have entries besides until the ``with`` statement is left.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a name is none or taken, or what is given lacks something that an entry must have.
+
+        """
+        self._search()
+        before = dict(self._entries), dict(self._sources)
+        try:
+            for name, each in given.items():
+                try:
+                    self._add(name, each, str(each.__module__))
+                except (ValueError, TypeError) as error:
+                    raise type(error)(f'{self.kind} {name!r}: {error}') from error
+            yield
+        finally:
+            self._entries, self._sources = before
+
     def find(self, given: str | Callable[..., Any]) -> Entry:
         """
         Return the entry of a name, or what is given in place of one.

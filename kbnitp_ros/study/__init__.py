@@ -1,2 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Experiments over the core, and the figures of what came out."""
+
+from kbnitp_ros.plugins import extra
+
+with extra('study'):
+    from kbnitp_ros.study.comparing import compare
+    from kbnitp_ros.study.report import figures_of, tables_of
+    from kbnitp_ros.study.results import Results
+    from kbnitp_ros.study.table import Table
+
+__all__ = ['Results', 'Table', 'compare', 'figures_of', 'tables_of']

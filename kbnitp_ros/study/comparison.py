@@ -18,7 +18,6 @@ from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, equal_rows
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import (
     differ_only_in,
-    in_short,
     LEARNING,
     Scenario,
     Strategy,
@@ -27,13 +26,14 @@ from kbnitp_ros.study.summary import (
     after_robots,
     differences,
     json_row,
+    lethality_cell,
     LOG_LOSS,
     Mean,
     mean_of,
     Row,
     shown,
-    table,
 )
+from kbnitp_ros.study.table import Cell, Table
 from kbnitp_ros.study.teams import common_rounds, differ_in_size, team_rows
 
 Stated = Callable[[Strategy, Scenario], Any]
@@ -78,14 +78,14 @@ class Comparison:
         """Return the section, as JSON can hold it, with its ``rows``."""
         return {**self.head(results.scenario), 'rows': [json_row(r) for r in self.rows(results)]}
 
-    def markdown(self, summary: Row) -> str:
+    def table(self, summary: Row) -> Table:
         """Return the section as a table for people."""
         heads = ['lethality']
         for name, (head, _) in self.columns.items():
             is_list = any(isinstance(row[name], list) for row in summary['rows'])
             heads += map(str, summary['robots']) if is_list else [head.format(**summary)]
         rows = [
-            [in_short(row['lethality'])]
+            [lethality_cell(row)]
             + [
                 cell
                 for name, (_, form) in self.columns.items()
@@ -93,14 +93,16 @@ class Comparison:
             ]
             for row in summary['rows']
         ]
-        return table(self.caption.format(**summary), heads, rows)
+        return Table(self.caption.format(**summary), heads, rows)
 
 
-def cells_of(value: Any, form: str | int) -> list[str]:
+def cells_of(value: Any, form: str | int) -> list[Cell]:
     """Return a value of a row in the cells of a table."""
     if isinstance(form, str):
-        return [form.format(value)]
-    return [shown(each, form) for each in (value if isinstance(value, list) else [value])]
+        return [Cell(value, form.format(value))]
+    return [
+        Cell(each, shown(each, form)) for each in (value if isinstance(value, list) else [value])
+    ]
 
 
 def with_first(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import json
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from kbnitp_ros.study.learning import numbers_chart
 from kbnitp_ros.study.loss_cost import loss_cost_chart
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in
-from kbnitp_ros.study.summary import markdown, summarise
+from kbnitp_ros.study.summary import Row, summarise, table_of
+from kbnitp_ros.study.table import Table
 from kbnitp_ros.study.teams import differ_in_size, teams_chart
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -35,6 +37,29 @@ def figures_of(results: Results) -> dict[str, Figure]:
         return {name: draw(results) for name, draw in charts.items()}
 
 
+def sections(results: Results) -> Iterator[tuple[str, Row, Table]]:
+    """Yield the name of each section of the summary, what it says and its table."""
+    summary = summarise(results)
+    yield 'summary', summary, table_of(summary)
+    for comparison in COMPARISONS:
+        if comparison.applies(results.scenario):
+            section = comparison.summarise(results)
+            yield comparison.name, section, comparison.table(section)
+
+
+def tables_of(results: Results) -> dict[str, Table]:
+    """
+    Return the tables of a study.
+
+    Returns
+    -------
+    dict of str to Table
+        ``summary`` of all missions, and those of `COMPARISONS` that apply, such as ``planners``.
+
+    """
+    return {name: table for name, _, table in sections(results)}
+
+
 def write_report(results: Results, folder: Path) -> list[Path]:
     """
     Write the table, the figures and the summary of a study; the same results, the same table.
@@ -45,12 +70,8 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         If a file cannot be written.
 
     """
-    summary = summarise(results)
-    tables = [markdown(summary)]
-    for comparison in COMPARISONS:
-        if comparison.applies(results.scenario):
-            summary[comparison.name] = comparison.summarise(results)
-            tables.append(comparison.markdown(summary[comparison.name]))
+    (_, summary, first), *others = sections(results)
+    summary.update({name: section for name, section, _ in others})
     pictures = []
     table, as_json, as_markdown = (
         folder / name for name in ('table.parquet', 'summary.json', 'summary.md')
@@ -60,5 +81,5 @@ def write_report(results: Results, folder: Path) -> list[Path]:
             pictures += save(figure, folder / name, *FORMATS)
         parquet.write_table(results.table(), table)
         as_json.write_text(json.dumps(summary, indent=1) + '\n')
-        as_markdown.write_text('\n'.join(tables))
+        as_markdown.write_text('\n'.join(t.markdown() for t in (first, *(t for *_, t in others))))
     return [table, *pictures, as_json, as_markdown]

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Strategy
 from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
 import pyarrow as pa
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 # The most bytes that a mission may take, of which each worker has one, and the results of all.
 MOST_OF_A_MISSION = 1 << 30
@@ -91,6 +95,10 @@ class Results:
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
         columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
         return pa.table(columns)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return `table` as a table of pandas."""
+        return self.table().to_pandas()
 
     def series(
         self, lethality: float | None, method: str, *measures: str, team: Strategy = ALONE

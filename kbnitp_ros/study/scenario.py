@@ -46,9 +46,6 @@ DRAWN = 0x4452574E
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
-# A team that says nothing of its planner has that of the section planning.
-ANY_PLANNER = ('', *PLANNERS)
-
 KINDS = {int: 'a whole number', float: 'a number'}
 
 
@@ -114,7 +111,7 @@ class Strategy:
     allocation: Annotated[str, ALLOCATIONS] = 'greedy'
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
     last_contact: Probability = 0.0
-    planner: Annotated[str, ANY_PLANNER] = ''
+    planner: Annotated[str, PLANNERS, ''] = ''
     survey: Probability = 0.0
     trusted: Probability = 0.0
     objective: Annotated[str, OBJECTIVES] = 'information'
@@ -393,20 +390,33 @@ def read_scenario(path: Path) -> Scenario:
 
     """
     try:
-        scenario: Scenario = _read(Scenario, read_yaml(path), '')
-        for key, check in (
-            ('grid', scenario.field),
-            ('learn', scenario.check_learning),
-            ('prior', scenario.check_belief),
-            ('teams', scenario.check_teams),
-            ('planning', scenario.check_search),
-        ):
-            try:
-                check()
-            except ValueError as error:
-                raise ValueError(f'{key}: {error}') from error
+        return scenario_of(read_yaml(path))
     except ValueError as error:
         raise ValueError(f'scenario {path}: {error}') from error
+
+
+def scenario_of(content: Any) -> Scenario:
+    """
+    Return the scenario that YAML, or Python, says.
+
+    Raises
+    ------
+    ValueError
+        As `read_scenario`.
+
+    """
+    scenario: Scenario = _read(Scenario, content, '')
+    for key, check in (
+        ('grid', scenario.field),
+        ('learn', scenario.check_learning),
+        ('prior', scenario.check_belief),
+        ('teams', scenario.check_teams),
+        ('planning', scenario.check_search),
+    ):
+        try:
+            check()
+        except ValueError as error:
+            raise ValueError(f'{key}: {error}') from error
     return scenario
 
 
@@ -426,7 +436,9 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
     wanted, allowed, *besides = get_args(annotation)
     if wanted is str:
         if value not in allowed and value not in besides:
-            raise ValueError(f'{key} is {value!r}: {allowed.why_not(value, *besides)}')
+            raise ValueError(
+                f'{key} is {value!r}: {allowed.why_not(value, *filter(None, besides))}'
+            )
         return value
     lowest, highest = allowed
     of_kind = type(value) is wanted or (wanted is float and type(value) is int)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_short, team_labels
+from kbnitp_ros.study.table import Cell, Table
 import numpy as np
 from numpy.typing import NDArray
 
@@ -176,7 +177,7 @@ def json_row(row: Row) -> Row:
     }
 
 
-def markdown(summary: dict[str, Any]) -> str:
+def table_of(summary: dict[str, Any]) -> Table:
     """Return a summary as a table for people."""
     columns = [*SUMMARISED, 'false_targets']
     caption = (
@@ -192,18 +193,17 @@ def markdown(summary: dict[str, Any]) -> str:
         )
     rows = []
     for row in summary['rows']:
-        method = ', '.join(filter(None, [f'`{row["method"]}`', row['label']]))
-        cells = [shown(row[name]) if name in row else '' for name in columns]
-        rows.append([in_short(row['lethality']), method, *cells])
+        method = [row['method'], *filter(None, [row['label']])]
+        cells = [Cell(row[n], shown(row[n])) if n in row else Cell(None, '') for n in columns]
+        contender = Cell(', '.join(method), ', '.join([f'`{method[0]}`', *method[1:]]))
+        rows.append([lethality_cell(row), contender, *cells])
     heads = ['lethality', 'method', *(name.replace('_', ' ') for name in columns)]
-    return table(caption, heads, rows)
+    return Table(caption, heads, rows)
 
 
-def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a caption and a table under it, in Markdown."""
-    lines = [caption, '', f'| {" | ".join(heads)} |', '|' + '---|' * len(heads)]
-    lines += [f'| {" | ".join(cells)} |' for cells in rows]
-    return '\n'.join(lines) + '\n'
+def lethality_cell(row: Row) -> Cell:
+    """Return the lethality of the worlds of a row."""
+    return Cell(row['lethality'], in_short(row['lethality']))
 
 
 def shown(entry: dict[str, float | None], decimals: int = 1) -> str:

@@ -12,6 +12,7 @@ import signal
 from typing import Any
 
 from joblib import cpu_count, delayed, Parallel, parallel_config
+from kbnitp_ros.study.own import NOTHING, Own
 from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.trial import Outcome, run_trial, Trial
 
@@ -44,9 +45,21 @@ class Workers:
     parallel: Parallel
     batch: int | None = None
 
-    def run(self, scenario: Scenario, trials: Sequence[Trial]) -> Iterator[tuple[Trial, Outcome]]:
+    def run(
+        self, scenario: Scenario, trials: Sequence[Trial], own: Own = NOTHING
+    ) -> Iterator[tuple[Trial, Outcome]]:
         """
         Run trials and yield each with its outcome as soon as that is known; in the main thread.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Of which they are.
+        trials : sequence of Trial
+            In any order.
+        own : Own
+            The planners and methods that the scenario names and no package has. Processes are
+            handed those of a script or a notebook by value.
 
         Raises
         ------
@@ -58,7 +71,7 @@ class Workers:
         for start in range(0, len(trials), batch):
             end = start + batch
             yield from self._handed_out(
-                delayed(_run)(scenario, trial) for trial in trials[start:end]
+                delayed(_run)(scenario, trial, own) for trial in trials[start:end]
             )
 
     def _handed_out(self, calls: Iterable[Any]) -> Any:
@@ -74,9 +87,10 @@ class Workers:
             signal.signal(signal.SIGINT, handler)
 
 
-def _run(scenario: Scenario, trial: Trial) -> tuple[Trial, Outcome]:
+def _run(scenario: Scenario, trial: Trial, own: Own) -> tuple[Trial, Outcome]:
     try:
-        return trial, run_trial(scenario, trial)
+        with own.known():
+            return trial, run_trial(scenario, trial)
     except (ValueError, ArithmeticError) as error:
         raise RuntimeError(f'{trial} failed: {error}') from error
     except MemoryError as error:

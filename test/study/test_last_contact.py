@@ -61,7 +61,7 @@ def test_each_is_compared_with_none(contacts):
 def test_the_report_has_a_table_of_it(contacts, tmp_path):
     write_report(contacts, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = CONTACT.markdown(summary['last_contact'])
+    told = CONTACT.table(summary['last_contact']).markdown()
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['last_contact']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')

@@ -50,7 +50,7 @@ def test_each_is_compared_with_the_first(compared):
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_OBJECTIVE.markdown(summary['objectives'])
+    told = BY_OBJECTIVE.table(summary['objectives']).markdown()
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     assert (tmp_path / 'robots_lost.png').exists()
     for row, line in zip(summary['objectives']['rows'], told.splitlines()[4:], strict=True):

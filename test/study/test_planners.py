@@ -60,7 +60,7 @@ def test_each_is_compared_with_the_first(compared):
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_PLANNER.markdown(summary['planners'])
+    told = BY_PLANNER.table(summary['planners']).markdown()
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['planners']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')

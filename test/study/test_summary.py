@@ -6,7 +6,7 @@ import json
 
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.summary import LOG_LOSS, markdown, mean_of, summarise
+from kbnitp_ros.study.summary import LOG_LOSS, mean_of, summarise, table_of
 from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_teams_have_rows_of_their_own(scenario):
     row = rows['relaxed_bnitp', 2, 0.25]
     assert row['log_loss']['mean'] == pytest.approx(other.mean(), abs=1e-6)
     assert row['difference']['mean'] == pytest.approx((reference - other).mean(), abs=1e-6)
-    assert '| `kappa_bnitp`, 2 independent, loss cost 0.25 |' in markdown(summary)
+    assert '| `kappa_bnitp`, 2 independent, loss cost 0.25 |' in table_of(summary).markdown()
     table = results.table().to_pylist()
     assert len(table) == 9 * 2 * 5
     assert {(r['agents'], r['allocation'], r['loss_cost']) for r in table} == {
@@ -87,12 +87,12 @@ def test_a_single_trial_has_no_interval(results):
     summary = summarise(Results(replace(results.scenario, trials=1), alone))
     assert summary['rows'][0]['entropy']['low'] is None
     json.dumps(summary, allow_nan=False)
-    assert '[' not in markdown(summary).split('|---|')[1]
+    assert '[' not in table_of(summary).markdown().split('|---|')[1]
 
 
 def test_the_table_for_people_says_what_the_summary_says(results):
     summary = summarise(results)
-    lines = markdown(summary).splitlines()
+    lines = table_of(summary).markdown().splitlines()
     cells = [line.strip('| ').split(' | ') for line in lines if line.startswith('| 0')]
     assert len(cells) == len(summary['rows'])
     for row, (lethality, method, log_loss, *_) in zip(summary['rows'], cells):

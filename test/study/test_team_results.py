@@ -89,7 +89,7 @@ def test_what_a_robot_and_a_round_bring(teams):
 
 def test_the_table_for_people_says_what_the_summary_says(teams):
     summary = BY_SIZE.summarise(teams)
-    header, _, *lines = BY_SIZE.markdown(summary).splitlines()[2:]
+    header, _, *lines = BY_SIZE.table(summary).markdown().splitlines()[2:]
     assert 'log loss after 1 rounds' in header
     cells = [line.strip('| ').split(' | ') for line in lines]
     assert [row[2] for row in cells] == ['one by one', '3 independent', '2 voronoi']

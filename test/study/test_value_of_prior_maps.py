@@ -71,7 +71,7 @@ def test_each_is_compared_with_none(compared):
 def test_the_report_has_a_table_of_it(compared, tmp_path):
     write_report(compared, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_MAP.markdown(summary['prior_maps'])
+    told = BY_MAP.table(summary['prior_maps']).markdown()
     assert (tmp_path / 'summary.md').read_text().endswith(told)
     for row, line in zip(summary['prior_maps']['rows'], told.splitlines()[4:], strict=True):
         cells = line.strip('| ').split(' | ')

@@ -9,6 +9,7 @@ import sys
 import time
 
 from kbnitp_ros.study import workers as module
+from kbnitp_ros.study.own import NOTHING
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.trial import trials_of
 from kbnitp_ros.study.workers import workers
@@ -150,7 +151,7 @@ def test_a_trial_is_named_whatever_it_fails_of(scenario, monkeypatch, error, tol
     monkeypatch.setattr(module, 'run_trial', fail)
     trial = trials_of(scenario)[0]
     with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
-        module._run(scenario, trial)
+        module._run(scenario, trial, NOTHING)
 
 
 @for_each('count', [0, 1025, 99999999999])

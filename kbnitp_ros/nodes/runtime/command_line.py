@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from importlib import metadata
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import fill
 
 from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.files import installed
 
 WIDTH = 90
 INDENT = ' ' * 6
@@ -33,8 +33,7 @@ def command_parser(name: str, description: str, *examples: str) -> argparse.Argu
         epilog='\n  '.join(['examples:', *examples]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    version = f'{name} of kbnitp_ros {metadata.version("kbnitp_ros")}'
-    parser.add_argument('--version', action='version', version=version)
+    parser.add_argument('--version', action='version', version=f'{name} of {installed()}')
     return parser
 
 

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A study from Python: planners and methods against each other, in the same worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pickle import PicklingError
+from typing import Any
+
+from kbnitp_ros.files import read_yaml
+from kbnitp_ros.study.own import by_name, Given, Own
+from kbnitp_ros.study.results import check_memory, Results
+from kbnitp_ros.study.scenario import scenario_of
+from kbnitp_ros.study.shipped import scenario_file
+from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.workers import workers as worker_processes
+from tqdm import tqdm
+
+
+def compare(
+    scenario: str | Mapping[str, Any] = 'paper',
+    *,
+    planners: Given = (),
+    methods: Given = (),
+    workers: int | None = None,
+    **changes: Any,
+) -> Results:
+    """
+    Run missions by every planner and method, at every lethality, in the same worlds.
+
+    It runs in the main thread and keeps nothing on disk: ``python3 -m kbnitp_ros study`` does, for
+    studies that take hours.
+
+    Parameters
+    ----------
+    scenario : str or mapping
+        A shipped scenario, a YAML file, or what stands in one: docs/files.md has its keys.
+    planners : iterable of str or callable, or mapping of str to callable
+        Names of `PLANNERS` and functions in place of them; in a mapping by names of your own. All
+        are compared with the first. Without any the scenario says which.
+    methods : iterable of str or callable, or mapping of str to callable
+        Likewise of `METHODS`; all are compared with the last.
+    workers : int, optional
+        Processes that run missions, from 1; by default one a core. With 1 it is this one, and
+        nothing has to be pickled.
+    **changes
+        Keys of the scenario with other values, such as ``trials=4``.
+
+    Returns
+    -------
+    Results
+        For `tables_of` and `figures_of`.
+
+    Raises
+    ------
+    ValueError
+        If the scenario is none, or names are unknown, taken or used twice.
+    TypeError
+        If a planner or a method is none, or cannot be sent to other processes.
+    RuntimeError
+        If a mission fails; names it.
+
+    """
+    given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(scenario))
+    content = {**given, **changes}
+    paths, updates = by_name('planner', planners), by_name('method', methods)
+    if updates:
+        content['methods'] = list(updates)
+    if paths:
+        teams = content.get('teams', [{}])
+        content['teams'] = [{**team, 'planner': name} for team in teams for name in paths]
+    own = Own(callables(paths), callables(updates))
+    with own.known():
+        study = scenario_of(content)
+    check_memory(study)
+    trials = trials_of(study)
+    try:
+        with worker_processes('loky', workers) as pool:
+            done = pool.run(study, trials, own)
+            bar = tqdm(done, total=len(trials), unit='mission', disable=None)
+            return Results(study, dict(bar))
+    except PicklingError as error:
+        raise TypeError(
+            'a planner or a method cannot be sent to other processes: with workers=1 it need '
+            'not be'
+        ) from error
+
+
+def callables(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those that are no names of a registry."""
+    return {name: each for name, each in named.items() if not isinstance(each, str)}

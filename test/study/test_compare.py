@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planners and methods of one's own are compared from Python."""
+
+from threading import Lock
+
+from kbnitp_ros.core import METHODS, PLANNERS, update
+from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core.planning.search.planners import coverage
+from kbnitp_ros.study import compare, figures_of, tables_of
+from laws import for_each
+import pytest
+from small_study import CONTENT
+
+SMALL = {**CONTENT, 'trials': 2, 'robots': 3, 'lethalities': [0.9]}
+
+
+def sweep(finder, objective):
+    """Plough the field, as the planner 'coverage' does."""
+    return coverage(finder, objective)
+
+
+class Ignorant(KnownModel):
+    """Learn from returns alone."""
+
+    def __init__(self, belief, model, unknowns, seed):
+        super().__init__(belief, model)
+
+    def assimilate(self, observation, robot_type):
+        if observation.survived:
+            self.belief = update(self.belief, robot_type.model(self.model), observation)
+
+
+@pytest.fixture(scope='module')
+def results():
+    return compare(SMALL, planners=['random', sweep], methods=[Ignorant, 'kappa_bnitp'], workers=1)
+
+
+def test_a_function_does_as_the_planner_of_a_name(results):
+    named = compare(SMALL, planners=['random', 'coverage'], methods=['kappa_bnitp'], workers=1)
+    one, other = (
+        each.to_dataframe().query("planner != 'random' and method == 'kappa_bnitp'")
+        for each in (results, named)
+    )
+    assert set(one['planner']) == {'sweep'}
+    assert one['entropy'].tolist() == other['entropy'].tolist()
+
+
+def test_a_class_is_the_method(results):
+    table = results.to_dataframe()
+    assert table['method'].unique().tolist() == ['Ignorant', 'kappa_bnitp']
+    ignorant = table.query("method == 'Ignorant'")
+    lost = ignorant['robots_lost'].diff() == 1
+    assert lost.any()
+    assert (ignorant['hazard_log_loss'].diff()[lost] == 0.0).all()
+    assert 'Ignorant' not in METHODS
+    assert 'sweep' not in PLANNERS
+
+
+@pytest.mark.processes
+def test_other_processes_have_functions_without_a_module():
+    planners = {'mine': lambda *given: coverage(*given)}
+    here, there = (
+        compare(SMALL, planners=planners, workers=count).to_dataframe() for count in (1, 2)
+    )
+    assert here.equals(there)
+    assert set(here['planner']) == {'mine'}
+
+
+def test_tables_and_figures_have_their_names(results):
+    tables = tables_of(results)
+    assert list(tables) == ['summary', 'planners']
+    (first, second) = tables['planners'].to_dataframe().to_dict('records')
+    assert (first['method'], second['method']) == ('Ignorant', 'kappa_bnitp')
+    assert first['planner'] == 'sweep'
+    at_end = results.to_dataframe().query("deployment == 3 and method == 'Ignorant'")
+    means = at_end.groupby('planner')['robots_lost'].mean()
+    assert first['lost'] == means['sweep']
+    assert first['more lost'] == means['sweep'] - means['random']
+    assert first['lost low'] <= first['lost'] <= first['lost high']
+    assert 'log_loss' in figures_of(results)
+
+
+def test_a_table_in_latex_has_the_cells_of_that_in_markdown(results):
+    table = tables_of(results)['planners']
+    latex = table.latex()
+    assert latex.count('{') == latex.count('}')
+    rows = latex.partition('\\midrule\n')[2].partition('\\bottomrule')[0].splitlines()
+    lines = table.markdown().splitlines()[4:]
+    for row, line in zip(rows, lines, strict=True):
+        cells = row.removesuffix(r' \\').split(' & ')
+        plain = [cell.replace(r'\texttt{', '`').replace('}', '`') for cell in cells]
+        assert [cell.replace(r'\_', '_') for cell in plain] == line.strip('| ').split(' | ')
+
+
+def locked(lock):
+    return lambda *given: lock and coverage(*given)
+
+
+@for_each(
+    'given, error, words',
+    [
+        ({'planners': [lambda f, o: []]}, ValueError, "planner '<lambda>': it has no name; name"),
+        ({'planners': [sweep, sweep]}, ValueError, "planner 'sweep': two have this name"),
+        ({'planners': {'beam': sweep}}, ValueError, "planner 'beam': kbnitp_ros has a planner"),
+        ({'planners': ['beem']}, ValueError, "planner is 'beem': known are relaxed"),
+        ({'methods': [dict]}, TypeError, "method 'dict': it must"),
+        ({'methods': ['beam']}, ValueError, "methods is 'beam': known are"),
+        ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
+        ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(given, error, words):
+    with pytest.raises(error, match=words):
+        compare(SMALL, **given, workers=1)
+
+
+@pytest.mark.processes
+def test_what_cannot_be_sent_to_processes_is_refused():
+    with pytest.raises(TypeError, match='cannot be sent to other processes: with workers=1'):
+        compare(SMALL, planners={'mine': locked(Lock())}, workers=2)
