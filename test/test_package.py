@@ -8,12 +8,13 @@ import json
 import os
 from pathlib import Path
 import re
+import shutil
 import subprocess
 import sys
 from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
-from kbnitp_ros.starting import EXECUTABLES
+from kbnitp_ros.starting import EXECUTABLES, NODES
 from laws import for_each
 import pytest
 
@@ -104,6 +105,37 @@ def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds,
     wheels = {PYTHON_PACKAGES[name][1] for name in imported & PYTHON_PACKAGES.keys()}
     assert keys <= declared('package.xml', *kinds)
     assert wheels <= pinned(*files).keys()
+
+
+@pytest.mark.processes
+@for_each('node', NODES.values(), every=2)
+def test_nodes_need_nothing_that_a_robot_is_not_given(node):
+    """What package.xml leaves out where KBNITP_ROLE is robot cannot be imported here."""
+    keys = {
+        each.text
+        for each in ElementTree.parse(ROOT / 'package.xml').getroot().iter('exec_depend')
+        if each.get('condition') == '$KBNITP_ROLE != robot'
+    }
+    assert {'rviz2', 'python3-matplotlib'} < keys
+    refused = {name for name, (key, _) in PYTHON_PACKAGES.items() if key in keys or not key}
+    code = f'import sys; sys.modules.update(dict.fromkeys({refused | OPTIONAL})); import {node}'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not shutil.which('hadolint'), reason='hadolint is not installed')
+def test_the_dockerfile_is_linted():
+    assert subprocess.run(['hadolint', ROOT / 'Dockerfile']).returncode == 0
+
+
+def test_the_dockerfile_installs_by_the_commands_of_the_readme():
+    said = ' '.join(ROOT.joinpath('Dockerfile').read_text().replace('\\\n', ' ').split())
+    told = re.search(
+        r'(rosdep install .*)\n(colcon build)\n', ROOT.joinpath('README.md').read_text()
+    )
+    assert told[1] in said
+    assert told[2] in said
 
 
 @for_each('file', FILES)

@@ -14,29 +14,50 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = ROOT.joinpath('README.md').read_text()
+PLACE = 'import kbnitp_ros, os; print(os.path.dirname(kbnitp_ros.__file__))'
 INSTALLED = ('kbnitp_ros', 'setuptools', 'wheel')
 
 pytestmark = [pytest.mark.processes, pytest.mark.full]
 
 
-@pytest.fixture(scope='module')
-def run(tmp_path_factory):
+# This Python, and others that are there: each takes a minute or two.
+OWN = f'3.{sys.version_info.minor}'
+PYTHONS = [OWN] + [
+    pytest.param(each, marks=pytest.mark.campaign)
+    for each in ('3.10', '3.11', '3.12', '3.13')
+    if each != OWN
+]
+
+
+def interpreter(version):
+    """Return where a Python is; skip the test if there is none that runs."""
+    if version == OWN:
+        return sys.executable
+    found = shutil.which(f'python{version}')
+    # A shim may be there for a Python that is not.
+    if not found or subprocess.run([found, '-c', ''], capture_output=True).returncode:
+        pytest.skip(f'there is no Python {version}')
+    return found
+
+
+@pytest.fixture(scope='module', params=PYTHONS)
+def run(request, tmp_path_factory):
     """Return what runs a command of a new environment that has the wheel and its extras."""
+    python = interpreter(request.param)
     folder = tmp_path_factory.mktemp('bare')
-    # What builds a wheel leaves files beside the sources.
+    # What builds an sdist leaves files beside the sources.
     sources = folder / 'sources'
     shutil.copytree(ROOT, sources, ignore=shutil.ignore_patterns('.*', 'build', 'install', 'log*'))
     shutil.copytree(ROOT / 'kbnitp_ros', sources / 'kbnitp_ros', dirs_exist_ok=True)
+    sdist = [sys.executable, 'setup.py', '--quiet', 'sdist', '--dist-dir', folder]
+    subprocess.run(sdist, cwd=sources, check=True)
+    (sdist,) = folder.glob('*.tar.gz')
     pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', '--quiet']
-    subprocess.run([*pip, 'wheel', '--no-deps', '--wheel-dir', folder, sources], check=True)
+    subprocess.run([*pip, 'wheel', '--no-deps', '--wheel-dir', folder, sdist], check=True)
     (wheel,) = folder.glob('*.whl')
-    subprocess.run([sys.executable, '-m', 'venv', folder / 'venv'], check=True)
+    subprocess.run([python, '-m', 'venv', folder / 'venv'], check=True)
     versions = folder / 'versions.txt'
-    versions.write_text(
-        '\n'.join(
-            f'{each.name}=={each.version}' for each in metadata.distributions() if fits(each)
-        )
-    )
+    versions.write_text('\n'.join(pins(request.param)))
     environment = {name: os.environ[name] for name in os.environ if 'ROS' not in name}
     del environment['PYTHONPATH']
 
@@ -51,6 +72,8 @@ def run(tmp_path_factory):
 
     options = ('--quiet', '--constraint', versions)
     assert run('pip', 'install', *options, wheel).returncode == 0
+    imported = run('python', '-c', 'import kbnitp_ros.study').stderr.splitlines()[-1]
+    assert re.fullmatch(r"\w+: No module named .*; pip install 'kbnitp_ros\[study\]'", imported)
     missing = run('kbnitp', 'study', 'paper')
     assert (missing.returncode, missing.stdout) == (2, '')
     assert re.fullmatch(
@@ -58,6 +81,14 @@ def run(tmp_path_factory):
     )
     assert run('pip', 'install', *options, f'{wheel}[all]').returncode == 0
     return run
+
+
+def pins(version):
+    """Return the versions to install: those of this Python have no wheels for every other."""
+    if version == OWN:
+        return [f'{each.name}=={each.version}' for each in metadata.distributions() if fits(each)]
+    lines = ROOT.joinpath('requirements.txt').read_text().splitlines()
+    return [line for line in lines if not re.match('ros-|#', line)]
 
 
 def fits(distribution):
@@ -69,8 +100,9 @@ def test_only_one_command_is_installed(run):
     listed = run('python', '-c', 'import os, sys; print(*os.listdir(sys.prefix + "/bin"))').stdout
     assert 'kbnitp' in listed.split()
     assert not {'study', 'report', 'replay', 'demo', 'robot'} & set(listed.split())
-    version = metadata.version('kbnitp_ros')
-    assert run('kbnitp', '--version').stdout == f'kbnitp_ros {version}\n'
+    version, here = metadata.version('kbnitp_ros'), run('python', '-c', PLACE).stdout.strip()
+    assert Path(here, 'py.typed').exists()
+    assert run('kbnitp', '--version').stdout == f'kbnitp_ros {version} in {here}\n'
 
 
 def test_the_example_of_the_readme_runs(run):
