@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.cli.demo import chosen_parameters, parse, true_numbers
+from kbnitp_ros.cli.demo import chosen_parameters, parse
 from kbnitp_ros.configuration import estimator_of, grid_of, prior_of, sensor_model_of, unknowns_of
 from kbnitp_ros.core import Belief, Learning, run_mission, Truth, World
 from kbnitp_ros.core.mission import Deployment
+from kbnitp_ros.report.mission import true_numbers
 import numpy as np
 
 
@@ -28,4 +29,4 @@ def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[s
         parameters['planner']['robots'], rng, estimator['method'],
         truth=Truth(sensor_model_of(agent)), learning=Learning(unknowns_of(estimator), seed),
     )  # fmt: skip
-    return estimator_of(estimator, grid).belief, deployments, world, true_numbers(parameters)
+    return estimator_of(estimator, grid).belief, deployments, world, true_numbers(agent, estimator)

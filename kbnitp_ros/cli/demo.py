@@ -160,7 +160,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         deploy(parameters)
-        return conclude(log, reach, parameters)
+        return conclude(log, reach)
     except KeyboardInterrupt:
         complain('demo', f'interrupted; {how_to_go_on(log)}')
         return 130
@@ -506,20 +506,20 @@ class Observer(Node):
             say(self._over)
 
 
-def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) -> int:
+def conclude(log: Path, note: str) -> int:
     """Replay the log, report it, say what became known; return the exit code."""
     reproduction = replay(log)
-    truth = true_numbers(parameters)
     folder = report_folder(log)
     # A mission that is gone on with may have ended before.
     shutil.rmtree(folder, ignore_errors=True)
     say(*lines(reproduction))
     say(f'wrote {log}')
-    first, *_, last = report(log, folder, note, truth).moments
+    mission = report(log, folder, note)
+    first, *_, last = mission.moments
     say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
     for name, known in last.learnt.items():
         low, _, middle, _, high = known.quantiles
-        is_known = f'; it is {truth[name]:.3g}' if name in truth else ''
+        is_known = f'; it is {mission.numbers[name]:.3g}' if name in mission.numbers else ''
         say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')
     return 1 if reproduction.grade == Grade.DIFFERENT else 0
 
@@ -527,20 +527,3 @@ def conclude(log: Path, note: str, parameters: Mapping[str, Mapping[str, Any]]) 
 def report_folder(log: Path) -> Path:
     """Return where the report of a log goes, beside it."""
     return log.with_name('report' if log.name == NAME else f'{log.stem}_report')
-
-
-def true_numbers(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """Return what the numbers are that can be learnt, as far as the parameters tell."""
-    agent, estimator = parameters['agent'], parameters['estimator']
-    numbers = {
-        name: agent[f'sensor.{name}']
-        for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
-    }
-    # A hazard that destroys no robot has failed or was not lethal, which nobody can tell.
-    working = 1.0 - estimator['sensor.false_negative']
-    if working > 0.0:
-        numbers['lethality'] *= (1.0 - agent['sensor.false_negative']) / working
-    if not agent['world.file']:
-        for name in ('hazard_density', 'kappa', 'target_background'):
-            numbers[name] = agent[f'world.{name}']
-    return numbers

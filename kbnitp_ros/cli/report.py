@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -58,9 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def report(
-    log: Path, folder: Path, note: str = '', truth: Mapping[str, float] | None = None
-) -> Mission:
+def report(log: Path, folder: Path, note: str = '') -> Mission:
     """
     Write the report of a log and say so, with progress bars on a terminal.
 
@@ -75,7 +73,7 @@ def report(
     mission = read_mission(log, partial(with_progress, log_size(log)))
     curves = curves_of(mission, partial(tqdm, unit='belief', disable=None))
     with tqdm(total=len(PARTS), unit='file', disable=None) as bar:
-        left_out = write_report(folder, mission, curves, note, truth, lambda name: bar.update())
+        left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
     say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
     for each in (*mission.notes, left_out):
         if each:

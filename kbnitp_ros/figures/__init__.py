@@ -6,9 +6,21 @@ from kbnitp_ros.plugins import extra
 with extra('report'):
     from kbnitp_ros.figures.field import draw_map, draw_paths, extent, hatch, plot
     from kbnitp_ros.figures.files import FORMATS, LETTERS, save, WIDTH
-    from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, SERIES, Style, UNVISITED
+    from kbnitp_ros.figures.palette import (
+        COUNTS,
+        DARK_MAPS,
+        LOST,
+        MAPS,
+        RETURNED,
+        Scale,
+        SERIES,
+        Style,
+        UNVISITED,
+    )
 
 __all__ = [
+    'COUNTS',
+    'DARK_MAPS',
     'FORMATS',
     'LETTERS',
     'LOST',
@@ -17,6 +29,7 @@ __all__ = [
     'SERIES',
     'UNVISITED',
     'WIDTH',
+    'Scale',
     'Style',
     'draw_map',
     'draw_paths',

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from kbnitp_ros.core import Belief, Grid, Observation, World
-from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, Style, UNVISITED
+from kbnitp_ros.figures.palette import LOST, MAPS, RETURNED, Scale, Style, UNVISITED
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 import numpy as np
@@ -71,8 +72,8 @@ def plot(
         axes = pyplot.subplots(1, 3, figsize=(10.5, 3.2), layout='constrained')[1]
     if len(axes) != len(MAPS):
         raise ValueError(f'axes are {len(axes)}: there must be {len(MAPS)}')
-    for panel, (name, colours) in zip(axes, MAPS.items()):
-        draw_map(panel, grid, getattr(belief, name), colours, name)
+    for panel, (name, scale) in zip(axes, MAPS.items()):
+        draw_map(panel, grid, getattr(belief, name), scale, name)
     for each, walk in zip(given, walks):
         lost = isinstance(each, Observation) and not each.survived
         style = LOST if lost else RETURNED
@@ -85,7 +86,12 @@ def plot(
 
 
 def draw_map(
-    axes: Axes, grid: Grid, values: NDArray[np.float64], colours: str, title: str
+    axes: Axes,
+    grid: Grid,
+    values: NDArray[np.float64],
+    scale: Scale,
+    title: str,
+    prior: float = 0.5,
 ) -> None:
     """
     Draw one probability a cell as the field is seen from above, the base as a white square.
@@ -98,13 +104,16 @@ def draw_map(
         The field.
     values : ndarray, shape (cells,)
         In [0, 1]; cells without a value are white, blocked ones grey.
-    colours : str
-        A matplotlib colour map.
+    scale : Scale
+        The colours.
     title : str
         Above the map.
+    prior : float
+        What was assumed before the mission, in [0, 1]: the colours part there.
 
     """
     image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
+    colours = LinearSegmentedColormap.from_list(title, scale.stops(prior))
     drawn = axes.imshow(
         image, origin='lower', cmap=colours, vmin=0.0, vmax=1.0, extent=extent(grid)
     )

@@ -2,8 +2,8 @@
 """
 Colours that every kind of colour vision tells apart, each with a line style and a marker.
 
-The colours of lines are those of Okabe and Ito (Color Universal Design, 2008). Maps go from light
-to dark, so that their order shows without any hue.
+The colours of lines are those of Okabe and Ito (Color Universal Design, 2008). Maps have the
+colour of the paper where a probability is as it was assumed, and part from it in two hues.
 """
 
 from __future__ import annotations
@@ -62,8 +62,45 @@ SERIES = (
 
 RETURNED, LOST = SERIES[0], SERIES[1]
 
-# Names that both Matplotlib and Plotly know.
-MAPS = {'hazard': 'Reds', 'target': 'Greens', 'kappa': 'Purples'}
+
+@dataclass(frozen=True)
+class Scale:
+    """
+    The colours of a probability, which part at what was assumed before the mission.
+
+    Attributes
+    ----------
+    colours : tuple of five str
+        At 0, half way to the assumption, at it, half way from it to 1, and at 1, as '#rrggbb'.
+
+    """
+
+    colours: tuple[str, str, str, str, str]
+
+    def stops(self, prior: float) -> list[tuple[float, str]]:
+        """Return where from 0 to 1 each colour stands, if `prior` was assumed."""
+        middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
+        places = (0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0)
+        return list(zip(places, self.colours))
+
+
+# How much room each half of a scale has at least.
+NARROWEST = 0.1
+
+# Of the maps, on light paper and on a dark screen: what is unknown has the colour of neither.
+MAPS = {
+    'hazard': Scale(('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d')),
+    'target': Scale(('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b')),
+    'kappa': Scale(('#f0a94e', '#fad6a5', '#f7f7f7', '#a48cc4', '#40004b')),
+}
+DARK_MAPS = {
+    'hazard': Scale(('#3a7fb5', '#315878', '#2e3238', '#a3523a', '#ffab8c')),
+    'target': Scale(('#80602c', '#58492f', '#2e3238', '#3f7f4a', '#a5f3b0')),
+    'kappa': Scale(('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff')),
+}
+
+# How many robots were lost in a cell: from none to the most.
+COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
 
 # Of the hatching of cells that nobody visited: what is below, and the lines themselves.
 UNVISITED = ('#ffffff80', '#505050')

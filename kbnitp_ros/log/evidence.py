@@ -28,6 +28,7 @@ BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
 PROGRESS = 'kbnitp_msgs/msg/Progress'
+DECISION = 'kbnitp_msgs/msg/Decision'
 PATH = 'nav_msgs/msg/Path'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.core import (
     Belief,
+    Decision,
     deployment_order,
     DeploymentKey,
     deployments_table,
@@ -22,6 +23,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.log.evidence import (
     BELIEF,
+    DECISION,
     Evidence,
     first_belief,
     GRID,
@@ -31,6 +33,7 @@ from kbnitp_ros.log.evidence import (
     REPORT,
 )
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.decisions import read_decision
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
@@ -92,6 +95,8 @@ class History:
     bounds : dict of int to float
         What no path was worth more than given the belief of a stamp, nats, where
         that was computed.
+    decision : Decision or None
+        The last one on record: what may be relied on of the goal.
     world : World or None
         The hidden truth, if the agent published it.
 
@@ -106,6 +111,7 @@ class History:
     learnt: list[dict[str, Known]] = field(default_factory=list)
     learnt_stamps: list[int] = field(default_factory=list)
     bounds: dict[int, float] = field(default_factory=dict)
+    decision: Decision | None = None
     world: World | None = None
 
     @property
@@ -165,7 +171,9 @@ def read_history(
     history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
     with same_types(path):
-        for logged in progress(read_log(path, (BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT))):
+        for logged in progress(
+            read_log(path, (BELIEF, DECISION, GRID, MODEL, PATH, PROGRESS, REPORT))
+        ):
             with named(path, logged, history):
                 if logged.type_name in (PATH, REPORT):
                     take_evidence(history, logged)
@@ -175,6 +183,8 @@ def read_history(
                     stamp = from_stamp(logged.message.header.stamp)
                     history.learnt.append(read_model_belief(logged.message))
                     history.learnt_stamps.append(stamp)
+                elif logged.type_name == DECISION:
+                    history.decision = read_decision(first.grid, logged.message)
                 elif logged.type_name == PROGRESS:
                     if not isnan(logged.message.upper_bound):
                         stamp = from_stamp(logged.message.header.stamp)

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Decision, Grid
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import header
+import numpy as np
 
 if TYPE_CHECKING:
     from kbnitp_msgs.msg import Decision as DecisionMessage
@@ -46,4 +47,37 @@ def decision_message(
         hazards_95=float(decision.hazards_95),
         reached=decision.reached,
         reason=decision.reason,
+    )
+
+
+def read_decision(grid: Grid, message: Any) -> Decision:
+    """
+    Return the decision that a message tells.
+
+    Raises
+    ------
+    ValueError
+        If a probability is none, a number is negative or not finite, or the path leaves the grid.
+
+    """
+    names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
+    if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
+        raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')
+    if message.probability > 1.0:
+        raise ValueError(f'probability is {message.probability}: it must be in [0, 1]')
+    at = [(each.pose.position.x, each.pose.position.y) for each in message.path.poses]
+    path = grid.cells_at(at) if at else np.empty(0, dtype=np.intp)
+    if at and not 0.0 <= message.survival <= 1.0:
+        raise ValueError(f'survival is {message.survival}: it must be in [0, 1]')
+    return Decision(
+        goal=message.goal,
+        p_free=message.probability,
+        independent_draws=message.independent_draws,
+        path=path,
+        survival=message.survival,
+        hazards_mean=message.hazards_mean,
+        hazards_5=int(message.hazards_5),
+        hazards_95=int(message.hazards_95),
+        reached=message.reached,
+        reason=message.reason,
     )

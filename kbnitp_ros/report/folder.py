@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -40,7 +40,6 @@ def write_report(
     mission: Mission,
     curves: Curves,
     note: str = '',
-    truth: Mapping[str, float] | None = None,
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
     """
@@ -56,8 +55,6 @@ def write_report(
         Of the mission.
     note : str
         What else is to be known of the mission.
-    truth : mapping of str to float, optional
-        What the numbers are that were learnt, as far as it is known.
     done : callable
         Is told of each part that is done.
 
@@ -81,7 +78,7 @@ def write_report(
         done('report.html')
         save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg')
         done('maps.png')
-        save(progress_figure(mission, curves, truth), new / 'progress.png', 'png', 'svg')
+        save(progress_figure(mission, curves), new / 'progress.png', 'png', 'svg')
         done('progress.png')
         write_tables(new, mission, curves)
         done('deployments.parquet')

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_ros.figures import draw_map, draw_paths, hatch, LOST, MAPS, RETURNED
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import counted, Mission
 from matplotlib.figure import Figure
 import numpy as np
 
@@ -22,8 +22,10 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
     rows = ('abcd', 'efgh') if world else ('abc', 'dh.')
     figure = Figure(figsize=(10.5, 5.4) if world else (8.0, 5.4), layout='constrained')
     axes = figure.subplot_mosaic([list(row) for row in rows], empty_sentinel='.')
+    assumed = mission.assumed
     for name, panel in zip(MAPS, 'abc'):
-        draw_map(axes[panel], grid, getattr(belief, name), MAPS[name], f'{name}, believed')
+        said = f'{name}, believed'
+        draw_map(axes[panel], grid, getattr(belief, name), MAPS[name], said, assumed[name])
         hatch(axes[panel], grid, ~visited & grid.free)
     if world:
         kappa = np.where(world.hazard, world.target, np.nan).astype(np.float64)
@@ -33,11 +35,11 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
     ended = mission.ended
     for panel, survived, style, what in (
         ('d', True, RETURNED, 'returned'),
-        ('h', False, LOST, 'were lost'),
+        ('h', False, LOST, 'lost'),
     ):
         draw_paths(axes[panel], grid, [each for each in ended if each.survived == survived], style)
         number = sum(each.survived == survived for each in ended)
-        axes[panel].set_title(f'{robots(number)} {what}', fontsize='medium')
+        axes[panel].set_title(f'{counted(number, "robot")} {what}', fontsize='medium')
         hatch(axes[panel], grid, ~visited & grid.free)
     figure.suptitle(note or caption(mission), fontsize='medium')
     return figure
@@ -46,9 +48,5 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
 def caption(mission: Mission) -> str:
     """Return what the hatching means, if there is any."""
     unvisited = int((~mission.visited() & mission.grid.free).sum())
-    return f'hatched: {unvisited} cells that no robot was sent into' if unvisited else ''
-
-
-def robots(number: int) -> str:
-    """Return a number of robots in words."""
-    return '1 robot' if number == 1 else f'{number} robots'
+    cells = counted(unvisited, 'cell')
+    return f'hatched: {cells} that no robot was sent into' if unvisited else ''

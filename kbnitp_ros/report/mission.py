@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import accumulate
 from math import nan
 from pathlib import Path
@@ -13,6 +15,7 @@ from typing import Any
 from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, parts_of, read_metadata
 from kbnitp_ros.core import (
     Belief,
+    Decision,
     deployment_order,
     DeploymentKey,
     Grid,
@@ -124,7 +127,8 @@ class Mission:
     grid : Grid
         The field.
     rules : dict of str to object
-        What the estimator was started with: method, seed, the most steps of a path.
+        What the estimator was started with: method, seed, the most steps of a path, whether the
+        hazards stay.
     moments : list of Moment
         In their order.
     sorties : list of Sortie
@@ -137,6 +141,10 @@ class Mission:
         Of each node, by its full name.
     notes : list of str
         What else is to be known of the log.
+    in_flight : int
+        How many robots have left and are not reported.
+    decision : Decision or None
+        What may be relied on of the goal in the end.
 
     """
 
@@ -149,6 +157,30 @@ class Mission:
     run: dict[str, str]
     parameters: dict[str, dict[str, Any]]
     notes: list[str]
+    in_flight: int
+    decision: Decision | None
+
+    @property
+    def assumed(self) -> dict[str, float]:
+        """Mean of each map before the mission, over the cells that robots can enter."""
+        inside = self.grid.free.copy()
+        inside[self.grid.base] = self.grid.cells == 1
+        return {
+            name: float(getattr(self.moments[0].belief, name)[inside].mean())
+            for name in ('hazard', 'target', 'kappa')
+        }
+
+    @cached_property
+    def numbers(self) -> dict[str, float]:
+        """What the numbers are that can be learnt, where a simulation has them on record."""
+        nodes = self.parameters.values()
+        agent = next((each for each in nodes if 'world.kappa' in each), None)
+        estimator = next((each for each in nodes if 'learn' in each), None)
+        # A log of others may hold any parameters.
+        with suppress(KeyError, TypeError):
+            if self.world is not None and agent is not None and estimator is not None:
+                return true_numbers(agent, estimator)
+        return {}
 
     @property
     def ended(self) -> list[Observation]:
@@ -199,16 +231,25 @@ def read_mission(
     keys = sorted(evidence.paths, key=deployment_order)
     moments, notes = moments_of(log, history, keys)
     first = history.heard[0].snapshot
+    departures = read_departures(log)
+    in_flight = sum(not departures.is_at_base(key) for key in evidence.without_report)
     return Mission(
         log=Path(log),
         grid=history.grid,
-        rules={'method': first.method, 'seed': first.seed, 'max_steps': evidence.max_steps},
+        rules={
+            'method': first.method,
+            'seed': first.seed,
+            'max_steps': evidence.max_steps,
+            'dynamics': first.dynamics.kind,
+        },
         moments=moments,
         sorties=sorties_of(history, keys, moments),
         world=history.world,
         run=read_metadata(log).get(RUN, {}),
         parameters=read_parameters(log),
-        notes=[*notes, *notes_of(log, evidence)],
+        notes=[*notes, *notes_of(log, evidence, in_flight)],
+        in_flight=in_flight,
+        decision=history.decision,
     )
 
 
@@ -318,18 +359,37 @@ def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
     return next((place for place, each in enumerate(moments) if each.time >= time), None)
 
 
-def notes_of(log: str | Path, evidence: Evidence) -> Iterator[str]:
+def notes_of(log: str | Path, evidence: Evidence, in_flight: int) -> Iterator[str]:
     """Yield what is to be known of a log besides."""
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
-    departures = read_departures(log)
-    number = sum(not departures.is_at_base(key) for key in evidence.without_report)
-    if number:
-        robots = '1 robot was' if number == 1 else f'{number} robots were'
-        yield f'{robots} still out when the log ends.'
+    if in_flight:
+        were = 'was' if in_flight == 1 else 'were'
+        yield f'{counted(in_flight, "robot")} {were} still out when the log ends.'
     if evidence.without_path:
-        yield f'{len(evidence.without_path)} deployments have no path on record.'
+        yield f'Without a path on record: {counted(len(evidence.without_path), "deployment")}.'
     for refusal in evidence.refused[:REFUSALS]:
         yield f'Refused: {refusal}'
     if len(evidence.refused) > REFUSALS:
         yield f'Refused: {len(evidence.refused) - REFUSALS} more.'
+
+
+def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict[str, float]:
+    """Return what the numbers are that can be learnt, as far as these parameters tell."""
+    numbers = {
+        name: agent[f'sensor.{name}']
+        for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
+    }
+    # A hazard that destroys no robot has failed or was not lethal, which nobody can tell.
+    working = 1.0 - estimator['sensor.false_negative']
+    if working > 0.0:
+        numbers['lethality'] *= (1.0 - agent['sensor.false_negative']) / working
+    if not agent['world.file']:
+        for name in ('hazard_density', 'kappa', 'target_background'):
+            numbers[name] = agent[f'world.{name}']
+    return numbers
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f'{number} {what}' if number == 1 else f'{number} {what}s'

@@ -14,13 +14,15 @@ from string import Template
 from typing import Any
 
 from kbnitp_ros.core import Observation
-from kbnitp_ros.figures import LOST, MAPS, RETURNED
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.log.log_path import NAME
+from kbnitp_ros.report.answers import findings_of, losses_of
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
-from kbnitp_ros.report.mission import Mission
-from kbnitp_ros.report.plots import cell_plot, curve_plot, map_plot, TRACES, WALKS
+from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.report.plots import cell_plot, curve_plots, map_plot, OBSTACLE, TRACES, WALKS
 from kbnitp_ros.report.tables import rows
+from kbnitp_ros.report.tiles import Tile, tiles_of
 import numpy as np
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
@@ -35,34 +37,56 @@ LIKELY = 0.5
 
 # Of the curves of missions whose truth is on record.
 SCORED = (
-    ' Log loss is how far the belief is from the truth: 0 where it is certain and right. Both '
+    ' Log loss tells how far the belief is from the truth: 0 where it is certain and right. Both '
     'should fall.'
+)
+
+
+# The sign of the lane, where there is one.
+LANE = (
+    '<li><svg width="26" height="10" aria-hidden="true"><path d="M0 5H26" stroke="white" '
+    'stroke-width="5"/><path d="M0 5H26" stroke="black" stroke-width="2"/></svg> safest lane</li>'
 )
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table: its heading, the value of a row, its decimals, whether it is text."""
+    """
+    A column of a table.
+
+    Its heading, the value of a row, its decimals, whether it is text, and whether a phone has no
+    room for it.
+    """
 
     heading: str
     name: str
     decimals: int = 0
     is_text: bool = False
+    is_minor: bool = False
 
 
 TABLE = (
     Column('no.', 'deployment'),
-    Column('agent', 'agent', is_text=True),
+    Column('agent', 'agent', is_text=True, is_minor=True),
     Column('outcome', 'outcome', is_text=True),
     Column('steps', 'steps'),
-    Column('steps survived', 'steps_survived'),
+    Column('steps survived', 'steps_survived', is_minor=True),
     Column('targets read', 'detected'),
-    Column('expected (nats)', 'information_expected', 2),
-    Column('gained (nats)', 'information_gained', 2),
-    Column('gap (nats)', 'gap', 3),
+    Column('expected (nats)', 'information_expected', 2, is_minor=True),
+    Column('gained (nats)', 'information_gained', 2, is_minor=True),
+    Column('gap (nats)', 'gap', 3, is_minor=True),
     Column('entropy (nats)', 'entropy', 1),
-    Column('log loss (nats)', 'log_loss', 1),
-    Column('reported after (s)', 'duration', 2),
+    Column('log loss (nats)', 'log_loss', 1, is_minor=True),
+    Column('reported after (s)', 'duration', 2, is_minor=True),
+)
+
+FINDINGS = (
+    Column('what', 'kind', is_text=True),
+    Column('x (m)', 'x', 2),
+    Column('y (m)', 'y', 2),
+    Column('probability', 'probability', 3),
+    Column('looks', 'looks'),
+    Column('target read', 'seen'),
 )
 
 
@@ -121,25 +145,31 @@ def filled(
     """Return the page with some of the moments."""
     table = rows(mission, curves)
     shown = deployments_shown(mission, kept)
+    labels, panels = zip(*curve_plots(mission, curves, kept))
     assets = {name: asset(f'page.{name}') for name in ('html', 'css', 'js')}
     notes = [*([left_out] if left_out else []), *mission.notes]
     return Template(assets['html']).substitute(
         title=escape(f'Mission {title_of(mission.log)}'),
         summary=escape(summary(mission, curves)),
+        tiles='\n'.join(map(tile, tiles_of(mission, curves))),
         style=assets['css'],
         notes='\n'.join(f'<p class="note">{escape(note)}</p>' for note in notes),
         beside=' and what is there' if mission.world else '',
         scored=SCORED if mission.world else '',
-        columns='beside' if mission.world else 'alone',
         maps='\n'.join(map_figures(mission)),
         returned=RETURNED.colour,
         lost=LOST.colour,
+        obstacle=OBSTACLE,
+        lane=LANE if mission.decision is not None and mission.decision.path.size else '',
+        finding_headings=''.join(map(heading, FINDINGS)),
+        findings='\n'.join(map(finding_row, map(vars, findings_of(mission)))),
+        panels='\n'.join(panel_place(*each) for each in enumerate(labels)),
         headings=''.join(heading(column) for column in columns_of(mission)),
         rows='\n'.join(row(table[each], each, kept, mission) for each in shown),
         configuration=configuration(mission),
         mission=packed_json(data_of(mission, curves, table, kept, shown)),
         frames=packed_frames(frames),
-        plots=plots_of(mission, curves, kept),
+        plots=plots_of(mission, panels),
         plotly=get_plotlyjs().replace('</script', '<\\/script'),
         script=assets['js'],
     )
@@ -170,9 +200,9 @@ def summary(mission: Mission, curves: Curves) -> str:
     entropy = curves.hazard_entropy + curves.target_entropy
     agents = len({each.key.agent for each in mission.sorties})
     words = [
-        f'{len(mission.sorties)} deployments of {agents} {"agents" if agents > 1 else "agent"} '
-        f'into {mission.grid.width} x {mission.grid.height} cells, {lost} robots lost',
-        f'entropy {entropy[0]:.1f} to {entropy[-1]:.1f} nats',
+        f'{counted(len(mission.sorties), "deployment")} of {counted(agents, "agent")} '
+        f'into {mission.grid.width} x {mission.grid.height} cells, {counted(lost, "robot")} lost',
+        f'entropy H(Z) + H(X) {entropy[0]:.1f} to {entropy[-1]:.1f} nats',
         f'method {mission.rules["method"]}',
     ]
     if 'time' in mission.run:
@@ -180,41 +210,76 @@ def summary(mission: Mission, curves: Curves) -> str:
     return f'{"; ".join(words)}.'
 
 
+def tile(each: Tile) -> str:
+    """Return an answer as the page shows it."""
+    question, answer, detail = map(escape, each)
+    return f'<article><h3>{question}</h3><p>{answer}</p><p>{detail}</p></article>'
+
+
 def map_figures(mission: Mission) -> Iterator[str]:
-    """Yield the places of the maps, each believed one before its truth."""
-    truths = {
-        'hazard': 'hazard, true',
-        'target': 'target, true',
-        'kappa': 'target where a hazard is, true',
-    }
+    """Yield the places of the maps: what is believed, and then what is true."""
     for name in MAPS:
         yield map_place(name, f'{name}, believed')
-        if mission.world:
-            yield map_place(f'true-{name}', truths[name])
+    yield map_place('losses', 'robots lost, expected in each cell after the last report')
+    if mission.world:
+        yield map_place('true-hazard', 'hazard, true')
+        yield map_place('true-target', 'target, true')
+        yield map_place('true-kappa', 'target where a hazard is, true')
 
 
 def map_place(name: str, caption: str) -> str:
     """Return the place of a map."""
     return (
-        f'<figure><figcaption>{caption}</figcaption>'
+        f'<figure><figcaption>{caption} {save_button(name, f"map of {caption}")}</figcaption>'
         f'<div id="{name}" class="plot" role="img" aria-label="Map of {caption}"></div></figure>'
     )
 
 
-def plots_of(mission: Mission, curves: Curves, kept: NDArray[np.intp]) -> str:
+def panel_place(number: int, label: str) -> str:
+    """Return the place of a panel of curves."""
+    said = escape(label)
+    return (
+        f'<figure>{save_button(f"curve-{number}", f"curves of {said}")}'
+        f'<div id="curve-{number}" class="plot" role="img" aria-label="Curves of {said}, report '
+        'after report; the table of deployments has the numbers"></div></figure>'
+    )
+
+
+def save_button(plot: str, what: str) -> str:
+    """Return the button that saves a figure."""
+    return (
+        f'<button type="button" class="save" data-plot="{plot}" '
+        f'aria-label="Save the {what} as PNG">PNG</button>'
+    )
+
+
+def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
     """Return all plots as one JSON object that can stand in a page."""
-    plots = {name: map_plot(mission.grid, name) for name in MAPS}
+    lane = None if mission.decision is None else mission.decision.path
+    plots = {name: map_plot(mission.grid, lane=lane) for name in MAPS}
+    losses = losses_of(mission)
+    plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())))
     if mission.world:
         hazard, target = (each.astype(np.float64) for each in vars(mission.world).values())
         truth = {'hazard': hazard, 'target': target}
         truth['kappa'] = np.where(hazard > 0.0, target, np.nan)
-        plots |= {
-            f'true-{name}': map_plot(mission.grid, name, values) for name, values in truth.items()
-        }
-    plots['curves'] = curve_plot(mission, curves, kept)
+        plots |= {f'true-{name}': map_plot(mission.grid, values) for name, values in truth.items()}
+    plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     plots['cell'] = cell_plot()
     inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
     return f'{{{inside}}}'.replace('<', '\\u003c')
+
+
+def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
+    """Return the colours of each map on light paper and on a dark screen."""
+    assumed = mission.assumed
+    scales = {
+        name: {'light': scale.stops(assumed[name]), 'dark': DARK_MAPS[name].stops(assumed[name])}
+        for name, scale in MAPS.items()
+    }
+    counts = {theme: list(zip((0.0, 0.5, 1.0), colours)) for theme, colours in COUNTS.items()}
+    truths = {f'true-{name}': scale for name, scale in scales.items()}
+    return {**scales, **truths, 'losses': counts}
 
 
 def data_of(
@@ -239,6 +304,9 @@ def data_of(
             'blocked': sorted(grid.blocked),
         },
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
+        'scales': scales_of(mission),
+        'assumed': mission.assumed,
+        'name': title_of(mission.log),
         'traces': TRACES,
         'walks': WALKS,
         'truth': world
@@ -311,7 +379,7 @@ def told_of(mission: Mission, place: int) -> str:
     moment = mission.moments[place]
     if moment.sortie is None:
         return 'Before the first deployment.' if not moment.held else 'Where the log begins.'
-    of = f'{moment.held} of {len(mission.sorties)} deployments taken in'
+    of = f'{moment.held} of {counted(len(mission.sorties), "deployment")} taken in'
     agent = mission.sorties[moment.sortie].key.agent
     if moment.outcome is None:
         return f'{of}: the last report, of {agent}, is not on record.'
@@ -335,12 +403,12 @@ def facts_of(
         yield 'deployment', f'no. {moment.sortie + 1} of {table[moment.sortie]["agent"]}'
         if seen.readings is not None:
             read = seen.readings.astype(int)
-            yield 'outcome', f'returned after {seen.steps} steps'
-            yield 'targets read', f'{(read == 1).sum()} in {(read >= 0).sum()} looks'
+            yield 'outcome', f'returned after {counted(seen.steps, "step")}'
+            yield 'targets read', f'{(read == 1).sum()} in {counted((read >= 0).sum(), "look")}'
         else:
-            yield 'outcome', f'lost on a path of {seen.steps} steps'
+            yield 'outcome', f'lost on a path of {counted(seen.steps, "step")}'
             if seen.steps_survived:
-                yield 'last contact', f'after {seen.steps_survived} steps'
+                yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
             if heard := heard_on(seen):
                 yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):
@@ -363,9 +431,20 @@ def columns_of(mission: Mission) -> list[Column]:
 
 
 def heading(column: Column) -> str:
-    """Return a heading of the table."""
-    kind = ' class="text"' if column.is_text else ''
-    return f'<th scope="col"{kind}><button type="button">{column.heading}</button></th>'
+    """Return a heading of a table."""
+    return f'<th scope="col"{kind(column)}><button type="button">{column.heading}</button></th>'
+
+
+def kind(column: Column) -> str:
+    """Return what the style of a page is to know of a column."""
+    names = [*(['text'] if column.is_text else []), *(['minor'] if column.is_minor else [])]
+    return f' class="{" ".join(names)}"' if names else ''
+
+
+def finding_row(values: Mapping[str, Any]) -> str:
+    """Return a row of the table of findings, which leads to its cell."""
+    cells = ''.join(cell(column, values[column.name]) for column in FINDINGS)
+    return f'<tr data-cell="{values["cell"]}">{cells}</tr>'
 
 
 def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission: Mission) -> str:
@@ -386,13 +465,12 @@ def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission:
 
 
 def cell(column: Column, value: Any) -> str:
-    """Return a cell of the table."""
+    """Return a cell of a table."""
     if value is None:
-        return '<td data-value=""></td>'
-    if column.is_text:
-        text = escape(str(value))
-        return f'<td class="text" data-value="{text}">{text}</td>'
-    return f'<td data-value="{value}">{value:.{column.decimals}f}</td>'
+        return f'<td{kind(column)} data-value=""></td>'
+    text = escape(str(value))
+    shown = text if column.is_text else f'{value:.{column.decimals}f}'
+    return f'<td{kind(column)} data-value="{text}">{shown}</td>'
 
 
 def configuration(mission: Mission) -> str:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kbnitp_ros.figures import SERIES
@@ -42,9 +41,10 @@ def panels_of(curves: Curves) -> list[Panel]:
         Panel(
             'entropy (nats)',
             {
+                'H(Z) + H(X), all': curves.hazard_entropy + curves.target_entropy,
                 'H(Z), hazards': curves.hazard_entropy,
                 'H(X), targets': curves.target_entropy,
-                'H(Z, X), both': curves.joint_entropy,
+                'H(Z, X), joint': curves.joint_entropy,
             },
         )
     ]
@@ -73,9 +73,7 @@ def panels_of(curves: Curves) -> list[Panel]:
     return panels
 
 
-def progress_figure(
-    mission: Mission, curves: Curves, truth: Mapping[str, float] | None = None
-) -> Figure:
+def progress_figure(mission: Mission, curves: Curves) -> Figure:
     """Return the picture of entropy, log loss, information and losses after each deployment."""
     panels = panels_of(curves)
     names = list(mission.moments[-1].learnt)
@@ -86,7 +84,7 @@ def progress_figure(
     for panel, axes in zip(panels, places):
         draw_panel(axes, panel)
     for name, axes in zip(names, places):
-        draw_number(axes, name, quantiles_of(mission, name), (truth or {}).get(name))
+        draw_number(axes, name, quantiles_of(mission, name), mission.numbers.get(name))
     for axes in places:
         axes.set_visible(False)
     for axes in grid.flat:

@@ -88,10 +88,10 @@ def outcome_word(seen: Observation | None) -> str:
 
 
 def steps_survived(seen: Observation | None) -> int | None:
-    """Return how many steps a robot is known to have survived; None if it was still out."""
+    """Return how many steps a robot is known to have survived; None if nothing is known."""
     if seen is None:
         return None
-    return seen.steps if seen.survived else seen.steps_survived
+    return seen.steps if seen.survived else seen.steps_survived or None
 
 
 def readings(seen: Observation) -> list[int]:

@@ -22,7 +22,6 @@ from kbnitp_ros.cli.demo import (
     NODES,
     parse,
     recorded_parameters,
-    true_numbers,
 )
 from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import (
@@ -43,6 +42,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.log.evidence import last_belief, REPORT
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.report.mission import true_numbers
 from laws import for_each
 import numpy as np
 import pytest
@@ -365,7 +365,7 @@ def test_what_the_demo_learns_is_true_in_ten_worlds():
 def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
     options = ['--set', 'agent:sensor.malfunction=0.01', '--set', 'agent:world.kappa=0.7']
     parameters = chosen_parameters(parse(options))
-    numbers = true_numbers(parameters)
+    numbers = true_numbers(parameters['agent'], parameters['estimator'])
     assert numbers == {
         'lethality': 0.5, 'malfunction': 0.01, 'true_positive': 0.95, 'false_positive': 0.05,
         'hazard_density': 0.15, 'kappa': 0.7, 'target_background': 0.1,
@@ -373,7 +373,7 @@ def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
     # A hazard that fails is as good as one that is less lethal.
     parameters['agent']['sensor.false_negative'] = 0.24
     parameters['agent']['world.file'] = 'hidden.yaml'
-    known = true_numbers(parameters)
+    known = true_numbers(parameters['agent'], parameters['estimator'])
     assert known['lethality'] == pytest.approx(0.5 * 0.76 / 0.95)
     assert 'kappa' not in known
 

@@ -6,13 +6,13 @@ import json
 
 from colorspacious import cspace_convert, deltaE
 from kbnitp_ros.core import Unknowns
-from kbnitp_ros.figures import save, SERIES
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, MAPS, save, SERIES
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.maps_figure import maps_figure
-from kbnitp_ros.report.plots import curve_plot
+from kbnitp_ros.report.plots import curve_plots
 from kbnitp_ros.report.progress_figure import draw_number, progress_figure
 from laws import for_each
-from legible import check_lines, check_texts
+from legible import as_seen, check_lines, check_texts, VISIONS
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 import mission_log
@@ -90,6 +90,30 @@ def test_no_two_styles_look_the_same():
         assert one.marker != other.marker
 
 
+# In CAM02-UCS: at a glance, and not only side by side.
+APART = 15.0
+
+
+@for_each('maps', [MAPS, DARK_MAPS])
+def test_maps_tell_low_unknown_and_high_apart_for_every_colour_vision(maps):
+    for scale in maps.values():
+        low, _, unknown, _, high = map(to_rgb, scale.colours)
+        for vision in (None, *VISIONS):
+            for one, other in combinations((low, unknown, high), 2):
+                seen = [as_seen(colour, vision) for colour in (one, other)]
+                assert deltaE(*seen, input_space='sRGB1') > APART, (scale, vision)
+
+
+def test_what_was_assumed_has_the_colour_of_the_paper():
+    for maps, paper in ((MAPS, '#f7f7f7'), (DARK_MAPS, '#2e3238')):
+        for scale in maps.values():
+            for prior in (0.15, 0.5, 0.8):
+                assert dict(scale.stops(prior))[prior] == paper
+            places = [place for place, _ in scale.stops(0.0)]
+            assert places == sorted(set(places))
+    assert [colours[0] for colours in COUNTS.values()] == ['#f7f7f7', '#2e3238']
+
+
 def test_texts_that_overlap_and_lines_that_are_alike_are_found():
     figure = Figure()
     axes = figure.subplots()
@@ -123,11 +147,11 @@ def test_a_learnt_number_of_any_name_is_drawn(tmp_path, name):
             each.message.name = [name]
     shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
     assert list(shown.moments[-1].learnt) == [name]
-    figure = progress_figure(shown, curves_of(shown), {})
+    figure = progress_figure(shown, curves_of(shown))
     for file in save(figure, tmp_path / 'progress.png', 'png', 'svg'):
         assert file.stat().st_size > 1000
-    plot = curve_plot(shown, curves_of(shown), np.arange(len(shown.moments)))
-    assert '<b>' not in json.dumps(json.loads(plot)['layout'])
+    for _, plot in curve_plots(shown, curves_of(shown), np.arange(len(shown.moments))):
+        assert '<b>' not in json.dumps(json.loads(plot)['layout'])
 
 
 def test_a_learnt_number_has_a_panel(tmp_path):
@@ -135,7 +159,7 @@ def test_a_learnt_number_has_a_panel(tmp_path):
         3, method='kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))
     )
     learnt = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
-    figure = progress_figure(learnt, curves_of(learnt), {'lethality': 0.6})
+    figure = progress_figure(learnt, curves_of(learnt))
     assert 'lethality' in [axes.get_ylabel() for axes in figure.axes]
     check_texts(figure)
     check_lines(figure)

@@ -15,7 +15,9 @@ async function start() {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
-  const ALL = NAMES.flatMap((name) => [name, `true-${name}`]).filter((id) => plots[id]);
+  const STILL = ['losses', ...NAMES.map((name) => `true-${name}`)].filter((id) => plots[id]);
+  const ALL = [...NAMES, ...STILL];
+  const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
   const { width, height } = mission.grid;
   const cells = width * height;
   const size = NAMES.length * cells;
@@ -25,6 +27,9 @@ async function start() {
   let now = 0;
   let timer = null;
   let cell = mission.cell;
+  // The page opens with what is known in the end; a path is drawn once a moment was asked for.
+  let isAsked = false;
+  let isNamed = false;
 
   const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
   const center = (each) => [
@@ -102,6 +107,7 @@ async function start() {
 
   function overlays(moment) {
     const { sortie, survived, known, out } = mission.moments[moment];
+    if (!isAsked) return {};
     const traces = { out: line(out.map((each) => mission.sorties[each].path)) };
     const path = sortie === null ? [] : mission.moments[moment].walk || mission.sorties[sortie].path;
     const look = mission.walks[survived ? 'returned' : 'lost'];
@@ -129,6 +135,15 @@ async function start() {
     return { text: of('text'), paper: of('paper'), line: of('line') };
   }
 
+  function coloured(id) {
+    const [cells] = plots[id].data;
+    cells.colorscale = mission.scales[id][isDark() ? 'dark' : 'light'];
+    if (id === 'losses') return;
+    const assumed = mission.assumed[id.replace('true-', '')];
+    const ticks = [0, 1, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])];
+    cells.colorbar = { ...cells.colorbar, tickvals: ticks, ticktext: ticks.map((each) => Number(each.toFixed(2))) };
+  }
+
   function themed(layout) {
     const { text, paper, line: grid } = colours();
     const axes = Object.keys(layout).filter((name) => /^[xy]axis/.test(name));
@@ -149,6 +164,7 @@ async function start() {
   function frame() {
     const [x, y] = center(cell);
     const half = mission.grid.resolution / 2;
+    if (!isAsked && !isNamed) return [];
     return [['#ffffff', 5], ['#000000', 2]].map(([color, wide]) => ({
       type: 'rect', xref: 'x', yref: 'y', x0: x - half, x1: x + half, y0: y - half, y1: y + half,
       line: { color, width: wide },
@@ -161,6 +177,7 @@ async function start() {
     NAMES.forEach((name) => {
       const { data, layout } = plots[name];
       data[0].z = map(now, name);
+      coloured(name);
       mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
       Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
     });
@@ -186,14 +203,16 @@ async function start() {
   }
 
   function drawCurves() {
-    Plotly.react(page('curves'), plots.curves.data, { ...themed(plots.curves.layout), shapes: shape(now) }, config);
+    CURVES.forEach((id) => {
+      Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), shapes: shape(now) }, config);
+    });
   }
 
   function tell() {
     const moment = mission.moments[now];
-    page('told').textContent = moment.told;
+    page('told').textContent = isAsked ? moment.told : 'After the last report. The slider, the arrow keys and Play show how it came about.';
     page('moment').value = now;
-    page('moment').setAttribute('aria-valuetext', moment.told);
+    page('moment').setAttribute('aria-valuetext', page('told').textContent);
     const list = page('deployment');
     list.replaceChildren();
     for (const [term, value] of moment.facts) {
@@ -213,12 +232,17 @@ async function start() {
     }
   }
 
+  function ask(moment) {
+    isAsked = true;
+    show(moment);
+  }
+
   function show(moment) {
     now = Math.max(0, Math.min(last, moment));
     tell();
     drawMaps();
     drawCell();
-    Plotly.relayout(page('curves'), { shapes: shape(now) });
+    CURVES.forEach((id) => Plotly.relayout(page(id), { shapes: shape(now) }));
     document.documentElement.dataset.moment = now;
   }
 
@@ -235,21 +259,22 @@ async function start() {
       stop();
       return;
     }
-    if (now === last) show(0);
+    if (now === last) ask(0);
     page('play').textContent = 'Pause';
     page('play').setAttribute('aria-pressed', 'true');
     // A screen reader would fall behind.
     page('told').removeAttribute('role');
-    timer = setInterval(() => (now === last ? stop() : show(now + 1)), Math.max(80, Math.min(700, 40000 / (last + 1))));
+    timer = setInterval(() => (now === last ? stop() : ask(now + 1)), Math.max(80, Math.min(700, 40000 / (last + 1))));
   }
 
-  let asked = false;
+  let isDue = false;
   function look(each) {
     cell = each;
-    if (asked) return;
-    asked = true;
+    isNamed = true;
+    if (isDue) return;
+    isDue = true;
     requestAnimationFrame(() => {
-      asked = false;
+      isDue = false;
       drawCell();
       ALL.forEach((id) => Plotly.relayout(page(id), { shapes: frame() }));
     });
@@ -272,7 +297,7 @@ async function start() {
     const ascending = head.getAttribute('aria-sort') !== 'ascending';
     [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
     head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
-    const body = page('deployments').tBodies[0];
+    const body = head.closest('table').tBodies[0];
     const key = (row) => row.children[place].dataset.value;
     const sign = ascending ? 1 : -1;
     const rows = [...body.rows].sort((one, other) => {
@@ -285,6 +310,52 @@ async function start() {
     body.append(...rows);
   }
 
+  function keep(name, type, text) {
+    const link = Object.assign(document.createElement('a'), {
+      href: URL.createObjectURL(new Blob([text], { type })), download: `${mission.name}_${name}`,
+    });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  }
+
+  // The table as it is sorted, in full precision.
+  function csv(table) {
+    const quoted = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+    const heads = [...table.tHead.rows[0].cells].map((each) => each.textContent);
+    const rows = [...table.tBodies[0].rows].map((row) => [...row.cells].map((each) => each.dataset.value));
+    return [heads, ...rows].map((row) => `${row.map(quoted).join(',')}\r\n`).join('');
+  }
+
+  // Points in metres in the frame of the map, as its readers have to be told: there is no geodetic datum.
+  function geojson() {
+    const [heads, ...rows] = [...page('findings').rows].map((row) => [...row.cells]);
+    const names = heads.map((each) => each.textContent);
+    const features = rows.map((cells) => {
+      const values = cells.map((each) => each.dataset.value);
+      const numbers = values.map((value, place) => (place ? Number(value) : value));
+      const properties = Object.fromEntries(names.map((name, place) => [name, numbers[place]]));
+      return { type: 'Feature', geometry: { type: 'Point', coordinates: [numbers[1], numbers[2]] }, properties };
+    });
+    return JSON.stringify({ type: 'FeatureCollection', name: mission.name, frame: 'map', unit: 'm', features }, null, 1);
+  }
+
+  const TAKES = {
+    'findings.csv': () => keep('findings.csv', 'text/csv', csv(page('findings'))),
+    'findings.geojson': () => keep('findings.geojson', 'application/geo+json', geojson()),
+    'deployments.csv': () => keep('deployments.csv', 'text/csv', csv(page('deployments'))),
+  };
+
+  function pressed(event) {
+    const { target } = event;
+    // What has keys of its own keeps them: numbers, the slider, tables that scroll sideways.
+    const box = target.closest('input, .wide, #maps');
+    if (event.altKey || event.ctrlKey || event.metaKey || (box && (box.tagName === 'INPUT' || box.scrollWidth > box.clientWidth))) return;
+    const to = { ArrowLeft: now - 1, ArrowRight: now + 1 }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    ask(to);
+  }
+
   function isDark() {
     const chosen = document.documentElement.dataset.theme;
     return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
@@ -292,9 +363,9 @@ async function start() {
 
   function paint() {
     page('theme').textContent = isDark() ? 'Light' : 'Dark';
-    NAMES.forEach((name) => {
-      const { data, layout } = plots[`true-${name}`] || {};
-      if (data) Plotly.react(page(`true-${name}`), data, { ...themed(layout), shapes: frame() }, config);
+    STILL.forEach((id) => {
+      coloured(id);
+      Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), shapes: frame() }, config);
     });
     drawCurves();
     show(now);
@@ -306,13 +377,23 @@ async function start() {
   now = last;
   paint();
   ALL.forEach((id) => page(id).on('plotly_hover', pointed).on('plotly_click', pointed));
-  page('curves').on('plotly_click', (event) => {
+  CURVES.forEach((id) => page(id).on('plotly_click', (event) => {
     const place = event.points[0].x;
-    show(mission.moments.findIndex((moment) => moment.place >= place));
+    ask(mission.moments.findIndex((moment) => moment.place >= place));
+  }));
+  page('moment').addEventListener('input', (event) => ask(Number(event.target.value)));
+  page('previous').addEventListener('click', () => ask(now - 1));
+  page('next').addEventListener('click', () => ask(now + 1));
+  document.addEventListener('keydown', pressed);
+  document.querySelectorAll('.take').forEach((button) => {
+    button.addEventListener('click', () => TAKES[button.dataset.take]());
   });
-  page('moment').addEventListener('input', (event) => show(Number(event.target.value)));
-  page('previous').addEventListener('click', () => show(now - 1));
-  page('next').addEventListener('click', () => show(now + 1));
+  document.querySelectorAll('.save').forEach((button) => {
+    const { plot } = button.dataset;
+    button.addEventListener('click', () => Plotly.downloadImage(page(plot), {
+      format: 'png', scale: 3, filename: `${mission.name}_${plot}`,
+    }));
+  });
   page('play').addEventListener('click', play);
   page('column').addEventListener('change', named);
   page('row').addEventListener('change', named);
@@ -321,12 +402,17 @@ async function start() {
     paint();
   });
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', paint);
-  page('deployments').tHead.addEventListener('click', (event) => {
-    if (event.target.tagName === 'BUTTON') sort(event.target);
-  });
+  for (const id of ['deployments', 'findings']) {
+    page(id).tHead.addEventListener('click', (event) => {
+      if (event.target.tagName === 'BUTTON') sort(event.target);
+    });
+  }
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
-    if (row.dataset.moment !== '') show(Number(row.dataset.moment));
+    if (row.dataset.moment !== '') ask(Number(row.dataset.moment));
+  });
+  page('findings').tBodies[0].addEventListener('click', (event) => {
+    look(Number(event.target.closest('tr').dataset.cell));
   });
   document.documentElement.dataset.ready = 'true';
 }

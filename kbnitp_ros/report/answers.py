@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a mission answers: which cells are safe, where targets are, what to do next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+from kbnitp_ros.core import Observation, targets
+from kbnitp_ros.report.mission import counted, Mission
+import numpy as np
+from numpy.typing import NDArray
+
+# Probabilities of a hazard: a cell is free up to the one, and suspected from the other on.
+FREE, SUSPECTED = 0.05, 0.5
+# Probabilities of a target: it is found from the one on, and listed from the other on.
+FOUND, LISTED = 0.95, 0.5
+
+# The pace of a mission is that of its last quarter, and of so many robots at least.
+LAST, FEWEST = 0.25, 5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    A target or a suspected hazard.
+
+    Attributes
+    ----------
+    kind : str
+        'target' or 'hazard'.
+    cell : int
+        Where.
+    x, y : float
+        Its centre in metres.
+    probability : float
+        That there is one, in [0, 1].
+    looks, seen : int
+        How many readings were taken in the cell, and how many of these reported a target.
+
+    """
+
+    kind: str
+    cell: int
+    x: float
+    y: float
+    probability: float
+    looks: int
+    seen: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """
+    Which cells are what by the last belief, each of shape (cells,).
+
+    Attributes
+    ----------
+    entered : ndarray of bool
+        A robot was sent there, or came from there.
+    free : ndarray of bool
+        Free of a hazard with a probability of 95 % at least.
+    suspected : ndarray of bool
+        Entered, and with a hazard as likely as not.
+
+    """
+
+    entered: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    suspected: NDArray[np.bool_]
+
+
+def cells_of(mission: Mission) -> Cells:
+    """Return which cells are free, suspected and entered; none of them is blocked."""
+    hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
+    entered = mission.visited() & inside
+    return Cells(entered, inside & (hazard <= FREE), entered & (hazard >= SUSPECTED))
+
+
+def findings_of(mission: Mission) -> list[Finding]:
+    """Return the targets and the suspected hazards, the most probable first."""
+    belief, grid = mission.moments[-1].belief, mission.grid
+    known = {
+        each.cell: each
+        for each in targets(belief, mission.moments[-1].model, mission.ended)
+        if grid.free[each.cell]
+    }
+    suspected = np.flatnonzero(cells_of(mission).suspected).tolist()
+    found = [
+        *(('target', cell, each.probability) for cell, each in known.items()),
+        *(('hazard', cell, float(belief.hazard[cell])) for cell in suspected),
+    ]
+    centers = grid.centers(np.arange(grid.cells)).tolist()
+    return [
+        Finding(
+            kind,
+            cell,
+            x=centers[cell][0],
+            y=centers[cell][1],
+            probability=probability,
+            looks=known[cell].looks,
+            seen=known[cell].found,
+        )
+        for kind, cell, probability in sorted(found, key=lambda each: (-each[2], each[:2]))
+        if probability >= LISTED
+    ]
+
+
+def losses_of(mission: Mission) -> NDArray[np.float64]:
+    """
+    Return how many robots are expected to have been lost in each cell, shape (cells,).
+
+    Each lost robot counts once, shared among the steps of its path by how probably it survived
+    all before and not this one; where it was heard is taken into account. Its hazards are those
+    of the last belief if hazards stay, else those of the belief that took the loss in.
+    """
+    last = len(mission.moments) - 1
+    expected = np.zeros(mission.grid.cells)
+    for sortie in mission.sorties:
+        seen = sortie.outcome
+        if seen is None or seen.survived:
+            continue
+        stays = mission.rules['dynamics'] == 'static' or sortie.moment is None
+        moment = mission.moments[last if stays or sortie.moment is None else sortie.moment]
+        cells = seen.path[1:]
+        survival = moment.model_of(sortie.key.agent).survival(moment.belief.hazard[cells])
+        np.add.at(expected, cells, shares(seen, survival))
+    return expected
+
+
+def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how probably a robot was lost in each step, given the survival of each."""
+    after_contact = np.arange(seen.steps) >= seen.steps_survived
+    fits = after_contact if seen.lost_at is None else seen.lost_at
+    reached = np.concatenate([[1.0], np.cumprod(survival[:-1])])
+    lost = fits * reached * (1.0 - survival)
+    if not lost.any():
+        lost = fits
+    share: NDArray[np.float64] = lost / lost.sum()
+    return share
+
+
+def advice(mission: Mission) -> tuple[str, str]:
+    """Return what to do next, in a few words, and why."""
+    out, decision = mission.in_flight, mission.decision
+    if decision is not None and decision.reached:
+        return 'Stop', f'The goal {decision.goal} is reached.'
+    if out:
+        return 'Wait', f'{counted(out, "robot")} did not report yet.'
+    if decision is not None:
+        return 'Send more', f'{decision.goal}: {decision.reason}.'
+    return pace(mission)
+
+
+def pace(mission: Mission) -> tuple[str, str]:
+    """Return how many robots more the open cells take at the pace of the last ones."""
+    moments = mission.moments
+    left = undecided(mission, -1)
+    if not left:
+        return 'Stop', 'Of every cell it is known to 95 % whether it has a hazard.'
+    robots = min(len(moments) - 1, max(FEWEST, int(LAST * (len(moments) - 1))))
+    decided = undecided(mission, -1 - robots) - left
+    since = {each.sortie: each.outcome for each in moments[-robots:] if each.outcome is not None}
+    lost = sum(not each.survived for each in since.values())
+    said = f'The last {counted(robots, "report")} decided {counted(max(0, decided), "cell")}'
+    cost = f'{lost} were losses' if lost != 1 else '1 was a loss'
+    if decided <= 0:
+        return 'Stop', f'{said}, and {cost}. {left} are undecided. More robots bring little.'
+    more = ceil(left * robots / decided)
+    return (
+        f'About {counted(more, "robot")} more',
+        f'{said}; {cost}. At that pace, {left} undecided cells take so many.',
+    )
+
+
+def undecided(mission: Mission, moment: int) -> int:
+    """Return of how many cells it is not known to 95 % at a moment whether they have a hazard."""
+    hazard = mission.moments[moment].belief.hazard[mission.grid.free]
+    return int(((hazard > FREE) & (hazard < 1.0 - FREE)).sum())

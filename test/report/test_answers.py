@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a report answers first is what its log says."""
+
+from itertools import product
+
+from kbnitp_msgs.msg import Decision as DecisionMessage
+from kbnitp_ros.core import Decision, HazardDraws, Observation
+from kbnitp_ros.messages.decisions import decision_message, read_decision
+from kbnitp_ros.report import curves_of, read_mission
+from kbnitp_ros.report.answers import (
+    advice,
+    cells_of,
+    findings_of,
+    losses_of,
+    shares,
+    undecided,
+)
+from kbnitp_ros.report.tiles import tiles_of
+from laws import for_each
+from mission_log import GRID, record
+from missions import sent_by_single
+import numpy as np
+import pytest
+
+
+def answered(whole, folder):
+    """Return the mission of what was sent, and its tiles by their questions."""
+    mission = read_mission(record(folder / 'mission.mcap', whole.sent))
+    tiles = tiles_of(mission, curves_of(mission))
+    return mission, {each.question: each for each in tiles}
+
+
+@pytest.fixture(scope='module')
+def told(tmp_path_factory):
+    return answered(sent_by_single(20), tmp_path_factory.mktemp('answers'))
+
+
+def test_every_cell_is_counted_by_its_definition(told):
+    mission, _ = told
+    hazard, cells = mission.moments[-1].belief.hazard, cells_of(mission)
+    for cell in range(mission.grid.cells):
+        is_inside = cell not in mission.grid.blocked
+        entered = any(cell in each.path for each in mission.ended)
+        assert cells.free[cell] == (is_inside and hazard[cell] <= 0.05)
+        assert cells.suspected[cell] == (is_inside and entered and hazard[cell] >= 0.5)
+        assert cells.entered[cell] == entered
+    assert undecided(mission, -1) == sum(
+        0.05 < hazard[cell] < 0.95 for cell in np.flatnonzero(mission.grid.free)
+    )
+
+
+def test_findings_are_what_is_probable_the_most_probable_first(told):
+    mission, _ = told
+    belief = mission.moments[-1].belief
+    found = {(each.kind, each.cell): each for each in findings_of(mission)}
+    free = mission.grid.free
+    assert {cell for kind, cell in found if kind == 'target'} == {
+        *np.flatnonzero(free & (belief.target >= 0.5)).tolist()
+    }
+    assert {cell for kind, cell in found if kind == 'hazard'} == {
+        *np.flatnonzero(cells_of(mission).suspected).tolist()
+    }
+    for (kind, cell), each in found.items():
+        assert each.probability == getattr(belief, kind)[cell]
+        assert [each.x, each.y] == mission.grid.centers([cell])[0].tolist()
+        looks = sum((seen.path[1:] == cell).sum() for seen in mission.ended if seen.survived)
+        assert each.looks == looks
+    probable = [each.probability for each in findings_of(mission)]
+    assert probable == sorted(probable, reverse=True)
+
+
+@for_each('seed', range(20))
+def test_a_loss_is_shared_as_all_its_endings_say(seed):
+    rng = np.random.default_rng(seed)
+    steps = 5
+    survival, known = rng.uniform(0.1, 0.9, steps), int(rng.integers(steps))
+    seen = Observation([GRID.base] * (steps + 1), False, steps_survived=known)
+    expected = np.zeros(steps)
+    for fates in product((False, True), repeat=steps):
+        if not all(fates) and fates.index(False) >= known:
+            each = np.where(fates, survival, 1.0 - survival)
+            expected[fates.index(False)] += each.prod()
+    assert shares(seen, survival) == pytest.approx(expected / expected.sum())
+
+
+def test_losses_add_up_to_the_robots_lost(told):
+    mission, tiles = told
+    lost = sum(not each.survived for each in mission.ended)
+    losses = losses_of(mission)
+    assert losses.sum() == pytest.approx(lost)
+    assert not losses[~cells_of(mission).entered].any()
+    assert tiles['What did it cost?'].answer == f'{lost} of 20 robots lost'
+
+
+def test_robots_in_flight_are_waited_for(tmp_path):
+    whole = sent_by_single(3)
+    whole.send_out(whole.walk().path)
+    mission, tiles = answered(whole, tmp_path)
+    assert advice(mission) == ('Wait', '1 robot did not report yet.')
+    assert tiles['What did it cost?'].detail.endswith('1 in flight')
+
+
+def decision_on(mission, confidence):
+    """Return a decision on a lane, as a planner makes it, and its message."""
+    hazardous = np.zeros((4, GRID.cells), dtype=bool)
+    hazardous[0, 1] = True
+    draws = HazardDraws(hazardous, 1e6)
+    path = np.array([GRID.base, 1, 0])
+    decision = Decision.about('area', draws, path, confidence)
+    return decision, decision_message(GRID, decision, 3, mission.now, mission.now)
+
+
+@for_each('confidence, reached', [(0.7, True), (0.9, False)])
+def test_a_goal_is_answered(confidence, reached, tmp_path):
+    whole = sent_by_single(3)
+    decision, message = decision_on(whole, confidence)
+    again = read_decision(GRID, message)
+    assert again.p_free == decision.p_free == 0.75
+    assert again.reached == reached
+    whole.publish('decision', message)
+    mission, tiles = answered(whole, tmp_path)
+    assert tiles['Is the area safe?'].answer == '75.0 % free of hazards'
+    assert advice(mission)[0] == ('Stop' if reached else 'Send more')
+
+
+def test_without_a_goal_that_is_said(told):
+    assert told[1]['Is the lane safe?'].answer == 'No goal was given'
+
+
+@for_each('name, value', [('probability', 1.5), ('probability', np.nan), ('hazards_95', np.inf)])
+def test_a_decision_that_is_none_is_refused(name, value):
+    message = DecisionMessage(probability=0.5)
+    setattr(message, name, value)
+    with pytest.raises(ValueError, match=name):
+        read_decision(GRID, message)
