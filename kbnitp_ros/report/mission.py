@@ -172,7 +172,7 @@ class Mission:
 
     @cached_property
     def numbers(self) -> dict[str, float]:
-        """What the numbers are that can be learnt, where a simulation has them on record."""
+        """Return the true values of the numbers that can be learnt, where they are on record."""
         nodes = self.parameters.values()
         agent = next((each for each in nodes if 'world.kappa' in each), None)
         estimator = next((each for each in nodes if 'learn' in each), None)
