@@ -169,7 +169,7 @@ def test_what_worlds_and_loss_costs_the_other_studies_are_said_to_have():
 
 
 def test_which_quality_of_service_topics_are_said_to_have():
-    topics = rows('README.md', 'QoS')
+    topics = rows('docs/topics.md', 'QoS')
     for topic, profile in (
         ('belief', qos.LATCHED),
         ('belief/hazard', qos.LATCHED),

@@ -132,7 +132,7 @@ def test_the_dockerfile_is_linted():
 def test_the_dockerfile_installs_by_the_commands_of_the_readme():
     said = ' '.join(ROOT.joinpath('Dockerfile').read_text().replace('\\\n', ' ').split())
     told = re.search(
-        r'(rosdep install .*)\n(colcon build)\n', ROOT.joinpath('README.md').read_text()
+        r'(rosdep install .*)\n(colcon build)\n', ROOT.joinpath('docs/commands.md').read_text()
     )
     assert told[1] in said
     assert told[2] in said

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README tells people to type works as it stands there."""
+"""What the README and the page of commands tell people to type works as it stands there."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,9 @@ import pytest
 pytestmark = pytest.mark.processes
 
 ROOT = Path(__file__).parents[1]
-BLOCKS = re.findall(r'```(\w+)\n(.*?)```', (ROOT / 'README.md').read_text(), re.S)
+PAGES = ('README.md', 'docs/commands.md')
+TEXT = '\n'.join((ROOT / page).read_text() for page in PAGES)
+BLOCKS = re.findall(r'```(\w+)\n(.*?)```', TEXT, re.S)
 SHELL = [line for language, block in BLOCKS if language == 'bash' for line in block.splitlines()]
 PYTHON = [block for language, block in BLOCKS if language == 'python']
 
@@ -40,7 +42,7 @@ def start(command, folder):
 def test_the_demo_and_its_replay(tmp_path):
     typed = commands('demo', 'replay', 'report')
     assert [words[2] for words in typed] == [
-        'demo', 'replay', 'report', 'demo', 'demo', 'replay',
+        'demo', 'report', 'replay', 'demo', 'demo', 'replay',
     ]  # fmt: skip
     for command in typed:
         # Of an option that is given twice the last counts.
@@ -66,3 +68,11 @@ def test_the_python_example(snippet):
         [sys.executable, '-c', snippet], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
     assert snippet.endswith(f'# {printed}')
+
+
+def test_the_readme_is_short_and_so_are_its_sentences():
+    text = (ROOT / 'README.md').read_text()
+    assert len(text.split()) <= 900
+    prose = re.sub(r'```.*?```|^\|.*?$|^#.*?$', '', text, flags=re.S | re.M)
+    sentences = re.split(r'(?<=[.:;?])\s+|\n\s*\n', prose)
+    assert [each for each in sentences if len(each.split()) > 30] == []

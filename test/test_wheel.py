@@ -13,7 +13,7 @@ import sys
 import pytest
 
 ROOT = Path(__file__).parents[1]
-README = ROOT.joinpath('README.md').read_text()
+COMMANDS = ROOT.joinpath('docs/commands.md').read_text()
 PLACE = 'import kbnitp_ros, os; print(os.path.dirname(kbnitp_ros.__file__))'
 INSTALLED = ('kbnitp_ros', 'setuptools', 'wheel')
 
@@ -106,7 +106,7 @@ def test_only_one_command_is_installed(run):
 
 
 def test_the_example_of_the_readme_runs(run):
-    (code,) = re.findall(r'```python\n(.*?)```', README, re.S)
+    (code,) = re.findall(r'```python\n(.*?)```', COMMANDS, re.S)
     done = run('python', '-c', code)
     assert done.stdout.strip() == re.findall(r'# (.*)', code)[-1], done.stderr
 

@@ -14,6 +14,7 @@ import yaml
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted(ROOT.joinpath('.github/workflows').glob('*.yml'))
 README = (ROOT / 'README.md').read_text()
+COMMANDS = (ROOT / 'docs/commands.md').read_text()
 
 
 def steps(name):
@@ -64,7 +65,7 @@ def test_wheels_are_tried_with_every_python_that_they_are_for():
 
 def test_ros_is_tried_by_the_commands_of_the_readme():
     run = steps('ros')
-    told = re.search(r'(rosdep install .*)\n(colcon build)\n', README)
+    told = re.search(r'(rosdep install .*)\n(colcon build)\n', COMMANDS)
     assert told[1] in run
     assert any(line.endswith(told[2]) for line in run)
     assert any('colcon test ' in line for line in run)
