@@ -14,6 +14,7 @@ executables = [
     'agent',
     'demo',
     'estimator',
+    'forecast',
     'planner',
     'recorder',
     'replay',

@@ -15,7 +15,7 @@ from types import FrameType
 from kbnitp_ros.plugins import extra
 
 # What pip installs of the packages that a command imports; all others need ROS 2.
-EXTRAS = {'study': 'study', 'replay': 'report', 'report': 'report'}
+EXTRAS = {'study': 'study', 'replay': 'report', 'report': 'report', 'forecast': 'all'}
 
 # Each module has main(argv=None), whose result is the exit status.
 COMMANDS = {
@@ -23,6 +23,7 @@ COMMANDS = {
     'study': 'kbnitp_ros.cli.study',
     'replay': 'kbnitp_ros.cli.replay',
     'report': 'kbnitp_ros.cli.report',
+    'forecast': 'kbnitp_ros.cli.forecast',
 }
 NODES = {
     'planner': 'kbnitp_ros.nodes.planner',
@@ -78,5 +79,5 @@ def _end_as_interrupted(number: int, _frame: FrameType | None) -> None:
 
 
 # What `ros2 run kbnitp_ros NAME` calls.
-demo, study, replay, report = (partial(start, name) for name in COMMANDS)
+demo, study, replay, report, forecast = (partial(start, name) for name in COMMANDS)
 planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

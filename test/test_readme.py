@@ -62,6 +62,13 @@ def test_the_study_starts(tmp_path):
     assert list(out.glob('trials/*.npz'))
 
 
+@pytest.mark.full
+def test_the_forecast(tmp_path):
+    (command,) = commands('forecast')
+    assert start([*command, '--worlds', '2'], tmp_path).wait(timeout=300) == 0
+    assert (tmp_path / command[command.index('--out') + 1] / 'forecast.csv').exists()
+
+
 @for_each('snippet', PYTHON)
 def test_the_python_example(snippet):
     printed = subprocess.run(

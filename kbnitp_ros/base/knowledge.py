@@ -12,7 +12,6 @@ from kbnitp_ros.core import (
     Decision,
     DeploymentKey,
     Deployments,
-    Estimator,
     Goal,
     Grid,
     HazardDraws,
@@ -119,16 +118,7 @@ class Knowledge:
         if self._prior is None:
             return None
         if self._ledger is None:
-            prior = self._prior
-            estimator = Estimator(
-                prior.prior,
-                prior.model,
-                prior.method,
-                prior.unknowns,
-                prior.seed,
-                dynamics=prior.dynamics,
-            )
-            self._ledger = Ledger(prior.grid, prior.max_steps, estimator, prior.robot_types)
+            self._ledger = self._prior.ledger()
             self._drawn = None
         taken = self._taken
         for event in self._events[taken:]:

@@ -21,21 +21,19 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
 from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.base.reachability import reach_note
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.parameters import recorded_values, set_parameter, values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.configuration import (
     agents_of,
-    check_known,
     check_own,
     check_search,
     estimator_of,
     grid_of,
     MOST_AGENTS,
     most_steps,
-    nearest,
     own_name,
-    parameter_of,
     parameters_of,
     robot_types_of,
     value_for,
@@ -249,24 +247,15 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
     """
     sections = read_sections(options.params) if options.params else {}
-    parameters: dict[str, dict[str, Any]] = {}
-    for node in NODES:
-        table = parameters_of(node)
-        values = {name: parameter.default for name, parameter in table.items()}
-        values |= {name: value for name, value in DEFAULTS.items() if name in table}
-        given = values_for(sections, f'/{node}')
-        if given.get('use_sim_time'):
-            raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
-        for name, value in given.items():
-            if parameter := parameter_of(node, name):
-                values[name] = parameter.check(value)
-        parameters[node] = values
+    if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
+        raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
+    parameters = values_of(sections, NODES, DEFAULTS)
     for name, value in given_by_options(options):
         for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
             if name in table:
                 values[name] = table[name].check(value)
     for rule in options.set:
-        set_parameter(parameters, rule)
+        set_parameter(parameters, rule, 'demo', OWN)
     estimator = parameters['estimator']
     if estimator['learn'] is None:
         estimator['learn'] = LEARNT if estimator['method'] == LEARNER else ()
@@ -293,29 +282,6 @@ def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
         if options.agents < 1:
             raise ValueError(f'--agents is {options.agents}: it must be at least 1')
         yield 'agents', [f'scout_{number + 1}' for number in range(options.agents)]
-
-
-def set_parameter(parameters: Mapping[str, dict[str, Any]], rule: str) -> None:
-    """Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one."""
-    target, is_rule, text = rule.partition('=')
-    node, of_one, name = target.rpartition(':')
-    if not is_rule:
-        raise ValueError(f'--set {rule}: it must be NAME=VALUE or NODE:NAME=VALUE')
-    if of_one and node not in NODES:
-        raise ValueError(
-            f'--set {rule}: {node!r} is no node of the demo: {nearest(node, NODES)}'
-            f'they are {", ".join(NODES)}'
-        )
-    if name in OWN:
-        raise ValueError(f'--set {rule}: the demo decides {name} by itself')
-    nodes = [node] if of_one else NODES
-    try:
-        check_known(name, nodes)
-        for each in nodes:
-            if parameter := parameter_of(each, name):
-                parameters[each][name] = parameter.read(text)
-    except ValueError as error:
-        raise ValueError(f'--set {rule}: {error}') from error
 
 
 def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
@@ -398,15 +364,8 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
                 f'{log} does not have the parameters of /{node} on record: '
                 'resume its mission with the launch file, which takes them from params_file'
             )
-        known = parameters_of(node)
-        # What the version that recorded it had not yet is as it was then.
-        parameters[node] = {
-            name: recorded[f'/{node}'].get(name, parameter.default)
-            for name, parameter in known.items()
-        }
-        own = {name: value for name, value in recorded[f'/{node}'].items() if own_name(name)}
-        parameters[node] |= own
-        if 'resume' in known:
+        parameters[node] = recorded_values(recorded[f'/{node}'], node)
+        if 'resume' in parameters[node]:
             parameters[node]['resume'] = str(log)
     # What the mission came to is shown beside the truth, which the log may lack so far.
     parameters['agent']['publish_truth'] = True

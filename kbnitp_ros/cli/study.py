@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 import signal
 import sys
@@ -17,7 +18,7 @@ from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import read_scenario
 from kbnitp_ros.study.shipped import scenario_file, shipped
-from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.trial import run_trial, trials_of
 from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm
 
@@ -93,10 +94,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def count(text: str) -> int:
-    """Return the number that `text` is, at least 1."""
-    if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least 1')
+def count(text: str, least: int = 1) -> int:
+    """Return the number that `text` is, at least `least`."""
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least {least}')
     return int(text)
 
 
@@ -118,7 +119,7 @@ def study(options: argparse.Namespace) -> int:
             trials = trials_of(scenario)
             missing = [trial for trial in trials if trial not in outcomes]
             with tqdm(initial=len(outcomes), total=len(trials), unit='trial', disable=None) as bar:
-                for trial, outcome in pool.run(scenario, missing):
+                for trial, outcome in pool.run(partial(run_trial, scenario), missing):
                     folder.save(trial, outcome)
                     outcomes[trial] = outcome
                     bar.update()

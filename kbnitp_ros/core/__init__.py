@@ -39,6 +39,7 @@ from kbnitp_ros.core.field import (
     while_compiling,
     World,
 )
+from kbnitp_ros.core.forecast import Forecast, forecast, Share
 from kbnitp_ros.core.inference import (
     deployment_order,
     DeploymentKey,
@@ -53,7 +54,14 @@ from kbnitp_ros.core.inference import (
     Report,
     update,
 )
-from kbnitp_ros.core.mission import Deployment, Learning, run_mission, SimulatedMission, Truth
+from kbnitp_ros.core.mission import (
+    continue_mission,
+    Deployment,
+    Learning,
+    run_mission,
+    SimulatedMission,
+    Truth,
+)
 from kbnitp_ros.core.planning import (
     ALLOCATIONS,
     ALPHAS,
@@ -104,6 +112,7 @@ __all__ = [
     'Ending',
     'Estimator',
     'Execution',
+    'Forecast',
     'Goal',
     'Grid',
     'HazardDraws',
@@ -123,6 +132,7 @@ __all__ = [
     'SafestPath',
     'SearchOptions',
     'SensorModel',
+    'Share',
     'SimulatedMission',
     'Stop',
     'Target',
@@ -137,9 +147,11 @@ __all__ = [
     'brier_score',
     'check_bounded',
     'check_team',
+    'continue_mission',
     'count_visits',
     'deployment_order',
     'deployments_table',
+    'forecast',
     'keepout_cells',
     'log_loss',
     'lost_after_contact',

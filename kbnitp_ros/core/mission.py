@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core.decision import Decision, Goal, HazardDraws, plan_round, Stop
@@ -218,23 +218,72 @@ def run_mission(
         cannot be reached, or the stops contradict each other.
 
     """
-    team, truth, learning = team or Team(), truth or Truth(), learning or Learning()
-    stop = stop or Stop()
-    rng = np.random.default_rng(rng)
-    world.check(grid)
+    truth, learning = truth or Truth(), learning or Learning()
+    truth = replace(truth, model=truth.model or model)
     estimator = Estimator(
         belief, model, method, learning.unknowns, learning.seed, dynamics=dynamics
     )
-    possible = grid.may_be_hazardous & (belief.hazard > 0.0)
+    return continue_mission(
+        grid, estimator, world, robots, rng, options, team=team, truth=truth, goal=goal, stop=stop
+    )
+
+
+def continue_mission(
+    grid: Grid,
+    estimator: Estimator,
+    world: World,
+    robots: int,
+    rng: np.random.Generator | int,
+    options: SearchOptions = SearchOptions(),
+    *,
+    before: Sequence[Observation] = (),
+    team: Team | None = None,
+    truth: Truth | None = None,
+    goal: Goal | None = None,
+    stop: Stop | None = None,
+) -> SimulatedMission:
+    """
+    Deploy more robots, from what an estimator knows.
+
+    Parameters
+    ----------
+    grid, world, rng, options, team, goal, stop
+        As of `run_mission`.
+    truth : Truth, optional
+        What the robots are really like, if not as the estimator expects them to be.
+    estimator : Estimator
+        What is known; it stays as it is.
+    robots : int
+        How many more are deployed, at least 0.
+    before : sequence of Observation
+        Of the deployments that the estimator knows.
+
+    Returns
+    -------
+    SimulatedMission
+        The deployments that follow.
+
+    Raises
+    ------
+    ValueError
+        As of `run_mission`.
+
+    """
+    team, truth, stop = team or Team(), truth or Truth(), stop or Stop()
+    rng = np.random.default_rng(rng)
+    world.check(grid)
+    estimator, model = estimator.copy(), truth.model or estimator.model
+    dynamics = truth.dynamics or estimator.dynamics
+    possible = grid.may_be_hazardous & (estimator.prior.hazard > 0.0)
     robots = whole_number('robots', robots, 0)
     team_size(grid, team.agents)
-    stop.check(goal, robots)
+    stop.check(goal, len(before) + robots)
     if goal is not None:
         goal.check(grid, options.max_steps)
     deployments: list[Deployment] = []
-    visited = count_visits(grid, [])
-    lost = 0
-    draws, decision = decided(goal, grid, estimator, 0, options)
+    visited = count_visits(grid, [each.path for each in before])
+    lost = sum(not each.survived for each in before)
+    draws, decision = decided(goal, grid, estimator, len(before), options)
     while len(deployments) < robots and not stop.why(decision, lost):
         leaving = team.first(robots - len(deployments))
         try:
@@ -254,20 +303,20 @@ def run_mission(
             break
         visited += count_visits(grid, [plan.path for plan in planned.plans])
         for plan, robot_type in zip(planned.plans, leaving.types):
-            own = robot_type.model(truth.model or model)
             made = truth.execution.traverse(
                 world,
                 grid,
                 plan.path,
-                own,
+                robot_type.model(model),
                 rng.spawn(1)[0],
-                truth.dynamics or dynamics,
-                changing=possible if deployments else None,
+                dynamics,
+                changing=possible if before or deployments else None,
             )
             world = made.world
             estimator.assimilate(made.observation, robot_type)
             lost += not made.observation.survived
-            draws, decision = decided(goal, grid, estimator, len(deployments) + 1, options)
+            number = len(before) + len(deployments) + 1
+            draws, decision = decided(goal, grid, estimator, number, options)
             deployments.append(
                 Deployment(
                     plan,

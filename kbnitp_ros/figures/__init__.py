@@ -6,6 +6,7 @@ from kbnitp_ros.plugins import extra
 with extra('report'):
     from kbnitp_ros.figures.field import draw_map, draw_paths, extent, hatch, plot
     from kbnitp_ros.figures.files import FORMATS, LETTERS, save, WIDTH
+    from kbnitp_ros.figures.forecast import forecast_figure
     from kbnitp_ros.figures.palette import (
         COUNTS,
         DARK_MAPS,
@@ -34,6 +35,7 @@ __all__ = [
     'draw_map',
     'draw_paths',
     'extent',
+    'forecast_figure',
     'hatch',
     'plot',
     'save',

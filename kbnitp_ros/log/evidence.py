@@ -11,7 +11,15 @@ from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
-from kbnitp_ros.core import DeploymentKey, Deployments, Grid, Outcome, Report, RobotType
+from kbnitp_ros.core import (
+    DeploymentKey,
+    Deployments,
+    Grid,
+    Ledger,
+    Outcome,
+    Report,
+    RobotType,
+)
 from kbnitp_ros.log.configuration import recorded_environment
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
@@ -100,6 +108,26 @@ def check_version(log: str | Path, belief: Any) -> None:
             f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
             f'read it with that version of kbnitp_ros ({recorder})'
         )
+
+
+def begun(prior: Snapshot) -> Ledger:
+    """
+    Return the ledger of a mission on record before its first deployment.
+
+    Raises
+    ------
+    LogError
+        If its method computed otherwise then.
+
+    """
+    ledger = prior.ledger()
+    if prior.version != ledger.estimator.version:
+        raise LogError(
+            f'beliefs are on record by version {prior.version} of {prior.method}: this '
+            f'kbnitp_ros computes version {ledger.estimator.version}; replay it with one that '
+            'computes that'
+        )
+    return ledger
 
 
 def last_belief(log: str | Path) -> Snapshot | None:

@@ -16,10 +16,19 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, read_log, same_types
-from kbnitp_ros.core import DeploymentKey, Estimator, Grid, Ledger
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger
 from kbnitp_ros.log.compare import differences
 from kbnitp_ros.log.departures import STATUS
-from kbnitp_ros.log.evidence import BELIEF, Evidence, first_belief, GRID, MODEL, PATH, REPORT
+from kbnitp_ros.log.evidence import (
+    begun,
+    BELIEF,
+    Evidence,
+    first_belief,
+    GRID,
+    MODEL,
+    PATH,
+    REPORT,
+)
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
 from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
 from kbnitp_ros.log.replayed_views import ReplayedViews
@@ -155,22 +164,8 @@ class Fold:
 
     def _begin(self, prior: Snapshot) -> None:
         """Begin with the prior of an estimator."""
-        estimator = Estimator(
-            prior.prior,
-            prior.model,
-            prior.method,
-            prior.unknowns,
-            prior.seed,
-            dynamics=prior.dynamics,
-        )
-        if prior.version != estimator.version:
-            raise LogError(
-                f'beliefs are on record by version {prior.version} of {prior.method}: this '
-                f'kbnitp_ros computes version {estimator.version}; replay it with one that '
-                'computes that'
-            )
+        self._ledger = begun(prior)
         self.report.prior = prior
-        self._ledger = Ledger(prior.grid, prior.max_steps, estimator, prior.robot_types)
         self._assimilated = {}
 
     def _assimilate(

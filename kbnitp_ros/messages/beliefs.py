@@ -136,6 +136,18 @@ class Snapshot:
             'dynamics': self.dynamics,
         }
 
+    def ledger(self) -> Ledger:
+        """Return the ledger of an estimator with these rules before the first deployment."""
+        estimator = Estimator(
+            self.prior,
+            self.model,
+            self.method,
+            self.unknowns,
+            self.seed,
+            dynamics=self.dynamics,
+        )
+        return Ledger(self.grid, self.max_steps, estimator, self.robot_types)
+
 
 def belief_fields(
     ledger: Ledger,

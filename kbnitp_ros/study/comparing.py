@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pickle import PicklingError
 from typing import Any
 
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.study.own import by_name, Given, Own
 from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import scenario_of
+from kbnitp_ros.study.scenario import Scenario, scenario_of
 from kbnitp_ros.study.shipped import scenario_file
-from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.trial import Outcome, run_trial, Trial, trials_of
 from kbnitp_ros.study.workers import workers as worker_processes
 from tqdm import tqdm
 
@@ -76,7 +77,7 @@ def compare(
     trials = trials_of(study)
     try:
         with worker_processes('loky', workers) as pool:
-            done = pool.run(study, trials, own)
+            done = pool.run(partial(run_own, own, study), trials)
             bar = tqdm(done, total=len(trials), unit='mission', disable=None)
             return Results(study, dict(bar))
     except PicklingError as error:
@@ -84,6 +85,12 @@ def compare(
             'a planner or a method cannot be sent to other processes: with workers=1 it need '
             'not be'
         ) from error
+
+
+def run_own(own: Own, scenario: Scenario, trial: Trial) -> Outcome:
+    """Run a trial with planners and methods that no package has, handed to its process."""
+    with own.known():
+        return run_trial(scenario, trial)
 
 
 def callables(named: Mapping[str, Any]) -> dict[str, Any]:

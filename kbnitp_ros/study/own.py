@@ -36,9 +36,6 @@ class Own(NamedTuple):
             yield
 
 
-NOTHING = Own({}, {})
-
-
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
     """
     Return what is to be compared, by the names that tables have.

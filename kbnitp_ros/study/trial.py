@@ -23,7 +23,6 @@ from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenari
 from kbnitp_ros.study.survey import surveyed
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 # Measured before the first robot and after each; nats and squares are sums over the cells.
 MEASURES = (
@@ -118,8 +117,6 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         If a robot meets what its sensor model calls impossible.
 
     """
-    # Sums split among threads may round differently; and all cores are busy with other trials.
-    threadpool_limits(1, 'blas')
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)

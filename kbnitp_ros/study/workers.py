@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes that trials run in: on this machine, or on a Dask or Ray cluster."""
+"""The processes that missions run in: on this machine, or on a Dask or Ray cluster."""
 
 from __future__ import annotations
 
 from asyncio import TimeoutError as AsyncTimeoutError
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
 import signal
-from typing import Any
+from typing import Any, TypeVar
 
 from joblib import cpu_count, delayed, Parallel, parallel_config
-from kbnitp_ros.study.own import NOTHING, Own
-from kbnitp_ros.study.scenario import Scenario
-from kbnitp_ros.study.trial import Outcome, run_trial, Trial
+from threadpoolctl import threadpool_limits
 
 # The engines of joblib that can be used, and the package that each needs.
 BACKENDS = {'loky': 'joblib', 'dask': 'distributed', 'ray': 'ray'}
@@ -27,11 +25,14 @@ PATIENCE = 10
 # Processes that can be asked for: few machines have as many cores.
 MOST_WORKERS = 1024
 
+Item = TypeVar('Item')
+Result = TypeVar('Result')
+
 
 @dataclass(frozen=True)
 class Workers:
     """
-    Processes that run trials.
+    Processes that call a function of many items.
 
     Attributes
     ----------
@@ -46,33 +47,21 @@ class Workers:
     batch: int | None = None
 
     def run(
-        self, scenario: Scenario, trials: Sequence[Trial], own: Own = NOTHING
-    ) -> Iterator[tuple[Trial, Outcome]]:
+        self, function: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[tuple[Item, Result]]:
         """
-        Run trials and yield each with its outcome as soon as that is known; in the main thread.
-
-        Parameters
-        ----------
-        scenario : Scenario
-            Of which they are.
-        trials : sequence of Trial
-            In any order.
-        own : Own
-            The planners and methods that the scenario names and no package has. Processes are
-            handed those of a script or a notebook by value.
+        Yield each item with its result as soon as that is known; in the main thread.
 
         Raises
         ------
         RuntimeError
-            If a trial fails or a worker is lost.
+            If the function fails, which names the item, or a worker is lost.
 
         """
-        batch = self.batch or max(1, len(trials))
-        for start in range(0, len(trials), batch):
+        batch = self.batch or max(1, len(items))
+        for start in range(0, len(items), batch):
             end = start + batch
-            yield from self._handed_out(
-                delayed(_run)(scenario, trial, own) for trial in trials[start:end]
-            )
+            yield from self._handed_out(delayed(_run)(function, item) for item in items[start:end])
 
     def _handed_out(self, calls: Iterable[Any]) -> Any:
         """Hand out calls and return their results; in batches they are waited for."""
@@ -87,14 +76,15 @@ class Workers:
             signal.signal(signal.SIGINT, handler)
 
 
-def _run(scenario: Scenario, trial: Trial, own: Own) -> tuple[Trial, Outcome]:
+def _run(function: Callable[[Item], Result], item: Item) -> tuple[Item, Result]:
+    # Sums split among threads may round differently; and all cores are busy with other items.
+    threadpool_limits(1, 'blas')
     try:
-        with own.known():
-            return trial, run_trial(scenario, trial)
+        return item, function(item)
     except (ValueError, ArithmeticError) as error:
-        raise RuntimeError(f'{trial} failed: {error}') from error
+        raise RuntimeError(f'{item} failed: {error}') from error
     except MemoryError as error:
-        raise RuntimeError(f'{trial} needs more memory than there is: {error}') from error
+        raise RuntimeError(f'{item} needs more memory than there is: {error}') from error
 
 
 @contextmanager

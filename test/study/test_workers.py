@@ -2,6 +2,7 @@
 """Wherever the trials run, their outcomes are the same."""
 
 from dataclasses import replace
+from functools import partial
 import json
 import os
 import subprocess
@@ -9,9 +10,8 @@ import sys
 import time
 
 from kbnitp_ros.study import workers as module
-from kbnitp_ros.study.own import NOTHING
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.trial import run_trial, trials_of
 from kbnitp_ros.study.workers import workers
 from laws import for_each
 import pyarrow
@@ -55,7 +55,7 @@ def as_parquet(results):
 
 
 def check_same(scenario, results, pool):
-    outcomes = dict(pool.run(scenario, trials_of(scenario)))
+    outcomes = dict(pool.run(partial(run_trial, scenario), trials_of(scenario)))
     assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
 
 
@@ -80,18 +80,19 @@ def test_ray_gives_the_same_table(scenario, results):
 
 def test_no_trials_need_no_work(scenario):
     with workers('loky', 2) as pool:
-        assert list(pool.run(scenario, [])) == []
+        assert list(pool.run(partial(run_trial, scenario), [])) == []
 
 
 def test_a_trial_that_fails_is_named(scenario):
     """Robots are lost where nothing is believed able to destroy them."""
     sensor = replace(scenario.sensor, malfunction=0.0)
     impossible = replace(scenario, believed_lethality=0.0, sensor=sensor)
+    trials = [trial for trial in trials_of(impossible) if trial.lethality == 0.9]
     with (
         workers('loky', 1) as pool,
         pytest.raises(RuntimeError, match=r"Trial\(lethality=0.9, method='.*', .*impossible"),
     ):
-        list(pool.run(impossible, [t for t in trials_of(impossible) if t.lethality == 0.9]))
+        list(pool.run(partial(run_trial, impossible), trials))
 
 
 @for_each('address', ['127.0.0.1:1', 'nowhere.invalid:8786', 'magic://here'])
@@ -144,14 +145,13 @@ def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, c
         (MemoryError('14.6 TiB'), r'needs more memory than there is: 14\.6 TiB'),
     ],
 )
-def test_a_trial_is_named_whatever_it_fails_of(scenario, monkeypatch, error, told):
-    def fail(scenario, trial):
+def test_a_trial_is_named_whatever_it_fails_of(scenario, error, told):
+    def fail(trial):
         raise error
 
-    monkeypatch.setattr(module, 'run_trial', fail)
     trial = trials_of(scenario)[0]
     with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
-        module._run(scenario, trial, NOTHING)
+        module._run(fail, trial)
 
 
 @for_each('count', [0, 1025, 99999999999])

@@ -28,6 +28,8 @@ class Decision:
         What is asked: 'lane', 'area', or a name of another package.
     p_free : float
         Probability that no cell that is asked for has a hazard, in [0, 1].
+    cells : ndarray of int, shape (cells,)
+        Those that are asked for.
     independent_draws : float
         So many independent draws of the hazards would tell it as well.
     path : ndarray of int, shape (steps + 1,)
@@ -47,6 +49,7 @@ class Decision:
 
     goal: str
     p_free: float
+    cells: Path
     independent_draws: float
     path: Path
     survival: float
@@ -70,10 +73,13 @@ class Decision:
         p_free = draws.p_free(cells)
         reason = why_not_reached(p_free, confidence, draws.independent)
         path = np.empty(0, dtype=np.intp) if lane is None else lane.path
-        frozen(path)
+        asked = np.unique(cells)
+        for each in (path, asked):
+            frozen(each)
         return cls(
             goal=goal,
             p_free=p_free,
+            cells=asked,
             independent_draws=draws.independent,
             path=path,
             survival=nan if lane is None else lane.survival,

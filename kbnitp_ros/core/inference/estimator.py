@@ -19,6 +19,7 @@ from kbnitp_ros.core.field import (
     STATIC,
     Unknowns,
     whole_number,
+    World,
 )
 from kbnitp_ros.core.inference.methods import (
     CALLED,
@@ -234,6 +235,42 @@ class Estimator:
                     f'({count}, {self.belief.cells})',
                 )
         return hazardous, float(independent)
+
+    def worlds(self, count: int, rng: np.random.Generator) -> list[tuple[World, SensorModel]]:
+        """
+        Draw fields and robots as they may be given all deployments so far.
+
+        The hazards are drawn as by `draws`, and targets independently given the hazards of their
+        cells. 'kappa_bnitp_sampled' draws numbers of the sensor model that are not known together
+        with the hazards; otherwise the model is that to plan with.
+
+        Parameters
+        ----------
+        count : int
+            How many, at least 1.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        Returns
+        -------
+        list of (World, SensorModel)
+
+        Raises
+        ------
+        ValueError, PluginError
+            As of `draws`.
+
+        """
+        draw = getattr(self._inference, 'draws_with_models', None)
+        if draw is None:
+            hazardous, models = self.draws(count, rng)[0], [self.model] * count
+        else:
+            hazardous, models = draw(whole_number('count', count, 1), rng)
+        joint = self.belief.joint
+        chance = joint.sum(axis=2)
+        if_safe, if_hazardous = (joint[:, :, 1] / np.where(chance > 0.0, chance, 1.0)).T
+        target = rng.random(hazardous.shape) < np.where(hazardous, if_hazardous, if_safe)
+        return [(World(*maps), model) for *maps, model in zip(hazardous, target, models)]
 
     def copy(self) -> Estimator:
         """Return an estimator that goes on by itself from here; it costs next to no memory."""

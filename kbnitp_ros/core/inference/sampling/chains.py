@@ -166,6 +166,13 @@ class Chains:
         hazards[:, self._cells] = self._hazardous
         return hazards
 
+    def models(self) -> list[SensorModel]:
+        """Return the sensor model of robots like all others in each chain."""
+        unknown = self._hypotheses.unknown
+        values = [self._hypotheses.bins[name].values[self._place[name]] for name in unknown]
+        numbers = np.reshape(values, (len(unknown), CHAINS)).T.tolist()
+        return [self._hypotheses.model_with(dict(zip(unknown, each))) for each in numbers]
+
     def joint(self) -> tuple[Floats, float]:
         """
         Return the cells' joints, shape (cells, 2, 2), and how far chance has taken them.

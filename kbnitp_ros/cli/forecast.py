@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Say how a mission may go: how many robots it takes, how many are lost, how sure it gets."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import csv
+from functools import partial
+from itertools import chain
+from pathlib import Path
+import signal
+import sys
+from typing import Any
+
+from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.parameters import recorded_values, set_parameter, values_of
+from kbnitp_ros.cli.study import count
+from kbnitp_ros.configuration import (
+    agents_of,
+    check_own,
+    check_search,
+    estimator_of,
+    goal_of,
+    grid_of,
+    robot_types_of,
+    search_options,
+    stop_of,
+    type_to_plan,
+)
+from kbnitp_ros.configuration.given import read_sections
+from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
+from kbnitp_ros.core.forecast import Course, PossibleWorld
+from kbnitp_ros.figures import forecast_figure, save
+from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.resumed import read_ledger
+from kbnitp_ros.nodes.runtime.command_line import command_parser
+from kbnitp_ros.report import check_is_free
+from kbnitp_ros.study.table import Cell, Table
+from kbnitp_ros.study.workers import Workers, workers
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+DESCRIPTION = """
+Say how a mission may go: how many robots it takes, how many of them are lost, and how sure it
+gets. Fields are drawn from the prior of a file of parameters, or from what the evidence of a log
+tells, and a mission is run in each with the planner, the method and the goal of the parameters.
+
+Each number has its 5 and 95 % quantiles over these missions. They hold if the model is right:
+robots that keep to their paths, and hazards as the prior and the sensor model say.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros forecast --set goal=lane --set goal.cells=[80] --set robots=50',
+    'python3 -m kbnitp_ros forecast --params config/mission.yaml --out runs/forecast',
+    'python3 -m kbnitp_ros forecast runs/small --set robots=60 --worlds 50',
+)
+
+# After how many robots the table has a row, besides the last one.
+AFTER = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
+
+QUANTILES = (0.05, 0.5, 0.95)
+SPREAD = ('5 %', 'median', '95 %')
+
+
+@command('forecast')
+def main(argv: Sequence[str] | None = None) -> int:
+    """
+    Run the command.
+
+    Returns
+    -------
+    int
+        0 if all missions are done, 1 if one failed, 2 for unusable options, 130 if interrupted.
+
+    """
+    options = parse(argv)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        if options.out:
+            check_is_free(options.out)
+        made = from_log(options) if options.log else from_prior(options)
+        with workers('loky', options.workers) as pool:
+            found = made(worlds=options.worlds, rng=options.seed, run=partial(run, pool))
+        say(*lines(found))
+        if options.out:
+            say(*(f'wrote {path}' for path in write(found, options.out)))
+    except RuntimeError as error:
+        complain('forecast', error)
+        return 1
+    except (ValueError, OSError) as error:
+        complain('forecast', error)
+        return 2
+    return 0
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options."""
+    parser = command_parser('forecast', DESCRIPTION, *EXAMPLES)
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        nargs='?',
+        help='the log of a mission to go on with: its first file, or its folder. Robots that were '
+        'out are sent again',
+    )
+    parser.add_argument(
+        '--params',
+        metavar='FILE',
+        help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
+        'with a log those of the planner count, and without the file they are as on record',
+    )
+    parser.add_argument(
+        '--set',
+        metavar='[NODE:]NAME=VALUE',
+        action='append',
+        default=[],
+        help='a parameter of planner and estimator, or of one; with a log of the planner alone. '
+        'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists them',
+    )
+    parser.add_argument(
+        '--worlds',
+        metavar='N',
+        type=count,
+        default=200,
+        help='how many missions to run, at least 1; default 200',
+    )
+    parser.add_argument(
+        '--seed',
+        metavar='N',
+        type=partial(count, least=0),
+        default=0,
+        help='of the fields and of what happens to robots, at least 0; default 0',
+    )
+    parser.add_argument(
+        '--workers',
+        metavar='N',
+        type=count,
+        help='how many processes to start, at least 1; default one a core. The result is the same',
+    )
+    parser.add_argument(
+        '--out',
+        metavar='DIR',
+        type=Path,
+        help='folder to make for the figure and a table with a row for each number of robots; it '
+        'may be there if it is empty',
+    )
+    return parser.parse_args(argv)
+
+
+def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
+    """
+    Return the forecast of a mission that begins, but for worlds and randomness.
+
+    Raises
+    ------
+    ValueError
+        If the parameters are none that a mission can have.
+
+    """
+    sections = read_sections(options.params) if options.params else {}
+    parameters = values_of(sections, ('planner', 'estimator'))
+    for rule in options.set:
+        set_parameter(parameters, rule, 'forecast')
+    planner, estimator = parameters['planner'], parameters['estimator']
+    if planner['map_topic']:
+        raise ValueError(
+            f'map_topic is {planner["map_topic"]}: no map reaches the forecast, use map'
+        )
+    grid = grid_of(planner)
+    if grid_of(estimator) != grid:
+        raise ValueError('planner and estimator have different fields: give both the same')
+    believed = robot_types_of(estimator)
+    return partial(
+        forecast,
+        grid,
+        estimator_of(estimator, grid),
+        planner['robots'],
+        **plan_of(planner, grid, believed),
+    )
+
+
+def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
+    """
+    Return the forecast of a mission that goes on, but for worlds and randomness.
+
+    Raises
+    ------
+    ValueError
+        If the log cannot be used, the parameters are none that a mission can have, or all robots
+        were sent.
+
+    """
+    ledger = read_ledger(options.log)
+    if options.params:
+        parameters = values_of(read_sections(options.params), ('planner',))
+    else:
+        recorded = read_parameters(options.log)
+        names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
+        if len(names) != 1:
+            raise ValueError(
+                f'{options.log} does not have the parameters of one planner on record: give them '
+                'with --params'
+            )
+        parameters = {'planner': recorded_values(recorded[names[0]], 'planner')}
+    for rule in options.set:
+        set_parameter(parameters, rule, 'forecast')
+    planner, sent = parameters['planner'], len(ledger.deployments)
+    if sent >= planner['robots']:
+        raise ValueError(
+            f'{options.log} has {sent} deployments, and robots is {planner["robots"]}: raise it '
+            f'with --set robots={sent + 10}'
+        )
+    return partial(
+        forecast,
+        ledger.grid,
+        ledger.estimator,
+        planner['robots'] - sent,
+        before=[ledger.observation(key) for key in ledger.deployments],
+        **plan_of(planner, ledger.grid, ledger.robot_types),
+    )
+
+
+def plan_of(
+    planner: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]
+) -> dict[str, Any]:
+    """
+    Return how a mission is planned by the parameters of its planner, as `forecast` takes it.
+
+    Raises
+    ------
+    ValueError
+        If its paths cannot be searched for or the goal cannot be reached.
+
+    """
+    check_own(planner)
+    check_search(planner, grid, believed)
+    types = [type_to_plan(planner, agent, believed) for agent in agents_of(planner, grid)]
+    return {
+        'options': search_options(planner),
+        'team': Team(len(types), planner['allocation'], tuple(types)),
+        'goal': goal_of(planner, grid),
+        'stop': stop_of(planner),
+    }
+
+
+def run(
+    pool: Workers, fly: Callable[[PossibleWorld], Course], drawn: Iterable[PossibleWorld]
+) -> list[Course]:
+    """Run missions in other processes, and show how many are done; return them in their order."""
+    worlds, courses = [*drawn], {}
+    with tqdm(total=len(worlds), unit='mission', disable=None) as bar:
+        for possible, course in pool.run(fly, worlds):
+            courses[possible.number] = course
+            bar.update()
+    return [courses[number] for number in range(len(worlds))]
+
+
+def lines(found: Forecast) -> Iterator[str]:
+    """Yield what was found, for people."""
+    sought = 'no goal' if found.goal == 'map' else f'goal {found.goal}'
+    if found.confidence is not None:
+        sought += f' at a confidence of {found.confidence:.4g}'
+    yield f'{len(found.sent)} missions of at most {found.robots} robots, {sought}'
+    if found.confidence is not None:
+        yield f'reached in {in_percent(Share.of(found.reached[:, -1]))} of the missions'
+    if found.goal != 'map':
+        yield (
+            f'in the end the {found.goal} is free of hazards in '
+            f'{in_percent(Share.of(found.free))}, and believed to be with a probability of '
+            f'{found.p_free[:, -1].mean():.3f} on average'
+        )
+    yield ''
+    totals = {'robots sent': found.sent, 'robots lost': found.lost[:, -1]}
+    yield in_markdown(
+        'In a mission:',
+        ['', 'mean', *SPREAD],
+        [
+            [name, f'{each.mean():.1f}', *(f'{value:.0f}' for value in quantiles(each))]
+            for name, each in totals.items()
+        ],
+    )
+    what, known, decimals = (
+        ('entropy', found.entropy, 1) if found.goal == 'map' else ('probability', found.p_free, 3)
+    )
+    reached = [] if found.confidence is None else ['reached']
+    yield in_markdown(
+        'After so many robots, or when the mission was over:',
+        ['robots', *(f'{name}, {each}' for name in ('lost', what) for each in SPREAD), *reached],
+        [
+            [
+                str(robots),
+                *(f'{value:.0f}' for value in quantiles(found.lost[:, robots])),
+                *(f'{value:.{decimals}f}' for value in quantiles(known[:, robots])),
+                *(in_percent(Share.of(found.reached[:, robots])) for _ in reached),
+            ]
+            for robots in (*(each for each in AFTER if each < found.robots), found.robots)
+        ],
+    )
+
+
+def in_markdown(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a caption and a table of words in Markdown."""
+    return Table(caption, heads, [[Cell(each, each) for each in row] for row in rows]).markdown()
+
+
+def quantiles(values: NDArray[np.float64]) -> list[float]:
+    """Return the `QUANTILES` of some values, each a value that came about."""
+    found: list[float] = np.quantile(values, QUANTILES, method='inverted_cdf').tolist()
+    return found
+
+
+def in_percent(share: Share) -> str:
+    """Return a share of missions and its 95 % interval in words."""
+    percent, low, high = (f'{100 * each:.0f}' for each in share)
+    return f'{percent} % [{low}, {high}]'
+
+
+def write(found: Forecast, folder: Path) -> list[Path]:
+    """Write the table and the figure; return their files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / 'forecast.csv'
+    names = ('lost', 'entropy', 'p_free')
+    with file.open('w', newline='') as stream:
+        rows = csv.writer(stream)
+        heads = [f'{name}_{100 * level:.0f}' for name in names for level in QUANTILES]
+        rows.writerow(['robots', *heads, 'reached'])
+        for robots in range(found.robots + 1):
+            series = (quantiles(getattr(found, name)[:, robots]) for name in names)
+            reached = float(found.reached[:, robots].mean())
+            rows.writerow([robots, *chain.from_iterable(series), reached])
+    return [file, *save(forecast_figure(found), folder / 'forecast', 'png', 'svg')]

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of nodes as a command is given them: by a file, by rules, or by a log."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from kbnitp_ros.configuration import check_known, nearest, own_name, parameter_of, parameters_of
+from kbnitp_ros.configuration.given import Sections, values_for
+
+
+def values_of(
+    sections: Sections,
+    nodes: Collection[str],
+    defaults: Mapping[str, Any] = MappingProxyType({}),
+) -> dict[str, dict[str, Any]]:
+    """
+    Return the values of each node by the sections of a file, or else by default.
+
+    Raises
+    ------
+    ValueError
+        If a value is not allowed.
+
+    """
+    parameters = {}
+    for node in nodes:
+        table = parameters_of(node)
+        values = {name: parameter.default for name, parameter in table.items()}
+        values |= {name: value for name, value in defaults.items() if name in table}
+        for name, value in values_for(sections, f'/{node}').items():
+            if parameter := parameter_of(node, name):
+                values[name] = parameter.check(value)
+        parameters[node] = values
+    return parameters
+
+
+def set_parameter(
+    parameters: Mapping[str, dict[str, Any]], rule: str, command: str, own: Collection[str] = ()
+) -> None:
+    """
+    Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one.
+
+    Parameters
+    ----------
+    parameters : mapping of str to dict
+        The values of each node, which are changed.
+    rule : str
+        As typed after --set.
+    command : str
+        The command's name.
+    own : collection of str
+        Which parameters it decides by itself.
+
+    Raises
+    ------
+    ValueError
+        If no such node has such a parameter, or the value is not allowed.
+
+    """
+    target, is_rule, text = rule.partition('=')
+    node, of_one, name = target.rpartition(':')
+    if not is_rule:
+        raise ValueError(f'--set {rule}: it must be NAME=VALUE or NODE:NAME=VALUE')
+    if of_one and node not in parameters:
+        raise ValueError(
+            f'--set {rule}: {node!r} is no node of the {command}: {nearest(node, parameters)}'
+            f'they are {", ".join(parameters)}'
+        )
+    if name in own:
+        raise ValueError(f'--set {rule}: the {command} decides {name} by itself')
+    nodes = [node] if of_one else [*parameters]
+    try:
+        check_known(name, nodes)
+        for each in nodes:
+            if parameter := parameter_of(each, name):
+                parameters[each][name] = parameter.read(text)
+    except ValueError as error:
+        raise ValueError(f'--set {rule}: {error}') from error
+
+
+def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
+    """Return the values of a node that a log has of it; others are as they were by default."""
+    # What the version that recorded it had not yet is as it was then.
+    values = {
+        name: recorded.get(name, parameter.default)
+        for name, parameter in parameters_of(node).items()
+    }
+    return values | {name: value for name, value in recorded.items() if own_name(name)}

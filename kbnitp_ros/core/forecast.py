@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a mission may go: many of them, in fields drawn from what is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import nan, sqrt
+from typing import NamedTuple
+
+from kbnitp_ros.core.decision import Decision, Goal, Stop
+from kbnitp_ros.core.field import Belief, Grid, Observation, SensorModel, whole_number, World
+from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.mission import continue_mission, decided, SimulatedMission, Truth
+from kbnitp_ros.core.planning import SearchOptions, Team
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# What is told of a number that differs from mission to mission.
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+# Of the 95 % interval of a share, in standard deviations.
+DEVIATIONS = 1.96
+
+
+class PossibleWorld(NamedTuple):
+    """
+    A field and robots as they may be.
+
+    Attributes
+    ----------
+    number : int
+        From 0.
+    world : World
+        The field.
+    model : SensorModel
+        What robots like all others are really like.
+    rng : numpy.random.Generator
+        Of what happens to them.
+
+    """
+
+    number: int
+    world: World
+    model: SensorModel
+    rng: np.random.Generator
+
+    def __str__(self) -> str:
+        return f'the mission in world {self.number}'
+
+
+class Course(NamedTuple):
+    """
+    How a mission went.
+
+    Attributes
+    ----------
+    sent : int
+        How many robots it sent.
+    lost : ndarray, shape (robots + 1,)
+        How many were lost by the time so many were sent; after the last one that was sent it
+        stays, as the others do.
+    entropy : ndarray, shape (robots + 1,)
+        Of hazards and targets, nats.
+    p_free : ndarray, shape (robots + 1,)
+        The probability that what is asked for is free of hazards; NaN without a goal.
+    reached : ndarray, shape (robots + 1,)
+        1 if the goal was reached at its confidence, or else 0.
+    free : float
+        1 if what was asked for at the end is free of hazards in truth, or else 0; NaN without a
+        goal.
+
+    """
+
+    sent: int
+    lost: Floats
+    entropy: Floats
+    p_free: Floats
+    reached: Floats
+    free: float
+
+
+class Share(NamedTuple):
+    """A share of missions and its 95 % interval (Wilson's)."""
+
+    share: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, each: Floats) -> Share:
+        """Return the share of ones among so many ones and zeros."""
+        count, share = each.size, float(each.mean())
+        narrowing = 1.0 + DEVIATIONS**2 / count
+        middle = (share + DEVIATIONS**2 / (2 * count)) / narrowing
+        spread = share * (1.0 - share) / count + (DEVIATIONS / (2 * count)) ** 2
+        half = DEVIATIONS * sqrt(spread) / narrowing
+        return cls(share, max(0.0, middle - half), min(1.0, middle + half))
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """
+    How a mission may go.
+
+    Attributes
+    ----------
+    goal : str
+        What it is to make sure of: 'map' without a goal.
+    confidence : float or None
+        At which it is over.
+    sent : ndarray, shape (worlds,)
+        How many robots each of the missions sent.
+    lost, entropy, p_free, reached : ndarray, shape (worlds, robots + 1)
+        As of `Course`.
+    free : ndarray, shape (worlds,)
+        As of `Course`.
+
+    """
+
+    goal: str
+    confidence: float | None
+    sent: Floats
+    lost: Floats
+    entropy: Floats
+    p_free: Floats
+    reached: Floats
+    free: Floats
+
+    @property
+    def robots(self) -> int:
+        """How many robots each could send."""
+        return self.lost.shape[1] - 1
+
+
+def forecast(
+    grid: Grid,
+    estimator: Estimator,
+    robots: int,
+    worlds: int,
+    rng: np.random.Generator | int,
+    options: SearchOptions = SearchOptions(),
+    *,
+    before: Sequence[Observation] = (),
+    team: Team | None = None,
+    goal: Goal | None = None,
+    stop: Stop | None = None,
+    run: Callable[
+        [Callable[[PossibleWorld], Course], Iterable[PossibleWorld]], Iterable[Course]
+    ] = map,
+) -> Forecast:
+    """
+    Run missions in fields that are drawn from what is known.
+
+    If what is known is right, a mission in the true field is one more of them.
+
+    Parameters
+    ----------
+    grid, robots, options, before, team, goal, stop
+        As of `continue_mission`; at least 1 robot.
+    estimator : Estimator
+        What is known: the prior, or what came of the deployments `before`.
+    worlds : int
+        How many fields are drawn, at least 1.
+    rng : int or numpy.random.Generator
+        The only source of randomness.
+    run : callable
+        Takes a function of one argument and a list, as `map` does, and returns the results in the
+        order of the list; it may call the function in other processes.
+
+    Raises
+    ------
+    ValueError
+        If there are no robots or no worlds, or as of `continue_mission`.
+
+    """
+    robots = whole_number('robots', robots, 1)
+    drawn = possible_worlds(estimator, worlds, np.random.default_rng(rng))
+    begin = decided(goal, grid, estimator, len(before), options)[1]
+    go_on = partial(
+        continue_mission,
+        grid,
+        estimator,
+        robots=robots,
+        options=options,
+        before=tuple(before),
+        team=team,
+        goal=goal,
+        stop=stop,
+    )
+    courses = [*run(partial(course, go_on, robots, estimator.belief, begin), drawn)]
+    series = {
+        name: np.array(each) for name, each in zip(Course._fields, zip(*courses, strict=True))
+    }
+    return Forecast(
+        'map' if goal is None else goal.name, None if goal is None else goal.confidence, **series
+    )
+
+
+def possible_worlds(
+    estimator: Estimator, count: int, rng: np.random.Generator
+) -> list[PossibleWorld]:
+    """Draw fields and robots from what is known, each with randomness of its own."""
+    count = whole_number('worlds', count, 1)
+    drawn = estimator.worlds(count, rng)
+    return [
+        PossibleWorld(number, *each, own)
+        for number, (each, own) in enumerate(zip(drawn, rng.spawn(count)))
+    ]
+
+
+def course(
+    go_on: Callable[..., SimulatedMission],
+    robots: int,
+    belief: Belief,
+    begin: Decision | None,
+    possible: PossibleWorld,
+) -> Course:
+    """
+    Return how a mission goes in one field.
+
+    Parameters
+    ----------
+    go_on : callable
+        As `continue_mission` for this mission, but for the field, the robots and the randomness.
+    robots : int
+        How many it may send.
+    belief : Belief
+        Before the first robot.
+    begin : Decision or None
+        What may be relied on then, if there is a goal.
+    possible : PossibleWorld
+        The field.
+
+    """
+    made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
+    decisions = [begin, *(each.decision for each in made)]
+    lost = np.cumsum([0, *(not each.observation.survived for each in made)])
+    beliefs = [belief, *(each.belief for each in made)]
+    world = made[-1].world if made else possible.world
+    last = decisions[-1]
+
+    def carried(values: Iterable[float]) -> Floats:
+        series = np.array([*values], dtype=np.float64)
+        return np.pad(series, (0, robots + 1 - series.size), 'edge')
+
+    return Course(
+        len(made),
+        carried(lost),
+        carried(belief.entropy() for belief in beliefs),
+        carried(nan if each is None else each.p_free for each in decisions),
+        carried(each is not None and each.reached for each in decisions),
+        nan if last is None else float(not world.hazard[last.cells].any()),
+    )

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A forecast is made of missions in fields as probable as they are believed to be."""
+
+from extent import FULL
+from kbnitp_ros.core import (
+    Area,
+    Belief,
+    continue_mission,
+    Estimator,
+    forecast,
+    Grid,
+    Lane,
+    METHODS,
+    Observation,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Share,
+    Stop,
+    Truth,
+    Unknowns,
+    World,
+)
+from laws import for_each
+import numpy as np
+import pytest
+
+GRID = Grid(4, 4, blocked=(6,))
+MODEL = SensorModel(0.5)
+PRIOR = Belief.prior(GRID, 0.2, 0.24, 0.8)
+OPTIONS = SearchOptions(max_steps=8)
+NUMBERS = ('sent', 'lost', 'entropy', 'p_free', 'reached', 'free')
+
+
+def some(rng, robots, method='kappa_bnitp', **options):
+    world = World.random(GRID, rng, 0.2, 0.8, 0.1)
+    return world, run_mission(GRID, PRIOR, MODEL, world, robots, rng, method, OPTIONS, **options)
+
+
+def told(method, mission):
+    estimator = Estimator(PRIOR, MODEL, method)
+    for each in mission:
+        estimator.assimilate(each.observation)
+    return estimator
+
+
+@for_each('method', METHODS, every=1 if FULL else 3)
+def test_a_mission_that_goes_on_is_the_unbroken_one(method):
+    goal = Lane(to=15)
+    _, whole = some(np.random.default_rng(3), 7, method, goal=goal)
+    rng = np.random.default_rng(3)
+    world, begun = some(rng, 3, method, goal=goal)
+    estimator = told(method, begun)
+    before = estimator.belief
+    rest = continue_mission(
+        GRID,
+        estimator,
+        world,
+        4,
+        rng,
+        OPTIONS,
+        before=[each.observation for each in begun],
+        goal=goal,
+    )
+    assert estimator.belief == before
+    for one, other in zip(whole, [*begun, *rest], strict=True):
+        assert one.observation == other.observation
+        assert one.belief == other.belief
+        assert one.decision.p_free == other.decision.p_free
+
+
+@for_each('method', METHODS, every=1 if FULL else 3)
+def test_worlds_are_drawn_as_they_are_believed(method):
+    estimator = told(method, some(np.random.default_rng(5), 6, method)[1])
+    worlds = [world for world, _ in estimator.worlds(2560, np.random.default_rng(1))]
+    for name in ('hazard', 'target'):
+        share = np.mean([getattr(world, name) for world in worlds], axis=0)
+        assert share == pytest.approx(getattr(estimator.belief, name), abs=0.06)
+    for world in worlds[:20]:
+        world.check(GRID)
+
+
+def test_learnt_numbers_are_drawn_together_with_the_hazards():
+    """A hazard in the one cell that robots came back from often is not lethal."""
+    grid, prior = Grid(2, 1), Belief.from_maps([0.0, 0.5], [0.0, 0.0], [0.0, 0.0])
+    model = SensorModel(0.5, malfunction=0.1, false_negative=0.0)
+    estimator = Estimator(prior, model, 'kappa_bnitp_sampled', Unknowns(lethality=(0.0, 1.0)))
+    fates = [True, False, True, True, False]
+    for survived in fates:
+        estimator.assimilate(Observation([0, 1, 0], survived, [0, 0] if survived else None))
+    lethality = np.linspace(0.0, 1.0, 2001)
+    back = 0.9**2 * (1.0 - lethality)
+    likelihood = np.prod([back if survived else 1.0 - back for survived in fates], axis=0)
+    drawn = estimator.worlds(5120, np.random.default_rng(2))
+    there = [bool(world.hazard[1]) for world, _ in drawn]
+    values = np.array([model.lethality for _, model in drawn])
+    assert values[there].mean() == pytest.approx(
+        (lethality * likelihood).sum() / likelihood.sum(), abs=0.03
+    )
+    assert values[np.logical_not(there)].mean() == pytest.approx(0.5, abs=0.03)
+    assert grid.cells == drawn[0][0].hazard.size
+
+
+@for_each('goal', [None, Lane(to=15, confidence=0.8), Area([1, 2], confidence=0.8)])
+def test_the_order_in_which_missions_are_run_changes_nothing(goal):
+    def backwards(fly, worlds):
+        return [fly(each) for each in reversed(worlds)][::-1]
+
+    estimator = Estimator(PRIOR, MODEL)
+    one, other = (
+        forecast(GRID, estimator, 5, 6, 4, OPTIONS, goal=goal, run=run) for run in (map, backwards)
+    )
+    for name in NUMBERS:
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+    assert one.robots == 5
+    assert (one.sent <= 5).all()
+    assert (np.diff(one.lost, axis=1) >= 0).all()
+    for mission, sent in enumerate(one.sent.tolist()):
+        rest = one.lost[mission, sent:]
+        assert (rest == rest[0]).all()
+    assert np.isnan(one.p_free).all() == (goal is None)
+
+
+def test_what_is_foreseen_is_what_a_mission_in_that_world_does():
+    goal, stop = Lane(to=15, confidence=0.9), Stop(losses=2)
+    estimator = Estimator(PRIOR, MODEL, 'kappa_bnitp_smoothed')
+    kept = []
+
+    def keep(fly, worlds):
+        kept.extend(worlds)
+        return map(fly, worlds)
+
+    found = forecast(GRID, estimator, 9, 4, 8, OPTIONS, goal=goal, stop=stop, run=keep)
+    again = forecast(GRID, estimator, 9, 4, 8, OPTIONS, goal=goal, stop=stop)
+    assert again.p_free.tobytes() == found.p_free.tobytes()
+    drawn = estimator.worlds(4, np.random.default_rng(8))
+    for number, ((world, model), possible) in enumerate(zip(drawn, kept)):
+        assert world == possible.world
+        mission = run_mission(
+            GRID,
+            PRIOR,
+            MODEL,
+            world,
+            9,
+            fresh(8, 4, number),
+            'kappa_bnitp_smoothed',
+            OPTIONS,
+            truth=Truth(model),
+            goal=goal,
+            stop=stop,
+        )
+        assert found.sent[number] == len(mission)
+        assert found.lost[number, -1] == sum(not each.observation.survived for each in mission)
+        if mission:
+            last = mission[-1].decision
+            assert found.p_free[number, -1] == last.p_free
+            assert found.free[number] == (not world.hazard[last.path].any())
+
+
+def fresh(seed, worlds, number):
+    """Return the generator of a world of a forecast, as it was before its mission."""
+    return np.random.default_rng(seed).spawn(worlds)[number]
+
+
+def test_a_share_has_the_interval_of_wilson():
+    share = Share.of(np.array([1.0] * 17 + [0.0] * 3))
+    # As statsmodels.stats.proportion.proportion_confint(17, 20, method='wilson') has it.
+    assert share == pytest.approx((0.85, 0.63958, 0.94763), abs=1e-4)
+    assert Share.of(np.zeros(10)).low == 0.0
+    assert Share.of(np.ones(10)).high == 1.0
+
+
+@for_each(
+    'changes, complaint',
+    [
+        ({'robots': 0}, 'robots is 0: .*at least 1'),
+        ({'worlds': 0}, 'worlds is 0: .*at least 1'),
+        ({'goal': Lane(to=6)}, 'cell 6, an obstacle'),
+        ({'goal': Lane(to=15), 'options': SearchOptions(max_steps=2)}, 'at most max_steps = 2'),
+        ({'stop': Stop(losses=9)}, 'stop.losses is 9'),
+    ],
+)
+def test_what_cannot_be_is_refused(changes, complaint):
+    given = {'robots': 4, 'worlds': 2, 'rng': 1, 'options': OPTIONS, **changes}
+    with pytest.raises(ValueError, match=complaint):
+        forecast(GRID, Estimator(PRIOR, MODEL), **given)
+
+
+@pytest.mark.full
+def test_intervals_cover_what_comes_where_the_prior_is_right():
+    """Of 200 missions 85 to 95 % end between the quantiles of 5 and of 95 %."""
+    estimator, worlds = Estimator(PRIOR, MODEL), 200
+    options = SearchOptions(max_steps=8, planner='relaxed')
+    foreseen = forecast(GRID, estimator, 12, 400, 1, options)
+    background = (0.24 - 0.2 * 0.8) / 0.8
+    coming = []
+    for number in range(worlds):
+        rng = np.random.default_rng([7, number])
+        world = World.random(GRID, rng, 0.2, 0.8, background)
+        mission = run_mission(GRID, PRIOR, MODEL, world, 12, rng, options=options)
+        coming.append([each.belief.entropy() for each in mission])
+    luck = np.random.default_rng(9)
+    for robots in (4, 8, 12):
+        entropy = foreseen.entropy[:, robots]
+        # Missions often come to the same entropy: which of these is lower is drawn.
+        ranks = [
+            (entropy < each[robots - 1]).sum()
+            + luck.integers((entropy == each[robots - 1]).sum() + 1)
+            for each in coming
+        ]
+        inside = [0.05 * entropy.size <= rank <= 0.95 * entropy.size for rank in ranks]
+        assert 0.85 <= np.mean(inside) <= 0.95
