@@ -76,6 +76,7 @@ BELOW = {
         'log',
         'bag',
         'study',
+        'figures',
         'report',
         'configuration',
         'base',

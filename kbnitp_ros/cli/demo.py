@@ -21,7 +21,7 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
 from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
 from kbnitp_ros.base.reachability import reach_note
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.cli.parameters import recorded_values, set_parameter, values_of
+from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
@@ -467,7 +467,7 @@ class Observer(Node):
 
 def conclude(log: Path, note: str) -> int:
     """Replay the log, report it, say what became known; return the exit code."""
-    reproduction = replay(log)
+    reproduction = replay(log, asked=asked_on_record(log))
     folder = report_folder(log)
     # A mission that is gone on with may have ended before.
     shutil.rmtree(folder, ignore_errors=True)

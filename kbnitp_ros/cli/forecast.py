@@ -14,7 +14,7 @@ import sys
 from typing import Any
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.cli.parameters import recorded_values, set_parameter, values_of
+from kbnitp_ros.cli.parameters import recorded_planner, set_parameter, values_of
 from kbnitp_ros.cli.study import count
 from kbnitp_ros.configuration import (
     agents_of,
@@ -32,7 +32,6 @@ from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
 from kbnitp_ros.core.forecast import Course, PossibleWorld
 from kbnitp_ros.figures import forecast_figure, save
-from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.resumed import read_ledger
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.report import check_is_free
@@ -195,17 +194,11 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
 
     """
     ledger = read_ledger(options.log)
-    if options.params:
-        parameters = values_of(read_sections(options.params), ('planner',))
-    else:
-        recorded = read_parameters(options.log)
-        names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
-        if len(names) != 1:
-            raise ValueError(
-                f'{options.log} does not have the parameters of one planner on record: give them '
-                'with --params'
-            )
-        parameters = {'planner': recorded_values(recorded[names[0]], 'planner')}
+    parameters = (
+        values_of(read_sections(options.params), ('planner',))
+        if options.params
+        else {'planner': recorded_planner(options.log)}
+    )
     for rule in options.set:
         set_parameter(parameters, rule, 'forecast')
     planner, sent = parameters['planner'], len(ledger.deployments)

@@ -4,11 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.configuration import check_known, nearest, own_name, parameter_of, parameters_of
+from kbnitp_ros.configuration import (
+    check_known,
+    goal_of,
+    nearest,
+    own_name,
+    parameter_of,
+    parameters_of,
+)
 from kbnitp_ros.configuration.given import Sections, values_for
+from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.evidence import first_belief
+from kbnitp_ros.log.replayed_decisions import Asked
 
 
 def values_of(
@@ -85,7 +97,33 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
     """Return the values of a node that a log has of it; others are as they were by default."""
     # What the version that recorded it had not yet is as it was then.
     values = {
-        name: recorded.get(name, parameter.default)
+        name: parameter.default if recorded.get(name) is None else recorded[name]
         for name, parameter in parameters_of(node).items()
     }
     return values | {name: value for name, value in recorded.items() if own_name(name)}
+
+
+def recorded_planner(log: Path) -> dict[str, Any]:
+    """
+    Return the values of the planner of a mission on record.
+
+    Raises
+    ------
+    ValueError
+        If the log cannot be read or does not have those of one planner.
+
+    """
+    recorded = read_parameters(log)
+    names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
+    if len(names) != 1:
+        raise ValueError(f'{log} does not have the parameters of one planner on record')
+    return recorded_values(recorded[names[0]], 'planner')
+
+
+def asked_on_record(log: Path) -> Asked | None:
+    """Return what the mission of a log was to make sure of; None if that is not on record."""
+    with suppress(ValueError):
+        first, planner = first_belief(log), recorded_planner(log)
+        goal = goal_of(planner, first.grid) if first else None
+        return Asked(goal, planner['max_steps']) if goal else None
+    return None

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from kbnitp_ros.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import recorded_environment
 from kbnitp_ros.log.environment import numerical_environment
@@ -69,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             say(f'{repaired.messages} messages of {log} are saved in {options.repair}')
             say(*([f'lost: {loss}' for loss in repaired.lost] or ['nothing was lost']))
             log = options.repair
-        report = replay(log, partial(with_progress, log_size(log)))
+        report = replay(log, partial(with_progress, log_size(log)), asked_on_record(log))
     except (LogError, OSError) as error:
         complain('replay', error)
         return 2

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from math import isclose
 from typing import Any
 
-from kbnitp_ros.core import Goal, GOALS, Grid, Stop
+from kbnitp_ros.core import check_sought, Goal, GOALS, Grid, Stop
 from kbnitp_ros.maps import read_map
 import numpy as np
 
@@ -87,7 +87,7 @@ def stop_of(values: Mapping[str, Any]) -> Stop:
 
 def check_goal(values: Mapping[str, Any], grid: Grid) -> None:
     """
-    Check that the goal can be reached, and that the mission can be over by its stops.
+    Check that the goal can be sought and reached, and that the mission can be over by its stops.
 
     Raises
     ------
@@ -97,5 +97,6 @@ def check_goal(values: Mapping[str, Any], grid: Grid) -> None:
     """
     goal = goal_of(values, grid)
     stop_of(values).check(goal, values['robots'])
+    check_sought(goal, values['planner'], values['bound'])
     if goal is not None:
         goal.check(grid, values['max_steps'])

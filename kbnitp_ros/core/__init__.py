@@ -3,6 +3,7 @@
 
 from kbnitp_ros.core.decision import (
     Area,
+    check_sought,
     Decision,
     Goal,
     GOALS,
@@ -146,6 +147,7 @@ __all__ = [
     'binary_entropy',
     'brier_score',
     'check_bounded',
+    'check_sought',
     'check_team',
     'continue_mission',
     'count_visits',

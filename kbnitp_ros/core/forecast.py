@@ -190,13 +190,9 @@ def forecast(
         goal=goal,
         stop=stop,
     )
-    courses = [*run(partial(course, go_on, robots, estimator.belief, begin), drawn)]
-    series = {
-        name: np.array(each) for name, each in zip(Course._fields, zip(*courses, strict=True))
-    }
-    return Forecast(
-        'map' if goal is None else goal.name, None if goal is None else goal.confidence, **series
-    )
+    courses = run(partial(course, go_on, robots, estimator.belief, begin), drawn)
+    name, confidence = ('map', None) if goal is None else (goal.name, goal.confidence)
+    return Forecast(name, confidence, *map(np.array, zip(*courses, strict=True)))
 
 
 def possible_worlds(

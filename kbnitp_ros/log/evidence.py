@@ -33,6 +33,7 @@ from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, re
 from numpy.typing import ArrayLike
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
+DECISION = 'kbnitp_msgs/msg/Decision'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
 PROGRESS = 'kbnitp_msgs/msg/Progress'

@@ -22,6 +22,7 @@ from kbnitp_ros.log.departures import STATUS
 from kbnitp_ros.log.evidence import (
     begun,
     BELIEF,
+    DECISION,
     Evidence,
     first_belief,
     GRID,
@@ -31,6 +32,7 @@ from kbnitp_ros.log.evidence import (
 )
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
 from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replayed_decisions import Asked, ReplayedDecisions
 from kbnitp_ros.log.replayed_views import ReplayedViews
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
@@ -48,6 +50,9 @@ from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
 from kbnitp_ros.messages.operator_action import read_operator_action
 from kbnitp_ros.messages.status import read_status
 
+# What is read before the beliefs.
+TYPES = (BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL, DECISION)
+
 # What the paths of a log without a belief would be judged by.
 NO_RULES = Grid(1, 1), 1
 
@@ -55,9 +60,10 @@ NO_RULES = Grid(1, 1), 1
 def replay(
     path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+    asked: Asked | None = None,
 ) -> ReplayReport:
     """
-    Compute a log's beliefs again and compare them with those on record.
+    Compute a log's beliefs again, and decisions, and compare them with those on record.
 
     The log is read twice: for its evidence and its views, then for its beliefs.
 
@@ -67,6 +73,8 @@ def replay(
         The log of one mission, from its own recorder or from ``ros2 bag record``.
     progress : callable
         Passes the log's messages on, twice; may show how far the reading has come.
+    asked : Asked, optional
+        What the mission was to make sure of, without which decisions are not compared.
 
     Raises
     ------
@@ -77,12 +85,11 @@ def replay(
     """
     first = first_belief(path)
     evidence = Evidence(*((first.grid, first.max_steps, first.robot_types) if first else NO_RULES))
-    fold = Fold(ReplayReport(evidence, finished=is_finished(path)))
+    fold = Fold(ReplayReport(evidence, finished=is_finished(path)), asked)
     operator = OperatorState()
     departures = fold.report.departures
-    types = BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL
     with same_types(path):
-        for logged in progress(read_log(path, types)):
+        for logged in progress(read_log(path, TYPES)):
             if logged.type_name == BELIEF:
                 evidence.pass_belief(logged.message)
             elif logged.type_name in (GRID, MODEL):
@@ -90,6 +97,8 @@ def replay(
             elif logged.type_name == STATUS:
                 with evidence.refusals(logged.topic):
                     departures.take(*read_status(logged.message, agent_of(logged.topic)))
+            elif logged.type_name == DECISION:
+                fold.decisions.note(logged)
             elif logged.type_name != OPERATOR:
                 evidence.take(logged)
             elif is_operator_action(logged):
@@ -107,7 +116,7 @@ def replay(
 class Fold:
     """The belief that a log's evidence gives, up to one belief on record after another."""
 
-    def __init__(self, report: ReplayReport) -> None:
+    def __init__(self, report: ReplayReport, asked: Asked | None = None) -> None:
         self.report = report
         self.topic = ''
         self._ledger: Ledger | None = None
@@ -117,6 +126,7 @@ class Fold:
         self._index = -1
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
+        self.decisions = ReplayedDecisions(asked)
 
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate what a belief names, and compare it; errors are those of `replay`."""
@@ -217,11 +227,14 @@ class Fold:
         # The grids of a belief that was rounded otherwise show that one.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self.topic, self._ledger, seen, newest, stamp)
+        if not found:
+            self.decisions.compare(self._ledger, stamp, self.report)
 
     def finish(self) -> None:
-        """Compare the views with the beliefs that they show, and find deployments in no belief."""
+        """Compare the views with their beliefs, and find decisions and deployments left over."""
         report = self.report
         self.views.compare(report)
+        self.decisions.finish(report)
         for key in report.evidence.reports:
             if (
                 self._ledger

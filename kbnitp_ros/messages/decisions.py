@@ -7,11 +7,26 @@ from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Decision, Grid
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import header
 import numpy as np
 
 if TYPE_CHECKING:
     from kbnitp_msgs.msg import Decision as DecisionMessage
+
+
+def decision_fields(decision: Decision, deployments: int) -> Fields:
+    """Return what the message of a decision says of the hazards, which the evidence determines."""
+    return Fields(
+        deployments=deployments,
+        goal=decision.goal,
+        probability=decision.p_free,
+        independent_draws=decision.independent_draws,
+        survival=decision.survival,
+        hazards_mean=decision.hazards_mean,
+        hazards_5=float(decision.hazards_5),
+        hazards_95=float(decision.hazards_95),
+    )
 
 
 def decision_message(
@@ -36,17 +51,10 @@ def decision_message(
 
     return DecisionMessage(
         header=header(stamp),
-        deployments=deployments,
-        goal=decision.goal,
-        probability=decision.p_free,
-        independent_draws=decision.independent_draws,
         path=path_message(grid, decision.path, stamp, mission),
-        survival=decision.survival,
-        hazards_mean=decision.hazards_mean,
-        hazards_5=float(decision.hazards_5),
-        hazards_95=float(decision.hazards_95),
         reached=decision.reached,
         reason=decision.reason,
+        **vars(decision_fields(decision, deployments)),
     )
 
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from kbnitp_ros.core.decision.flights import Situation
 from kbnitp_ros.core.decision.goals import Goal, GOALS
@@ -57,14 +58,14 @@ def plan_round(
     draws : HazardDraws or None
         What is known of the hazards, if there is a goal.
     grid, belief, model, team, options, in_flight, visited, keepout, bound
-        As of `plan_team`; plans for a goal have no bound.
+        As of `plan_team`.
 
     Raises
     ------
     NoPathError
         If a robot may take no path.
     ValueError
-        As of `plan_team`, or if the planner is exact and there is a goal.
+        As of `plan_team` and `check_sought`.
 
     """
 
@@ -82,11 +83,7 @@ def plan_round(
         )
         return Round(planned.plans, tuple(plan.information for plan in planned.plans))
 
-    if goal is not None and options.planner == 'exact':
-        raise ValueError(
-            f'the planner is exact, which seeks information, and not the goal {goal.name}: choose '
-            'another planner, or no goal'
-        )
+    check_sought(goal, options.planner, bound)
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
@@ -112,3 +109,22 @@ def plan_round(
         gains.append(flight.gain)
         situation = situation.with_sent(path, own.model)
     return Round(tuple(plans), tuple(gains))
+
+
+def check_sought(goal: Goal | None, planner: str | Callable[..., Any], bound: bool) -> None:
+    """
+    Check that what is asked of a plan goes with the goal.
+
+    Raises
+    ------
+    ValueError
+        If the planner is exact or a bound is asked for, which are of information, and there is a
+        goal.
+
+    """
+    for name, is_asked in (('planner is exact', planner == 'exact'), ('bound is true', bound)):
+        if goal is not None and is_asked:
+            raise ValueError(
+                f'{name}, which is for the most information, and the goal is {goal.name}: '
+                'choose another value, or the goal map'
+            )
