@@ -80,6 +80,8 @@ def read_decision(grid: Grid, message: Any) -> Decision:
     return Decision(
         goal=message.goal,
         p_free=message.probability,
+        # Of an area the message does not tell them.
+        cells=np.unique(path),
         independent_draws=message.independent_draws,
         path=path,
         survival=message.survival,
