@@ -30,6 +30,7 @@ from kbnitp_ros.configuration import (
     check_own,
     check_search,
     estimator_of,
+    execution_of,
     grid_of,
     MOST_AGENTS,
     most_steps,
@@ -307,6 +308,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     grid = grid_of(simulated)
     agents_of(simulated, grid)
     check_search(parameters['planner'], grid, robot_types_of(estimator))
+    execution_of(simulated)
     if simulated['world.file']:
         read_world(simulated['world.file'], grid)
     estimator_of(estimator, grid)

@@ -65,7 +65,21 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
 
 
 def execution_of(values: Mapping[str, Any]) -> Execution:
-    """Return how simulated robots depart from their orders."""
+    """
+    Return how simulated robots depart from their orders.
+
+    Raises
+    ------
+    ValueError
+        If silence is to tell where they were lost, and they are silent all the way.
+
+    """
+    if values['silent_loss'] and values['contact_probability'] > 0.0:
+        raise ValueError(
+            f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '
+            'simulated robots that are lost in silence were not heard before either; set one of '
+            'them'
+        )
     return Execution(
         detour=values['detour_probability'],
         early_return=values['early_return_probability'],

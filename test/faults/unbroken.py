@@ -25,7 +25,7 @@ def draw_parameters(rng):
     side = int(rng.integers(5, 6, endpoint=True))
     method = str(rng.choice(list(METHODS)))
     learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
-    return {
+    drawn = {
         'grid.width': side,
         'grid.height': side,
         'max_steps': 10,
@@ -41,6 +41,10 @@ def draw_parameters(rng):
         'return_deadline': 0.5,
         **draw_conduct(rng),
     }
+    if drawn['silent_loss']:
+        # The simulation refuses robots that are heard of on their way and lost in silence.
+        drawn.pop('contact_probability', None)
+    return drawn
 
 
 def draw_conduct(rng):
