@@ -42,7 +42,7 @@ setup(
         (f'share/{package_name}/launch', glob('launch/*.launch.py')),
         (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
         (f'share/{package_name}/security', glob('security/*.policy.xml')),
-        (f'share/{package_name}/scenarios', glob('scenarios/*.yaml')),
+        (f'share/{package_name}/scenarios', glob('scenarios/*.*')),
     ],
     python_requires='>=3.10',
     install_requires=['numba', 'numpy', 'PyYAML'],

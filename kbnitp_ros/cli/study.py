@@ -13,6 +13,7 @@ import sys
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.nodes.runtime.command_line import command_parser
+from kbnitp_ros.study import benchmark
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results
@@ -26,12 +27,14 @@ DESCRIPTION = """
 Run a study: missions without ROS, by every method, at every lethality, in the same worlds. Its
 results are a table, figures and a summary.
 
-The same command goes on where it was interrupted.
+The same command goes on where it was interrupted. The scenario benchmark is no study: it compares
+planners and methods, those of other packages included, on frozen beliefs and in the same worlds.
 """
 
 EXAMPLES = (
     'python3 -m kbnitp_ros study paper --out runs/paper',
     'python3 -m kbnitp_ros study mine.yaml --out runs/mine --workers 4',
+    'python3 -m kbnitp_ros study benchmark --out runs/benchmark',
 )
 
 
@@ -52,9 +55,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        return study(options)
+        return run_benchmark(options) if is_benchmark(options) else study(options)
     except KeyboardInterrupt:
-        complain('study', f'interrupted; the same command goes on from {options.out}')
+        further = '' if is_benchmark(options) else f'; the same command goes on from {options.out}'
+        complain('study', f'interrupted{further}')
         return 130
 
 
@@ -99,6 +103,28 @@ def count(text: str, least: int = 1) -> int:
     if not text.isdecimal() or int(text) < least:
         raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least {least}')
     return int(text)
+
+
+def is_benchmark(options: argparse.Namespace) -> bool:
+    """Return whether the benchmark is asked for, in place of a study."""
+    return bool(options.scenario == benchmark.NAME)
+
+
+def run_benchmark(options: argparse.Namespace) -> int:
+    """Run the benchmark; return the exit code."""
+    if options.backend != 'loky':
+        complain('study', f'backend is {options.backend}: the benchmark runs on this machine')
+        return 2
+    try:
+        written = benchmark.run_benchmark(options.out, options.workers)
+    except ValueError as error:
+        complain('study', error)
+        return 2
+    except (RuntimeError, OSError) as error:
+        complain('study', error)
+        return 1
+    say(*(f'wrote {path}' for path in written))
+    return 0
 
 
 def study(options: argparse.Namespace) -> int:

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark: planners on frozen beliefs, and planners and methods in the same missions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    METHODS,
+    plan,
+    PLANNERS,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    World,
+)
+from kbnitp_ros.figures import FORMATS, LETTERS, save, SERIES, WIDTH
+from kbnitp_ros.files import naming, share
+from kbnitp_ros.study.charts import BAND, LOG_LOSS_LABEL
+from kbnitp_ros.study.comparing import compare
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.shipped import scenario_file
+from kbnitp_ros.study.summary import as_json, LOG_LOSS, Mean, mean_of, shown
+from kbnitp_ros.study.table import Cell, Table
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+# Of what is frozen: another one whenever a belief, a world or a number of the missions changes.
+VERSION = 1
+NAME = 'benchmark'
+
+# Of the planner 'exact'.
+BRANCHES = 20
+
+# Its plans take seconds, and it sends no robots.
+PROVES_ONLY = 'exact'
+
+HEADS = (
+    'planner',
+    'method',
+    'worth / bound',
+    'least',
+    'ms a plan',
+    'log loss',
+    'entropy',
+    'robots lost',
+    'ms an update',
+)
+
+# What every planner is tried with, and every method; with both the two tables meet.
+PLANNER, METHOD = 'beam', 'kappa_bnitp_smoothed'
+
+
+class Frozen(NamedTuple):
+    """
+    A belief of a mission, and what the best path is worth there at most.
+
+    Attributes
+    ----------
+    belief : Belief
+        Of the cells of `field`.
+    model : SensorModel
+        What robots are believed to be like.
+    bound : float
+        Proven, nats.
+
+    """
+
+    belief: Belief
+    model: SensorModel
+    bound: float
+
+
+class Worth(NamedTuple):
+    """What a planner does on the frozen beliefs: worth / bound, and seconds; shape (beliefs,)."""
+
+    ratio: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+
+
+class Entry(NamedTuple):
+    """A row of the table: a planner and a method, and the missions that they made, if any."""
+
+    planner: str
+    method: str
+    results: Results | None
+
+    def final(self, *measures: str) -> Mean | None:
+        """Return the sum of measures after the last robot."""
+        return mean_of(self.series(*measures)[:, -1]) if self.results else None
+
+    def series(self, *measures: str) -> NDArray[np.float64]:
+        """Return the sum of measures, shape (trials, robots + 1)."""
+        assert self.results
+        scenario = self.results.scenario
+        (team,) = (each for each in scenario.teams if each.planner == self.planner)
+        return self.results.series(scenario.lethalities[0], self.method, *measures, team=team)
+
+
+def frozen() -> list[Frozen]:
+    """Return the beliefs of this version."""
+    with np.load(share('scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
+        return [
+            Frozen(Belief(joint), SensorModel(lethality), float(bound))
+            for joint, lethality, bound in zip(file['joint'], file['lethality'], file['bound'])
+        ]
+
+
+def entered() -> tuple[list[str], list[str]]:
+    """Return the planners and the methods: some of the package's own, and all of others."""
+    planners = ['random', 'coverage', 'shortest_unvisited', PLANNER, PROVES_ONLY]
+    return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
+
+
+def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -> Worth:
+    """Return what the plans of a planner are worth, and how long they take."""
+
+    def planned(each: Frozen) -> tuple[float, float]:
+        begun = perf_counter()
+        found = plan(field, each.belief, each.model, steps, planner, branches=BRANCHES)
+        return found.information / each.bound, perf_counter() - begun
+
+    # The first one compiles kernels.
+    planned(beliefs[0])
+    return Worth(*np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T)
+
+
+def seconds_of(method: str, scenario: Scenario) -> float:
+    """Return how long a method takes for a deployment, the mean over those of one mission."""
+    field, truth = scenario.field(), scenario.truth(scenario.lethalities[0], 0)
+    prior, model = scenario.belief(truth), scenario.model(truth)
+    world = World.random(field, 0, **{name: truth[name] for name in vars(scenario.world)})
+    options = SearchOptions('coverage', scenario.planning.max_steps)
+    mission = run_mission(field, prior, model, world, scenario.robots, 0, options=options)
+    estimator = Estimator(prior, model, method)
+    begun = perf_counter()
+    for each in mission:
+        estimator.assimilate(each.observation)
+    return (perf_counter() - begun) / len(mission)
+
+
+def missions(
+    planners: Iterable[str], methods: Iterable[str], workers: int | None, **changes: int
+) -> Iterator[Entry]:
+    """Run the missions of every planner by one method, and of every method by one planner."""
+    sending = [each for each in planners if each != PROVES_ONLY]
+    others = [each for each in methods if each != METHOD]
+    by_planner = compare(NAME, planners=sending, methods=[METHOD], workers=workers, **changes)
+    by_method = compare(NAME, planners=[PLANNER], methods=others, workers=workers, **changes)
+    for planner in planners:
+        yield Entry(planner, METHOD, by_planner if planner in sending else None)
+    for method in others:
+        yield Entry(PLANNER, method, by_method)
+
+
+def table_of(
+    entries: Sequence[Entry], worths: dict[str, Worth], seconds: dict[str, float]
+) -> Table:
+    """Return the table of the benchmark."""
+
+    def mean(value: Mean | None, decimals: int = 1) -> Cell:
+        if value is None:
+            return Cell(None, '')
+        return Cell(as_json(value), shown(as_json(value), decimals))
+
+    def number(value: float, decimals: int) -> Cell:
+        return Cell(value, f'{value:.{decimals}f}')
+
+    rows = []
+    for entry in entries:
+        worth = worths[entry.planner]
+        rows.append(
+            [
+                Cell(entry.planner, f'`{entry.planner}`'),
+                Cell(entry.method, f'`{entry.method}`'),
+                mean(mean_of(worth.ratio), 3),
+                number(float(worth.ratio.min()), 3),
+                number(1e3 * float(np.median(worth.seconds)), 1),
+                mean(entry.final(*LOG_LOSS)),
+                mean(entry.final('entropy')),
+                mean(entry.final('robots_lost')),
+                number(1e3 * seconds[entry.method], 2),
+            ]
+        )
+    beliefs = len(worths[PLANNER].ratio)
+    caption = (
+        f'Benchmark, version {VERSION}. Worth: the information of a plan, by a proven bound of '
+        f'what any path is worth, mean and least of {beliefs} frozen beliefs. Log loss and '
+        'entropy (nats) and robots lost: after the last robot of missions in the same worlds, '
+        'with 95 % bootstrap intervals. Times are medians for plans and means for updates, on the '
+        'machine at hand.'
+    )
+    return Table(caption, HEADS, rows)
+
+
+def figure_of(entries: Sequence[Entry]) -> Figure:
+    """Draw the log loss after each robot: of the planners, and of the methods."""
+    with rc_context(LETTERS):
+        figure = Figure(figsize=(WIDTH, 0.45 * WIDTH), layout='constrained')
+        left, right = figure.subplots(1, 2, sharey=True)
+        sent = [each for each in entries if each.results]
+        draw(left, {each.planner: each for each in sent if each.method == METHOD})
+        draw(right, {each.method: each for each in sent if each.planner == PLANNER})
+        left.set_title(f'planners, by {METHOD}')
+        right.set_title(f'methods, by {PLANNER}')
+        left.set_ylabel(LOG_LOSS_LABEL)
+        figure.supxlabel('deployment')
+    return figure
+
+
+def draw(axes: Axes, entries: dict[str, Entry]) -> None:
+    """Draw a line with its interval for each."""
+    for place, (name, entry) in enumerate(entries.items()):
+        style = SERIES[place % len(SERIES)]
+        mean, low, high = mean_of(entry.series(*LOG_LOSS))
+        axes.plot(mean, **style.line(mean.size), label=name)
+        axes.fill_between(range(mean.size), low, high, color=style.colour, alpha=BAND, linewidth=0)
+    axes.grid(alpha=0.3)
+    axes.legend()
+
+
+def run_benchmark(folder: Path, workers: int | None = None, **changes: int) -> list[Path]:
+    """
+    Run the benchmark and write its table and its figure.
+
+    Parameters
+    ----------
+    folder : Path
+        For what is written.
+    workers : int, optional
+        As of `compare`. What is timed runs in this process, before the others.
+    **changes
+        Keys of its scenario with other values: then it is another benchmark.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    RuntimeError
+        If a mission fails.
+
+    """
+    with naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    planners, methods = entered()
+    scenario, beliefs = read_scenario(scenario_file(NAME)), frozen()
+    field, steps = scenario.field(), scenario.planning.max_steps
+    worths = {each: worth_of(each, field, steps, beliefs) for each in planners}
+    seconds = {each: seconds_of(each, scenario) for each in methods}
+    entries = list(missions(planners, methods, workers, **changes))
+    table = table_of(entries, worths, seconds)
+    written = save(figure_of(entries), folder / NAME, *FORMATS)
+    for suffix, text in (('md', table.markdown()), ('tex', table.latex())):
+        written.append(folder / f'{NAME}.{suffix}')
+        written[-1].write_text(text)
+    return written
