@@ -31,7 +31,7 @@ logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'zstandard']
 
 setup(
     name=package_name,
-    version='0.2.0',
+    version='0.3.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
     package_data={package_name: ['py.typed', 'report/assets/*']},
     data_files=[
