@@ -41,7 +41,9 @@ class PlannedRound:
     plans : dict of DeploymentKey to Plan
         Of robots that leave together.
     why_not_worth : str
-        Why they are not worth flying; empty if they are.
+        Why the mission is over by what they gain; empty if it is not.
+    why_worthless : str
+        Why none of them is worth a robot; empty if one is.
     seconds : float
         How long the search took.
 
@@ -49,6 +51,7 @@ class PlannedRound:
 
     plans: Plans
     why_not_worth: str
+    why_worthless: str
     seconds: float
 
 
@@ -128,6 +131,10 @@ class Rounds:
 
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, self._knowledge.stop
+        options = search_options(self._values)
+        # The gains of other objectives and of goals are no nats of information.
+        is_mapping = goal is None and options.objective == 'information'
+        loss_cost = options.loss_cost if is_mapping else 0.0
         plan = partial(
             plan_round,
             goal,
@@ -136,7 +143,7 @@ class Rounds:
             known.belief,
             known.model,
             Team(len(agents), self._values['allocation'], tuple(map(robot_type, agents))),
-            search_options(self._values),
+            options,
             in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
             visited=self._visited - count_visits(self._grid, noted),
             keepout=keepout_cells(self._grid, most_steps, len(agents), refused),
@@ -150,7 +157,9 @@ class Rounds:
                 DeploymentKey(agent, stamp + number): each
                 for number, (agent, each) in enumerate(zip(agents, team.plans))
             }
-            return PlannedRound(plans, stop.why_not_worth(team), time.monotonic() - start)
+            worthless = team.why_worthless(loss_cost)
+            seconds = time.monotonic() - start
+            return PlannedRound(plans, stop.why_not_worth(team), worthless, seconds)
 
         return planned
 

@@ -103,6 +103,7 @@ class Obstacle(Enum):
     NO_FREE_AGENT = auto()
     UNAPPROVED = auto()
     SEARCHING = auto()
+    WORTHLESS = auto()
 
 
 # What keeps robots from leaving for a while in every mission.
@@ -145,6 +146,9 @@ class PlannerNode(FieldNode):
         self._search: Search | None = None
         # How often parameters were changed.
         self._changes = 0
+        # For what nothing was found that is worth a robot, and why.
+        self._worthless_for: Situation | None = None
+        self._why_worthless = ''
         # Where robots go that were sent and are not known to have departed, in words.
         self._goals: dict[DeploymentKey, str] = {}
         self._holding = Holding(self)
@@ -464,7 +468,7 @@ class PlannerNode(FieldNode):
             self._deploy()
             return
         if not plans:
-            self._tell(Obstacle.SEARCHING)
+            self._tell(Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS)
             return
         if self.values['approval'] and not self._are_approved(plans):
             self._tell(Obstacle.UNAPPROVED)
@@ -503,7 +507,7 @@ class PlannerNode(FieldNode):
         if self._proposals.are_for(now):
             return self._proposals.plans
         search = self._search
-        if search is not None and not search.is_over:
+        if self._worthless_for == now or (search is not None and not search.is_over):
             return {}
         if search is None or not self._is_wanted(search, now):
             self._proposals.withdraw()
@@ -515,6 +519,10 @@ class PlannerNode(FieldNode):
         planned = search.found()
         self._rounds.say_if_slow(planned)
         self._decisions.note_not_worth(planned.why_not_worth)
+        if planned.why_worthless:
+            self._worthless_for = search.situation
+            self._why_worthless = planned.why_worthless
+            return {}
         if self.values['approval'] and not self._are_approved(planned.plans):
             self._proposals.show(planned.plans, search.situation)
         for plan in planned.plans.values():
@@ -685,6 +693,11 @@ class PlannerNode(FieldNode):
             Obstacle.NO_FREE_AGENT: self._free_agent,
             Obstacle.UNAPPROVED: self._approval,
             Obstacle.SEARCHING: self._searching,
+            Obstacle.WORTHLESS: lambda: (
+                f'the operator, since nothing is worth a robot: {self._why_worthless}; other '
+                'parameters, or the service '
+                f'{self.resolve_service_name("end_mission")}, go on'
+            ),
         }
         return waiting_for(awaited[obstacle]())
 

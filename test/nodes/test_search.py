@@ -7,6 +7,7 @@ from statistics import median
 import time
 
 from base import Base
+from kbnitp_msgs.msg import Progress
 import pytest
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
@@ -55,3 +56,24 @@ def test_what_was_found_by_other_parameters_is_dropped(base):
     assert not any(base.paths.values())
     base.do('end_mission')
     assert base.field.processes.stop(30)['/planner'] == 0
+
+
+def test_plans_that_are_worth_nothing_are_not_sent(field):
+    progress = field.listen(Progress, '/progress')
+    base = Base(field, loss_cost=1000.0)
+    why = 'nothing is worth a robot: the best plan is expected to bring'
+    field.until(lambda: progress and why in progress[-1].reason, 'why no robot leaves')
+    assert progress[-1].state == Progress.RUNNING
+    assert not base.paths['scout_1']
+    assert field.set_parameter('/planner', 'loss_cost', 0.0).successful
+    base.until_sent(1)
+    base.come_back()
+    base.until_sent(2)
+
+
+def test_where_nothing_is_to_be_learnt_no_robot_is_sent(field):
+    known = {'prior.hazard': 0.0, 'prior.target': 0.0}
+    base = Base(field, **known)
+    base.until_state('nothing is worth a robot: no plan is expected to bring more than')
+    base.do('end_mission')
+    base.until_state('done: 0 of 4 robots deployed, ended by the operator')

@@ -15,6 +15,9 @@ from kbnitp_ros.core.planning import NoPathError, Plan, plan_team, SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+# Less information than this is nothing, in nats: the results of updates are rounded.
+LEAST = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Round:
@@ -32,6 +35,28 @@ class Round:
 
     plans: tuple[Plan, ...]
     gains: tuple[float, ...]
+
+    def why_worthless(self, loss_cost: float) -> str:
+        """
+        Return why none of the plans is worth a robot; empty if one is.
+
+        Parameters
+        ----------
+        loss_cost : float
+            Of a lost robot, in nats.
+
+        """
+        best = max(self.plans, key=lambda plan: plan.information)
+        if best.information < LEAST:
+            return f'no plan is expected to bring more than {best.information:.2g} nats'
+        costs = [loss_cost * (1.0 - plan.survival) for plan in self.plans]
+        if any(plan.information > cost for plan, cost in zip(self.plans, costs)):
+            return ''
+        cost = loss_cost * (1.0 - best.survival)
+        return (
+            f'the best plan is expected to bring {best.information:.3g} nats and to cost '
+            f'{cost:.3g} (parameter loss_cost)'
+        )
 
 
 def plan_round(

@@ -272,6 +272,16 @@ def test_robots_of_a_round_are_sent_for_what_each_adds():
     assert len({plan.path.tobytes() for plan in planned.plans}) > 1
 
 
+def test_a_round_is_worth_as_much_as_the_best_of_its_plans():
+    planned = plan_round(None, None, GRID, PRIOR, MODEL, Team(2), NEAR)
+    most = max(plan.information / (1.0 - plan.survival) for plan in planned.plans)
+    assert not planned.why_worthless(0.0)
+    assert not planned.why_worthless(0.999 * most)
+    assert 'loss_cost' in planned.why_worthless(1.001 * most)
+    known = plan_round(None, None, GRID, uniform(GRID, 0.0), MODEL, Team(2), NEAR)
+    assert 'no plan is expected to bring more' in known.why_worthless(0.0)
+
+
 @pytest.mark.parametrize(
     'make, named',
     [
