@@ -224,8 +224,23 @@ class MissionArguments:
         """Return the remapping of poses: robots of one name in two teams are not the same one."""
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
-    def base(self) -> list[Node]:
-        """Return the nodes of the base, and RViz."""
+    def base(self, **of_real_robots: str) -> list[Node]:
+        """
+        Return the nodes of the base, and RViz.
+
+        Parameters
+        ----------
+        of_real_robots : str
+            Parameters where neither an argument nor the parameter file says anything but the
+            default, which is for simulated robots.
+
+        """
+        said, known = self._values('planner'), parameters_of('planner')
+        self._options = {
+            name: text
+            for name, text in of_real_robots.items()
+            if said.get(name, known[name].default) == known[name].default
+        } | self._options
         view = 'team.rviz' if len(self.agents) > 1 else 'mission.rviz'
         rviz = Node(
             package='rviz2',

@@ -4,7 +4,14 @@
 from kbnitp_ros.bag.errors import LogError, same_types
 from kbnitp_ros.bag.lock import LogLock
 from kbnitp_ros.bag.log_files import check_is_new, parts_of
-from kbnitp_ros.bag.reader import is_finished, log_size, LoggedMessage, read_log, read_metadata
+from kbnitp_ros.bag.reader import (
+    is_finished,
+    log_size,
+    LoggedMessage,
+    metadata_of_part,
+    read_log,
+    read_metadata,
+)
 from kbnitp_ros.bag.records import LARGEST_MESSAGE, Recorded
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.schema import check_installed, qos_profiles_yaml
@@ -23,6 +30,7 @@ __all__ = [
     'check_texts',
     'is_finished',
     'log_size',
+    'metadata_of_part',
     'parts_of',
     'qos_profiles_yaml',
     'read_log',

@@ -26,7 +26,15 @@ from kbnitp_ros.bag.records import (
 from kbnitp_ros.files import open_file
 from mcap_ros2.decoder import DecoderFactory
 
-__all__ = ['LogError', 'LoggedMessage', 'is_finished', 'log_size', 'read_log', 'read_metadata']
+__all__ = [
+    'LogError',
+    'LoggedMessage',
+    'is_finished',
+    'log_size',
+    'metadata_of_part',
+    'read_log',
+    'read_metadata',
+]
 
 
 # Bytes of a type and all that it refers to. The type of a whole planning scene has 30,000.
@@ -124,11 +132,15 @@ def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
         own: dict[str, dict[str, str]] = {}
-        for item in read_part(part):
-            if isinstance(item, RecordedMetadata):
-                own[item.name] = {**own.get(item.name, {}), **item.values}
+        for item in metadata_of_part(part):
+            own[item.name] = {**own.get(item.name, {}), **item.values}
         records |= own
     return records
+
+
+def metadata_of_part(part: Path) -> Iterator[RecordedMetadata]:
+    """Yield the records of named values that a file has, as they were written."""
+    return (item for item in read_part(part) if isinstance(item, RecordedMetadata))
 
 
 def is_finished(path: str | Path) -> bool:

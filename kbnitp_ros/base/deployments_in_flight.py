@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -298,10 +298,33 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def _due(self, now: int, agent: str, robot: DeploymentInFlight) -> int:
         """Return when a robot that departs now times out, in nanoseconds."""
-        steps, period = robot.path.size - 1, value_for(self._values, 'step_period', agent)
-        wait = steps * period + self._values['return_deadline']
-        due: int = now + round(wait * SECOND)
-        return due
+        return now + round(longest_absence(self._values, agent, robot.path) * SECOND)
+
+
+def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp]) -> float:
+    """Return how long a silent robot may be away on a path, in seconds of ROS time."""
+    steps, period = path.size - 1, value_for(values, 'step_period', agent)
+    seconds: float = steps * period + values['return_deadline']
+    return seconds
+
+
+def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
+    """
+    Check that silent robots are given time for their ways.
+
+    Raises
+    ------
+    ValueError
+        If silence counts as loss, and a robot is said to need no time for a step.
+
+    """
+    for agent in agents:
+        if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
+            raise ValueError(
+                f'silent_loss is true and step_period is 0 for {agent}: its robot would count as '
+                f'lost {values["return_deadline"]} s after it departs (return_deadline), however '
+                'long its path is; set step_period to the seconds that it needs for a step'
+            )
 
 
 def remember(known: OrderedDict[K, V], key: K, value: V) -> None:

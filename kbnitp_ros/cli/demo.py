@@ -75,6 +75,9 @@ AWAITED = {
 # need no time for their way, but their processes may be kept waiting by others.
 RETURN_DEADLINE = 1.0
 
+# What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
+SILENT_STEP = 0.01
+
 # What the demo sets by itself unless told otherwise. With the method that learns, estimator and
 # planner know neither the lethality nor the hazard density: a lethality learnt under a wrong
 # density is wrong, since fewer hazards that are more lethal destroy as many robots.
@@ -257,6 +260,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
                 values[name] = table[name].check(value)
     for rule in options.set:
         set_parameter(parameters, rule, 'demo', OWN)
+    if parameters['planner']['silent_loss']:
+        for values in (parameters['planner'], parameters['agent']):
+            values['step_period'] = values['step_period'] or SILENT_STEP
     estimator = parameters['estimator']
     if estimator['learn'] is None:
         estimator['learn'] = LEARNT if estimator['method'] == LEARNER else ()

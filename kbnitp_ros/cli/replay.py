@@ -17,6 +17,7 @@ from kbnitp_ros.log.configuration import recorded_environment
 from kbnitp_ros.log.environment import numerical_environment
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade, ReplayReport, TOLERANCE
+from kbnitp_ros.messages.progress import NOT_KNOWN
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from tqdm import tqdm
 
@@ -98,6 +99,10 @@ def lines(report: ReplayReport) -> Iterator[str]:
     )
     for action in report.actions:
         yield f'the operator {action}, at {action.when}'
+    yield from report.changes
+    if report.standing is not NOT_KNOWN:
+        state, reason = report.standing
+        yield f'the mission was {state.name} when the log ended{": " * bool(reason)}{reason}'
     missed = Counter(each.topic for each in report.mismatches)
     rounded = Counter(each.topic for each in report.roundings)
     for topic, compared in sorted(report.compared.items()):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
 import json
 import os
@@ -13,7 +13,7 @@ import subprocess
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from kbnitp_ros.bag import LogError, read_metadata
+from kbnitp_ros.bag import LogError, metadata_of_part, parts_of, read_metadata
 from kbnitp_ros.log.environment import numerical_environment
 
 # Names of metadata records; a node's full name, which starts with a slash, follows the second.
@@ -55,6 +55,29 @@ def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what the record of a node's parameters says: each value as JSON."""
     # ROS hands a byte over as bytes of length one.
     return {name: json.dumps(value, default=ord) for name, value in sorted(values.items())}
+
+
+def read_changes(path: str | Path) -> Iterator[str]:
+    """
+    Yield in words which parameters of nodes changed in a run, and from what to what.
+
+    Raises
+    ------
+    LogError
+        If it is no log.
+
+    """
+    known: dict[str, dict[str, str]] = {}
+    for part in parts_of(path):
+        for record in metadata_of_part(part):
+            if not record.name.startswith(f'{PARAMETERS}/'):
+                continue
+            node = record.name.removeprefix(PARAMETERS)
+            before = known.setdefault(node, {})
+            for name, value in record.values.items():
+                if before.get(name, value) != value:
+                    yield f'parameter {name} of {node} changed from {before[name]} to {value}'
+            before |= record.values
 
 
 def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:

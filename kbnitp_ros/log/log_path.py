@@ -25,10 +25,15 @@ def new_log(folder: Path | None = None) -> Path:
 
     """
     folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
+    make_folder(folder)
+    return folder / NAME
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a log; raises OSError if it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(
             f'folder {folder} cannot be made ({error.strerror}): name another'
         ) from error
-    return folder / NAME

@@ -18,6 +18,7 @@ from typing import Any
 from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, read_log, same_types
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger
 from kbnitp_ros.log.compare import differences
+from kbnitp_ros.log.configuration import read_changes
 from kbnitp_ros.log.departures import STATUS
 from kbnitp_ros.log.evidence import (
     begun,
@@ -28,6 +29,7 @@ from kbnitp_ros.log.evidence import (
     GRID,
     MODEL,
     PATH,
+    PROGRESS,
     REPORT,
 )
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
@@ -48,10 +50,11 @@ from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
 from kbnitp_ros.messages.operator_action import read_operator_action
+from kbnitp_ros.messages.progress import MissionState, Standing
 from kbnitp_ros.messages.status import read_status
 
 # What is read before the beliefs.
-TYPES = (BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL, DECISION)
+TYPES = (BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL, DECISION, PROGRESS)
 
 # What the paths of a log without a belief would be judged by.
 NO_RULES = Grid(1, 1), 1
@@ -92,6 +95,10 @@ def replay(
         for logged in progress(read_log(path, TYPES)):
             if logged.type_name == BELIEF:
                 evidence.pass_belief(logged.message)
+            elif logged.type_name == PROGRESS:
+                state, reason = logged.message.state, logged.message.reason
+                with evidence.refusals(logged.topic):
+                    fold.report.standing = Standing(MissionState(state), reason)
             elif logged.type_name in (GRID, MODEL):
                 fold.views.note(logged)
             elif logged.type_name == STATUS:
@@ -105,6 +112,7 @@ def replay(
                 with evidence.refusals(logged.topic):
                     operator.apply(read_operator_action(evidence.grid, logged.message))
         fold.report.actions = list(operator.actions.values())
+        fold.report.changes = list(read_changes(path))
         for logged in progress(read_log(path, (BELIEF,))):
             fold.take(logged)
     if not fold.topic:

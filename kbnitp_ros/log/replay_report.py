@@ -14,6 +14,7 @@ from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.operator_action import OperatorAction
+from kbnitp_ros.messages.progress import NOT_KNOWN, Standing
 
 # How far numbers may be from those computed by another processor or another version of numpy,
 # which round otherwise; of numbers above 1, relative to them.
@@ -73,6 +74,10 @@ class ReplayReport:
         What agents said of their orders.
     actions : list of OperatorAction
         What the operator did, in the order on record.
+    standing : Standing
+        How the mission stood last, as far as that is on record.
+    changes : list of str
+        Which parameters of nodes changed, in words.
     prior : Snapshot or None
         The last prior on record.
     compared : Counter of str
@@ -93,6 +98,8 @@ class ReplayReport:
     evidence: Evidence
     departures: Departures = field(default_factory=Departures)
     actions: list[OperatorAction] = field(default_factory=list)
+    standing: Standing = NOT_KNOWN
+    changes: list[str] = field(default_factory=list)
     prior: Snapshot | None = None
     compared: Counter[str] = field(default_factory=Counter)
     mismatches: list[Finding] = field(default_factory=list)

@@ -110,7 +110,7 @@ class Decisions:
         if why != self._told:
             self._told = why
             if why:
-                self._node.get_logger().info(f'the mission is over: {why}')
+                self._node.get_logger().info(f'no more robots leave: {why}')
         return why
 
     def note_not_worth(self, why: str | NoPathError) -> None:

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import auto, Enum
 from functools import partial
 import sys
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.deployments_in_flight import check_periods, DeploymentsInFlight
+from kbnitp_ros.base.late_returns import LateReturns
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.reachability import cut_off_note, reach_note
 from kbnitp_ros.base.refusals import Refusals
@@ -29,6 +30,7 @@ from kbnitp_ros.core import (
     NoPathError,
     observation_of,
     ORDINARY,
+    Report,
 )
 from kbnitp_ros.log.evidence import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
@@ -122,6 +124,7 @@ class PlannerNode(FieldNode):
         super().__init__('planner')
         self._agents = agents_of(self.values, self.grid)
         check_search(self.values, self.grid, {})
+        check_periods(self.values, self._agents)
         self._log_reachability()
         self._paths = {
             agent: self.create_publisher(Path, f'{agent}/path', qos.EVIDENCE)
@@ -139,6 +142,7 @@ class PlannerNode(FieldNode):
         self._bounds = BoundedProgress(self) if self.values['bound'] else None
         self._peers = Peers(self, self._agents)
         self._in_flight = DeploymentsInFlight(self.values, qos.DEPTH)
+        self._late = LateReturns(self.values)
         self._proposals = Proposals(self, self.grid, self._agents)
         self._refusals = Refusals()
         # That for the paths of the next round; those that were found are kept while robots may
@@ -163,6 +167,7 @@ class PlannerNode(FieldNode):
         self._is_incomplete_told = False
         self._last_stamp = 0
         self._is_heard = False
+        self._end_told = ''
         if self.values['resume']:
             self._restore(self.values['resume'])
             self._decisions.restore(self.values['resume'])
@@ -211,6 +216,7 @@ class PlannerNode(FieldNode):
         resumed.note(self._in_flight, self._rounds)
         for key, report in resumed.losses():
             self._losses[key.agent].publish(report)
+            self._late.expect(key, resumed.deployments[key].path)
         self._last_stamp = resumed.last_stamp
         for key, steps_survived in resumed.operator.given_up.items():
             if key in self._in_flight:
@@ -350,8 +356,19 @@ class PlannerNode(FieldNode):
             return
         self._tell_departure(key)
         self._in_flight.end(key, report.stamp if report.survived else None)
+        if report.survived:
+            self._late.end(key)
+            self._warn_of_stay(key, report)
         self._decisions.knowledge.note_report(key, report)
         self._deploy()
+
+    def _warn_of_stay(self, key: DeploymentKey, report: Report) -> None:
+        """Say that a robot has used up an order without leaving the base."""
+        if all(cell == self.grid.base for cell, _ in report.readings):
+            self.get_logger().warning(
+                f'{key} is back without a step, which counts as a deployment: the console of '
+                'its robot tells why'
+            )
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Take note of what an agent does with an order."""
@@ -437,6 +454,7 @@ class PlannerNode(FieldNode):
         lost = lost_after_contact(path, steps_survived, contact)
         self._losses[key.agent].publish(report_message(key, lost, self.now(), source))
         self._in_flight.end(key)
+        self._late.expect(key, path)
 
     def _act(self, action: OperatorAction) -> None:
         """Do what follows from an action of the operator."""
@@ -453,10 +471,8 @@ class PlannerNode(FieldNode):
             self._tell(obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
                 self._proposals.withdraw()
-            if (
-                obstacle in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
-                and not self.values['keep_running']
-            ):
+            is_over = obstacle in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
+            if is_over and not self.values['keep_running'] and not self._late.awaited:
                 self.end()
             return
         assert newest is not None
@@ -493,6 +509,20 @@ class PlannerNode(FieldNode):
         }
         if state.name != before:
             self.diagnostics.publish()
+        if obstacle in (Obstacle.ALL_DEPLOYED, Obstacle.OVER):
+            self._tell_end(self.diagnostics.state.sentence)
+
+    def _tell_end(self, how: str) -> None:
+        """Tell once how the mission ended, and until when the base stays."""
+        if how == self._end_told:
+            return
+        self._end_told = how
+        self.get_logger().info(f'the mission is over: {how}')
+        if not self.values['keep_running'] and (late := self._late.awaited):
+            self.get_logger().info(
+                f'the base stays for {max(late.values()):.0f} s at the most, in which robots that '
+                f'were given up may come home: {some(late)}'
+            )
 
     def _next_plans(self, newest: Snapshot) -> Plans:
         """
@@ -670,7 +700,7 @@ class PlannerNode(FieldNode):
             return done(self._how_it_ended())
         if obstacle is Obstacle.OVER:
             return done(f'{self._how_it_ended()}: {self._decisions.why_over()}')
-        awaited = {
+        awaited: dict[Obstacle, Callable[[], str]] = {
             Obstacle.ACTION_UNRECORDED: lambda: self._operator.awaited,
             Obstacle.NO_BELIEF: self._first_belief,
             Obstacle.UNREPORTED: self._report,

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 import heapq
 from itertools import chain
+from pathlib import Path
 import sys
 import time
 from typing import Any
@@ -22,7 +23,7 @@ from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run
 from kbnitp_ros.log.departures import Departures, read_departures, STATUS
 from kbnitp_ros.log.deployments import read_mission, read_paths
 from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT
-from kbnitp_ros.log.log_path import new_log
+from kbnitp_ros.log.log_path import make_folder, new_log
 from kbnitp_ros.log.operator_state import OPERATOR
 from kbnitp_ros.log.replayed_views import VIEWS
 from kbnitp_ros.messages.beliefs import read_belief_maps
@@ -126,7 +127,8 @@ class RecorderNode(MissionNode):
         path = resume or self.values['file']
         if not path:
             path = new_log()
-            self.get_logger().info(f'recording to {path}')
+        elif not resume:
+            make_folder(Path(path).parent)
         self._log = LogWriter(
             path,
             resume=bool(resume),
@@ -134,6 +136,7 @@ class RecorderNode(MissionNode):
             max_file_size=self.values['max_file_size'],
             max_file_duration=self.values['max_file_duration'],
         )
+        self.get_logger().info(f'recording to {self._log.path}')
         if self._log.shares_folder:
             self.get_logger().warning(
                 f'folder {self._log.path.parent} is the bag of another log and stays it: ros2 bag '
@@ -181,6 +184,7 @@ class RecorderNode(MissionNode):
         self._write_arrived()
         for message, _ in self._early:
             self._write_checked(message, 0.0)
+        self.get_logger().info(f'the log of the mission is {self._log.path}')
 
     def _write_arrived(self) -> None:
         """Write what has arrived, in the order it came."""

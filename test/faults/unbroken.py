@@ -44,6 +44,8 @@ def draw_parameters(rng):
     if drawn['silent_loss']:
         # The simulation refuses robots that are heard of on their way and lost in silence.
         drawn.pop('contact_probability', None)
+        # They are given up by what a step takes.
+        drawn['step_period'] = 0.001
     return drawn
 
 

@@ -41,7 +41,8 @@ class Base:
 
     def __init__(self, field, agents=('scout_1',), **parameters):
         self.field = field
-        self.log = field.folder / 'mission.mcap'
+        # Of a folder that the recorder makes.
+        self.log = field.folder / 'log' / 'mission.mcap'
         self.parameters = {**PARAMETERS, 'agents': list(agents), **parameters}
         self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
         self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}

@@ -87,11 +87,11 @@ def test_the_planner_says_for_whom_it_waits(field):
     'parameters, told',
     [
         (
-            {'silent_loss': True, 'presume_departure': True},
+            {'silent_loss': True, 'step_period': 1.0, 'presume_departure': True},
             'at most until 10.0 s after it is due (parameter return_deadline',
         ),
         (
-            {'silent_loss': True},
+            {'silent_loss': True, 'step_period': 1.0},
             'nobody publishes /scout_1/status, so that the silence of a robot that has not left '
             'would count as its loss (parameter presume_departure)',
         ),

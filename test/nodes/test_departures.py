@@ -15,7 +15,12 @@ from nav_msgs.msg import Path
 from samples import FIELD, on_disk, path
 from std_msgs.msg import Bool
 
-SILENT = {'silent_loss': True, 'return_deadline': 1.0, 'presume_departure': False}
+SILENT = {
+    'silent_loss': True,
+    'step_period': 0.001,
+    'return_deadline': 1.0,
+    'presume_departure': False,
+}
 
 
 class StatedBase(Base):
@@ -108,6 +113,10 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     base.until_state('done: 1 of 1')
     base.say(State.REFUSED, 'too late', stamp=key.stamp + 2)
     field.until_refused('/planner', 6)
+    # The same once more is no news.
+    base.say(State.DEPARTED)
+    field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
+    assert 'this planner says False, which holds' in field.until_refused('/planner', 7)
     assert base.beliefs[-1].deployments == 1
 
 

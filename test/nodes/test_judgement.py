@@ -90,7 +90,7 @@ def test_a_planner_acknowledges_its_own_paths_only_and_gives_up_what_left(field)
     )
     field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     silent = {'silent_loss': True, 'return_deadline': 0.5, 'recorded': True}
-    silent['presume_departure'] = True
+    silent |= {'presume_departure': True, 'step_period': 0.001}
     field.start('planner', {**FIELD, **silent, 'robots': 1, 'await_nodes': ['test']})
     field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
     field.until(lambda: paths, 'path')

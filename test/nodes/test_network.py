@@ -106,7 +106,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
 
 def test_a_report_that_does_not_fit_leaves_a_silent_robot_to_be_given_up(field):
     silent = {**FIELD, 'silent_loss': True, 'return_deadline': 0.5, 'robots': 1}
-    silent['presume_departure'] = True
+    silent |= {'presume_departure': True, 'step_period': 0.001}
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)

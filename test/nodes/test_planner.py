@@ -298,7 +298,18 @@ def test_a_round_that_was_whole_is_left_as_it_is(field):
     assert heard == [[expected[0]], [expected[1]], []]
 
 
-SILENT = {'silent_loss': True, 'return_deadline': 0.3, 'presume_departure': True}
+SILENT = {
+    'silent_loss': True,
+    'step_period': 0.001,
+    'return_deadline': 0.3,
+    'presume_departure': True,
+}
+
+
+def test_silent_robots_are_given_time_for_their_ways(field):
+    planner = field.start('planner', {**SILENT, 'step_period': 0.0})
+    assert planner.wait(timeout=60) == 2
+    assert 'silent_loss is true and step_period is 0 for scout_1' in field.said('/planner')
 
 
 def test_a_resumed_planner_says_again_which_robots_it_gave_up(field):

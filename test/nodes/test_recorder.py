@@ -429,8 +429,9 @@ def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
 
 
 def complaints(field, name):
-    """Return the lines of a node on its terminal, but what rcl says of the environment."""
-    return [line for line in field.said(name).splitlines() if '[rcl]' not in line]
+    """Return what is wrong by the lines of a node, but what rcl says of the environment."""
+    lines = field.said(name).splitlines()
+    return [line for line in lines if not line.startswith('[INFO]') and '[rcl]' not in line]
 
 
 def until_failed(field, name, exit_code):

@@ -37,7 +37,7 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     log.parent.mkdir()
     reports = field.listen(DeploymentReport, '/scout_1/report')
     parameters = {'robots': 3, 'file': str(log), 'max_steps': 8, 'recorded': True}
-    parameters['silent_loss'] = True
+    parameters |= {'silent_loss': True, 'step_period': 0.01}
     minimal_agent()
     for node in ('recorder', 'estimator'):
         field.start(node, parameters)

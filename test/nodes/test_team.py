@@ -140,7 +140,12 @@ def test_robots_leave_whenever_their_agent_is_free(field):
     assert min(made.values()) >= 5
 
 
-SILENT = {'silent_loss': True, 'method': 'kappa_bnitp_smoothed', 'sensor.lethality': 0.9}
+SILENT = {
+    'silent_loss': True,
+    'step_period': 0.001,
+    'method': 'kappa_bnitp_smoothed',
+    'sensor.lethality': 0.9,
+}
 
 
 def test_every_silent_loss_is_declared_once_and_no_return_ever(field):

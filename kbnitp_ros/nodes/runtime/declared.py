@@ -68,7 +68,12 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         return SetParametersResult(successful=True)
 
     def keep(changes: list[rclpy.parameter.Parameter]) -> None:
-        values.update({change.name: change.value for change in changes if change.name in mine})
+        for change in changes:
+            if change.name in mine and values[change.name] != change.value:
+                node.get_logger().info(
+                    f'parameter {change.name} is {change.value} now, and was {values[change.name]}'
+                )
+                values[change.name] = change.value
 
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(keep)
