@@ -3,10 +3,12 @@
 Run missions under random faults and count what was done to them and what they lost.
 
     python3 test/faults/campaign.py --missions 200 --seed 1
+    python3 test/faults/campaign.py --robots --missions 200 --seed 1
     python3 test/faults/campaign.py --forged --missions 100 --seed 1
 
-With `--forged` nobody is struck; each mission is sent forged messages of every kind instead, and
-floods of them.
+With `--robots` the robots refuse orders and crash as well, before they depart, at the gate, in the
+field and at home. With `--forged` nobody is struck; each mission is sent forged messages of every
+kind instead, and floods of them.
 
 A mission is fixed by its seed, but for the moments at which the machine gets round to it: mission
 k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 import os
@@ -25,6 +28,7 @@ import sys
 import tempfile
 import time
 
+from departing import DepartingMission
 from forged import run_forged
 from forger import FORGERIES
 from kbnitp_ros.cli.processes import environment, free_domain
@@ -38,12 +42,16 @@ from unbroken import draw_parameters
 FINDINGS = {
     'stuck': 'missions that did not end',
     'lost': 'deployments lost',
+    'false': 'reports of robots that did not depart, or came home',
     'double': 'deployments counted twice',
     'belief': 'beliefs that are not those of core',
     'replay': 'logs that do not replay',
     'log': 'logs that cannot be read',
     'exit': 'nodes that ended badly',
 }
+
+
+Run = Callable[[tuple[int, str, Path]], 'Outcome']
 
 
 @dataclass
@@ -112,13 +120,36 @@ def run_mission(job: tuple[int, str, Path]) -> Outcome:
     return outcome
 
 
-def run_missions(jobs: list[tuple[int, str, Path]], parallel: int = 2) -> list[Outcome]:
+def run_departing(job: tuple[int, str, Path]) -> Outcome:
+    """Run the mission of a seed with robots that crash, in a process of its own."""
+    seed, kind, folder = job
+    outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
+    outcome.folder.mkdir()
+    begun = time.monotonic()
+    with free_domain() as domain:
+        os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
+        with DepartingMission(domain, outcome.folder, seed) as mission:
+            try:
+                outcome.strikes.update(('kill', node) for node in mission.live().elements())
+                outcome.findings = mission.findings()
+            except StuckError as error:
+                outcome.findings = [('stuck', str(error))]
+            outcome.strikes['kill', 'robot'] = mission.crashes
+    outcome.seconds = time.monotonic() - begun
+    if not outcome.findings:
+        shutil.rmtree(outcome.folder)
+    return outcome
+
+
+def run_missions(
+    jobs: list[tuple[int, str, Path]], parallel: int = 2, run: Run = run_mission
+) -> list[Outcome]:
     """Run missions, some at a time, and say at once which of them went wrong."""
     outcomes = []
     # A process that has been on a ROS domain does not forget it.
     with get_context('spawn').Pool(parallel, maxtasksperchild=1) as pool:
         bar = tqdm(total=len(jobs), unit='mission', disable=None)
-        for outcome in pool.imap_unordered(run_mission, jobs):
+        for outcome in pool.imap_unordered(run, jobs):
             outcomes.append(outcome)
             bar.update()
             if outcome.findings:
@@ -135,7 +166,7 @@ def table(outcomes: list[Outcome]) -> str:
     found = Counter(kind for outcome in outcomes for kind, _ in outcome.findings)
     seconds = [outcome.seconds for outcome in outcomes]
     rows = [('missions', len(outcomes))]
-    for node in NODES:
+    for node in (*NODES, 'robot'):
         kills = sum(strikes[kind, node] for kind in ('kill', 'two', 'all'))
         rows.append((f'SIGKILLs of the {node}', kills))
     rows += [(f'SIGSTOPs of the {node}', strikes['stop', node]) for node in NODES]
@@ -183,6 +214,7 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1, help='of the first; default 1')
     parser.add_argument('--kind', choices=KINDS, default='mixed', help='of faults; default mixed')
     parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
+    parser.add_argument('--robots', action='store_true', help='have robots refuse and crash, too')
     parser.add_argument('--forged', action='store_true', help='send forged messages instead')
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix='campaign-'))
@@ -190,7 +222,9 @@ def main() -> int:
         return run_forged_missions(options.missions, options.seed, folder)
     seeds = range(options.seed, options.seed + options.missions)
     begun = time.monotonic()
-    outcomes = run_missions([(seed, options.kind, folder) for seed in seeds], options.parallel)
+    run = run_departing if options.robots else run_mission
+    jobs = [(seed, options.kind, folder) for seed in seeds]
+    outcomes = run_missions(jobs, options.parallel, run)
     print(table(outcomes))
     print(f'\nSeeds {seeds[0]} to {seeds[-1]}, {time.monotonic() - begun:.0f} s in all.')
     failed = [outcome for outcome in outcomes if outcome.findings]

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission with robots that refuse and crash, under a base whose nodes are killed as well."""
+
+from __future__ import annotations
+
+from collections import Counter
+import json
+import subprocess
+import sys
+
+from fickle_robot import CRASHED, LATE
+from kbnitp_ros.bag.reader import LogError
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.log.replay import replay
+from mission import Mission, NAMESPACE, StuckError
+import numpy as np
+from schedule import draw_faults
+from unbroken import folded
+
+BASE = ('recorder', 'estimator', 'planner')
+SILENT = {
+    'silent_loss': True,
+    'step_period': 0.02,
+    'return_deadline': 1.0,
+    'robots': 8,
+    'max_steps': 8,
+    'grid.width': 5,
+    'grid.height': 5,
+    'method': 'kappa_bnitp_smoothed',
+}
+
+
+class DepartingMission(Mission):
+    """A base, and robots in processes that are started again when they crash."""
+
+    def __init__(self, domain, folder, seed):
+        self._rng = np.random.default_rng(seed)
+        agents = [f'scout_{number + 1}' for number in range(self._rng.integers(1, 4))]
+        self._own = {**SILENT, 'agents': agents, 'rolling': bool(self._rng.random() < 0.5)}
+        awaited = {'estimator': ['planner', 'recorder'], 'planner': ['estimator', 'recorder']}
+        super().__init__(domain, folder, self._own, awaited=awaited)
+        self._field = folder / 'field.json'
+        self._field.write_text(json.dumps({'size': [5, 5], 'seed': seed}))
+        self._robots = {}
+        self.crashes = 0
+
+    def __exit__(self, *exception):
+        """End all nodes and robots."""
+        for robot in self._robots.values():
+            robot.kill()
+        super().__exit__(*exception)
+
+    def _journal(self, agent):
+        return self._field.with_name(f'{agent}.jsonl')
+
+    def _start_robot(self, agent):
+        command = [sys.executable, __file__.replace('departing', 'fickle_robot'), agent]
+        with self._field.with_name(f'{agent}.txt').open('ab') as output:
+            self._robots[agent] = subprocess.Popen(
+                [*command, NAMESPACE, self._field, self._journal(agent)], stderr=output
+            )
+
+    def _check_alive(self):
+        super()._check_alive()
+        for agent, robot in list(self._robots.items()):
+            if (code := robot.poll()) is not None:
+                if code != CRASHED:
+                    raise StuckError(f'{agent} ended with {code}')
+                self.crashes += 1
+                self._start_robot(agent)
+
+    def live(self):
+        """Run the mission with faults of the base; return how many nodes were struck."""
+        for agent in self._own['agents']:
+            self._start_robot(agent)
+        self.start(*BASE)
+        struck = Counter()
+        for fault in draw_faults(self._rng, 'mixed', self._own['robots']):
+            for node in [node for node in fault.pauses if node not in BASE]:
+                del fault.pauses[node]
+            self.suffer(fault)
+            struck.update([*fault.pauses])
+        self.until_over()
+        # Those that were given up may still come home.
+        self.wait(LATE + 2.0)
+        return struck
+
+    def journals(self):
+        """Return what the robots know of their orders, by deployment."""
+        told = {}
+        for agent in self._own['agents']:
+            path = self._journal(agent)
+            lines = path.read_text().splitlines() if path.exists() else []
+            for stamp, what, value in map(json.loads, lines):
+                told.setdefault(DeploymentKey(agent, stamp), {})[what] = value
+        return told
+
+    def findings(self):
+        """End all nodes and return what is not as it must be, as `Mission.findings` does."""
+        codes = self.processes.stop()
+        found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
+        found += [('exit', f'{n}: {self.said(n)}') for n in BASE if 'Traceback' in self.said(n)]
+        try:
+            logged = self.logged()
+            reproduced = replay(self.log).reproduced
+        except LogError as error:
+            return [*found, ('log', str(error))]
+        told = self.journals()
+        departed = {key for key, each in told.items() if 'departed' in each}
+        for key, reports in logged.reports.items():
+            if key not in departed:
+                found.append(('false', f'{key} did not depart: {reports}'))
+            elif 'home' in told[key] and not any(each.survived for each in reports):
+                found.append(('false', f'{key} came home: {reports}'))
+        found += [('lost', f'{key} departed') for key in departed - logged.reports.keys()]
+        if len(logged.reports) != self._own['robots']:
+            found.append(('double', f'{len(logged.reports)} deployments: {self._own["robots"]}'))
+        if not reproduced:
+            found.append(('replay', f'{self.log} does not replay'))
+        given = folded(self._own, logged).joint.tobytes()
+        if np.asarray(self.onlooker.belief.joint).tobytes() != given:
+            found.append(('belief', 'the belief published last is not that of the log'))
+        return found
