@@ -6,9 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from math import nan
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
-from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import (
     Belief,
     binary_entropy,
@@ -20,15 +19,18 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.messages.headers import header
 
+if TYPE_CHECKING:
+    from kbnitp_msgs import msg
+
 
 class MissionState(IntEnum):
-    """How far a mission is, as far as it is known."""
+    """How far a mission is, as in kbnitp_msgs/Progress."""
 
-    UNKNOWN = Progress.UNKNOWN
-    RUNNING = Progress.RUNNING
-    PAUSED = Progress.PAUSED
-    DONE = Progress.DONE
-    ENDED = Progress.ENDED
+    UNKNOWN = 0
+    RUNNING = 1
+    PAUSED = 2
+    DONE = 3
+    ENDED = 4
 
 
 class Standing(NamedTuple):
@@ -74,7 +76,7 @@ def progress_message(
     stamp: int,
     out: int,
     standing: Standing = NOT_KNOWN,
-) -> Progress:
+) -> msg.Progress:
     """
     Return the message of how a mission stands.
 
@@ -94,8 +96,10 @@ def progress_message(
         As the planner tells it.
 
     """
+    from kbnitp_msgs import msg
+
     belief = ledger.belief
-    return Progress(
+    return msg.Progress(
         header=header(stamp),
         deployments=len(ledger.deployments),
         lost=ledger.lost,

@@ -8,6 +8,7 @@ from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Observation
 from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.messages.progress import MissionState
 
 SILENT = {'silent_loss': True, 'step_period': 0.001, 'return_deadline': 2.0}
 
@@ -51,3 +52,7 @@ def test_console_and_replay_tell_how_a_mission_ended(field):
     told = [*lines(report)]
     assert 'parameter loss_cost of /planner changed from 0.0 to 0.5' in told
     assert f'the mission was ENDED when the log ended: {ended}' in told
+
+
+def test_states_of_missions_are_those_of_the_message():
+    assert all(getattr(Progress, each.name) == each for each in MissionState)
