@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 
+from kbnitp_ros import core
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -75,3 +76,12 @@ def test_every_equation_is_typeset_without_a_network(site):
     assert typeset == dict.fromkeys(labels, 1)
     assert wrong == []
     assert failed == []
+
+
+def test_every_public_name_of_the_core_is_found_by_search_and_other_projects(site):
+    from sphinx.util.inventory import InventoryFile
+
+    with (site / 'objects.inv').open('rb') as file:
+        inventory = InventoryFile.load(file, '', lambda base, uri: uri)
+    listed = {name for kind in inventory if kind.startswith('py:') for name in inventory[kind]}
+    assert [name for name in core.__all__ if f'kbnitp_ros.core.{name}' not in listed] == []

@@ -157,6 +157,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     reach = reach_note(grid_of(parameters['planner']), most_steps(parameters['planner']))
     if reach:
         say(f'{reach}.')
+    elif parameters['planner']['map']:
+        grid, most = grid_of(parameters['planner']), most_steps(parameters['planner'])
+        say(
+            f'{most} steps reach all {grid.in_reach(most).sum()} cells that the base is joined to.'
+        )
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -390,6 +395,7 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         If a node ended before that, or badly after it.
 
     """
+    say(f'starting {", ".join(NODES)}: this takes some seconds')
     with free_domain() as domain, Processes(domain) as processes:
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
@@ -459,12 +465,13 @@ class Observer(Node):
         """
         executor = SingleThreadedExecutor()
         executor.add_node(self)
-        with tqdm(total=robots, unit='robot', disable=None) as bar:
+        with tqdm(total=robots, unit='robot', desc='waiting for the nodes', disable=None) as bar:
             while self._belief is None or (self._held < robots and not self._over):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
                 if self._belief is not None:
+                    bar.set_description('deploying', refresh=False)
                     entropy = f'{self._belief.entropy():.1f} nats'
                     lost = len(self._survived) - sum(self._survived.values())
                     bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
@@ -475,6 +482,7 @@ class Observer(Node):
 
 def conclude(log: Path, note: str) -> int:
     """Replay the log, report it, say what became known; return the exit code."""
+    say('computing every belief of the log again, and writing the report')
     reproduction = replay(log, asked=asked_on_record(log))
     folder = report_folder(log)
     # A mission that is gone on with may have ended before.

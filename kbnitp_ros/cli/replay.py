@@ -83,10 +83,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
     """Pass on what is read of a log of so many bytes, showing on a terminal how far that is."""
-    with tqdm(total=size, unit='B', unit_scale=True, disable=None) as bar:
+    with tqdm(total=size, unit='B', unit_scale=True, desc='reading', disable=None) as bar:
         for item in items:
             yield item
             bar.update(item.position - bar.n)
+        # Behind the last message is the index.
+        bar.update(size - bar.n)
 
 
 def lines(report: ReplayReport) -> Iterator[str]:
@@ -107,7 +109,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
     rounded = Counter(each.topic for each in report.roundings)
     for topic, compared in sorted(report.compared.items()):
         equal = f', {rounded[topic]} of them equal to {TOLERANCE:g}' if rounded[topic] else ''
-        yield f'{topic}: {compared - missed[topic]} of {compared} reproduced{equal}'
+        yield f'{topic}: {compared - missed[topic]} of {compared} messages reproduced{equal}'
     yield from first_few('not reproduced', report.mismatches)
     yield from first_few('not compared', report.not_compared)
     yield from first_few('repeated', report.repeated)

@@ -71,8 +71,8 @@ def report(log: Path, folder: Path, note: str = '') -> Mission:
 
     """
     mission = read_mission(log, partial(with_progress, log_size(log)))
-    curves = curves_of(mission, partial(tqdm, unit='belief', disable=None))
-    with tqdm(total=len(PARTS), unit='file', disable=None) as bar:
+    curves = curves_of(mission, partial(tqdm, unit='belief', desc='curves', disable=None))
+    with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
     say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
     for each in (*mission.notes, left_out):

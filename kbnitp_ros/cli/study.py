@@ -144,7 +144,13 @@ def study(options: argparse.Namespace) -> int:
             outcomes = folder.outcomes()
             trials = trials_of(scenario)
             missing = [trial for trial in trials if trial not in outcomes]
-            with tqdm(initial=len(outcomes), total=len(trials), unit='trial', disable=None) as bar:
+            with tqdm(
+                initial=len(outcomes),
+                total=len(trials),
+                unit='trial',
+                desc='missions',
+                disable=None,
+            ) as bar:
                 for trial, outcome in pool.run(partial(run_trial, scenario), missing):
                     folder.save(trial, outcome)
                     outcomes[trial] = outcome

@@ -21,7 +21,7 @@ def reference_page() -> str:
         'says that it can be changed. Other packages may add methods, planners and allocations.',
         '',
         'Of these an agent may have others than the rest, as `robots.AGENT.NAME`; see',
-        '[maps.md](maps.md#robots-that-differ): '
+        '[Maps](maps.md#robots-that-differ): '
         f'{", ".join(dict.fromkeys(f"`{each.name}`" for each in TABLE if each.per_agent))}.',
     ]
     for name in NODES:

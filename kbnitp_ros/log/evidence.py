@@ -37,7 +37,6 @@ DECISION = 'kbnitp_msgs/msg/Decision'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
 PROGRESS = 'kbnitp_msgs/msg/Progress'
-DECISION = 'kbnitp_msgs/msg/Decision'
 PATH = 'nav_msgs/msg/Path'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 

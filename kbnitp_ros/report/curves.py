@@ -34,7 +34,7 @@ class Curves:
         a loss, and where the belief before is missing.
     gained : ndarray, shape (moments,)
         By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot
-        more or less, also less than nothing. NaN at first and where the belief before is missing.
+        more or less; negative where it rose. NaN at first and where the belief before is missing.
     gap : ndarray, shape (moments,)
         How much more than the path of that deployment another may have been worth, nats: the
         upper bound given the belief before, less what was expected and what a loss costs. NaN

@@ -46,6 +46,8 @@ class Folder:
             _check_same(path, asdict(read_scenario(kept)), asdict(scenario))
         elif self._trials.exists():
             raise ValueError(f'{path} holds results of an unknown scenario: name another folder')
+        elif any(path.glob('*.mcap')):
+            raise ValueError(f'{path} holds a mission: name another folder with --out')
         path.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(path, os.O_RDONLY)
         try:

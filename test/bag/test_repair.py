@@ -92,7 +92,7 @@ def test_the_command_repairs_and_replays(folder, whole_mission, tmp_path, capsys
         f'{len(whole_mission.sent)} messages of {folder} are saved in {target}',
         f'lost: {folder / "mission_1.mcap"} is unfinished',
     ]
-    assert '/belief: 9 of 9 reproduced' in said
+    assert '/belief: 9 of 9 messages reproduced' in said
     assert not any('the log is unfinished' in line for line in said)
 
 

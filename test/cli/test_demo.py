@@ -100,7 +100,7 @@ def whole(tmp_path_factory):
         '--planner', 'relaxed', '--seed', 3, '--out', out,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert '/belief: 7 of 7 reproduced' in done.stdout
+    assert '/belief: 7 of 7 messages reproduced' in done.stdout
     return out, done.stdout
 
 
@@ -335,7 +335,7 @@ def test_a_demo_says_how_far_its_paths_reach_learns_two_numbers_and_shows_them(w
     assert printed.splitlines()[0] == (
         '6 steps reach 4x4 of 6x4 cells, 16 of 24: max_steps 10 reaches them all.'
     )
-    assert '/model: 7 of 7 reproduced' in printed
+    assert '/model: 7 of 7 messages reproduced' in printed
     history = read_history(out)
     assert len(history.learnt) == len(history.beliefs) == 7
     low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles

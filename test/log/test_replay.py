@@ -421,10 +421,11 @@ def test_one_flipped_bit_is_found(whole_mission, tmp_path, capsys, method, field
     told = capsys.readouterr().out.splitlines()
     if report.grade == Grade.EQUAL:
         assert (
-            f'/belief: {ROBOTS + 1} of {ROBOTS + 1} reproduced, 1 of them equal to 1e-09' in told
+            f'/belief: {ROBOTS + 1} of {ROBOTS + 1} messages reproduced, 1 of them equal to 1e-09'
+            in told
         )
         return
-    assert f'/belief: {ROBOTS} of {ROBOTS + 1} reproduced' in told
+    assert f'/belief: {ROBOTS} of {ROBOTS + 1} messages reproduced' in told
     (line,) = [line for line in told if line.startswith('not reproduced')]
     assert '/belief message 5' in line
     assert str(mismatch.deployment) in line
@@ -1006,10 +1007,10 @@ def test_the_command_says_what_it_found(whole_mission, tmp_path, capsys):
     survived = sum(each.message.survived for each in on(whole_mission.sent, '/scout_1/report'))
     assert captured.out.splitlines() == [
         f'8 deployments, {survived} survived, {8 - survived} lost; method kappa_bnitp',
-        '/belief: 9 of 9 reproduced',
-        '/belief/hazard: 9 of 9 reproduced',
-        '/belief/kappa: 9 of 9 reproduced',
-        '/belief/target: 9 of 9 reproduced',
+        '/belief: 9 of 9 messages reproduced',
+        '/belief/hazard: 9 of 9 messages reproduced',
+        '/belief/kappa: 9 of 9 messages reproduced',
+        '/belief/target: 9 of 9 messages reproduced',
     ]
     assert captured.err == ''
 

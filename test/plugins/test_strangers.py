@@ -138,7 +138,7 @@ def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_packag
         '--max-steps', '6', '--lethality', '0.5', '--out', 'out', cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert '/belief: 5 of 5 reproduced' in done.stdout
+    assert '/belief: 5 of 5 messages reproduced' in done.stdout
     assert len(read_history(tmp_path / 'out/mission.mcap').observations) == 4
 
 

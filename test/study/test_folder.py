@@ -137,6 +137,12 @@ def test_trials_of_an_unknown_scenario_are_refused(tmp_path, scenario):
         Folder(tmp_path, scenario)
 
 
+def test_the_folder_of_a_mission_is_refused(tmp_path, scenario):
+    tmp_path.joinpath('mission.mcap').touch()
+    with pytest.raises(ValueError, match='holds a mission: name another folder'):
+        Folder(tmp_path, scenario)
+
+
 def test_two_studies_do_not_work_in_one_folder(folder, tmp_path, scenario):
     with pytest.raises(ValueError, match='another study at work'):
         Folder(tmp_path / 'made' / 'here', scenario)
