@@ -19,6 +19,7 @@ from kbnitp_ros.configuration.known import (
     ROS_PARAMETERS,
 )
 from kbnitp_ros.configuration.models import (
+    clustering_of,
     dynamics_of,
     execution_of,
     sensor_model_of,
@@ -54,6 +55,7 @@ __all__ = [
     'check_known',
     'check_own',
     'check_search',
+    'clustering_of',
     'dynamics_of',
     'estimator_of',
     'execution_of',

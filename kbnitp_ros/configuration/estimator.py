@@ -7,7 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration.agents import robot_types_of
-from kbnitp_ros.configuration.models import dynamics_of, sensor_model_of, unknowns_of
+from kbnitp_ros.configuration.models import (
+    clustering_of,
+    dynamics_of,
+    sensor_model_of,
+    unknowns_of,
+)
 from kbnitp_ros.configuration.prior import prior_of
 from kbnitp_ros.core import Estimator, Grid
 
@@ -39,4 +44,5 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
         unknowns,
         values['seed'],
         dynamics=dynamics_of(values),
+        clustering=clustering_of(values, grid),
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration.table import LEARN
-from kbnitp_ros.core import Beta, Dynamics, Execution, SensorModel, Unknowns
+from kbnitp_ros.core import Beta, Clustering, Dynamics, Execution, Grid, SensorModel, Unknowns
 
 
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
@@ -62,6 +62,12 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
         )
     except ValueError as error:
         raise ValueError(f'parameter hazards.{error}') from error
+
+
+def clustering_of(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
+    """Return how hazards cluster by these parameters; None if they are independent."""
+    coupling = values['prior.clustering']
+    return Clustering(grid, coupling) if coupling else None
 
 
 def execution_of(values: Mapping[str, Any]) -> Execution:

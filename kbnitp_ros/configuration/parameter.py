@@ -39,6 +39,8 @@ class Parameter:
         A value below the limits that stands for none, such as 0 for no limit of a size.
     choices : collection of str
         The values allowed; empty when any is. Those of a registry grow by what other packages add.
+    word : str
+        A text that a number may be in place of a value; empty for none.
     pattern : str
         What a text must match, as a regular expression; empty when it need not.
     read_only : bool
@@ -56,6 +58,7 @@ class Parameter:
     limits: tuple[float, float] | None = None
     off: float | None = None
     choices: Collection[str] = ()
+    word: str = ''
     pattern: str = ''
     read_only: bool = True
     per_agent: bool = False
@@ -64,7 +67,7 @@ class Parameter:
     def kind(self) -> str:
         """Return what a value must be, in words."""
         if self.element is None:
-            return KINDS[type(self.default)]
+            return KINDS[type(self.default)] + (self.word and f' or {self.word}')
         return f'a list, each {KINDS[self.element]}'
 
     @property
@@ -133,6 +136,8 @@ class Parameter:
         return tuple(self._check_one(one, self.element) for one in values)
 
     def _check_one(self, value: Any, wanted: type[Any]) -> Any:
+        if self.word and value == self.word:
+            return value
         if wanted is float and type(value) is int:
             value = float(value)
         if type(value) is not wanted:

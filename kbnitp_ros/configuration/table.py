@@ -8,9 +8,11 @@ from kbnitp_ros.core import (
     ALPHAS,
     GOALS,
     HAZARDS,
+    LEARNT_COUPLING,
     METHODS,
     OBJECTIVES,
     PLANNERS,
+    STRONGEST,
     TOLERANCES,
 )
 from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
@@ -209,6 +211,16 @@ TABLE = (
             ('estimator',),
         )
         for name in ('hazard', 'target', 'kappa')
+    ),
+    Parameter(
+        'prior.clustering',
+        0.0,
+        'How strongly a hazard makes those in the cells that share a side with its cell likely: '
+        'the coupling of a Markov random field, by kappa_bnitp_sampled; 0 for hazards that are '
+        'independent, learn for a coupling that is not known.',
+        ('estimator',),
+        limits=(0.0, STRONGEST),
+        word=LEARNT_COUPLING,
     ),
     Parameter(
         'prior.log',

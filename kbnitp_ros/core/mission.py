@@ -12,6 +12,7 @@ from kbnitp_ros.core.field import (
     ALL_KNOWN,
     AS_ORDERED,
     Belief,
+    Clustering,
     Dynamics,
     Execution,
     Grid,
@@ -137,11 +138,14 @@ class Learning:
         what is known of them by then: with the estimator's model.
     seed : int
         Of the random numbers that the method draws.
+    clustering : Clustering or None
+        How hazards are believed to cluster; None: they are independent.
 
     """
 
     unknowns: Unknowns = ALL_KNOWN
     seed: int = 0
+    clustering: Clustering | None = None
 
 
 def run_mission(
@@ -221,7 +225,13 @@ def run_mission(
     truth, learning = truth or Truth(), learning or Learning()
     truth = replace(truth, model=truth.model or model)
     estimator = Estimator(
-        belief, model, method, learning.unknowns, learning.seed, dynamics=dynamics
+        belief,
+        model,
+        method,
+        learning.unknowns,
+        learning.seed,
+        dynamics=dynamics,
+        clustering=learning.clustering,
     )
     return continue_mission(
         grid, estimator, world, robots, rng, options, team=team, truth=truth, goal=goal, stop=stop

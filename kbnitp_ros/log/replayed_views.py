@@ -45,7 +45,7 @@ class ReplayedViews:
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'{topic}/{name}', stamp].append((newest, grid_digest(grid)))
-        if ledger.estimator.unknowns.priors:
+        if ledger.estimator.parameters:
             model = f'{topic.rpartition("/")[0]}/model'
             self._expected[model, stamp].append((newest, model_fields(ledger, stamp)))
 

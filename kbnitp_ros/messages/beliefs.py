@@ -17,11 +17,13 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 from kbnitp_ros.core import (
     Belief,
     Beta,
+    Clustering,
     DeploymentKey,
     Dynamics,
     Estimator,
     Grid,
     HAZARDS,
+    LEARNT_COUPLING,
     Ledger,
     RobotType,
     SensorModel,
@@ -93,6 +95,8 @@ class Snapshot:
         Of what the method draws at random.
     dynamics : Dynamics
         How hazards change.
+    clustering : Clustering or None
+        How they cluster; None: they are independent.
     deployments : int
         How many it has assimilated.
     newest : DeploymentKey or None
@@ -100,7 +104,8 @@ class Snapshot:
     belief : Belief
         Given those.
     prior : Belief
-        As it was given, of the first belief: that is averaged over what is learnt of the prior.
+        As it was given, of the first belief: that is averaged over what is learnt of the prior, or
+        what is expected of clustered hazards.
 
     """
 
@@ -115,6 +120,7 @@ class Snapshot:
     version: int
     seed: int
     dynamics: Dynamics
+    clustering: Clustering | None
     deployments: int
     newest: DeploymentKey | None
     belief: Belief
@@ -134,6 +140,7 @@ class Snapshot:
             'unknowns': unknowns,
             'seed': self.seed,
             'dynamics': self.dynamics,
+            'clustering': self.clustering,
         }
 
     def ledger(self) -> Ledger:
@@ -145,6 +152,7 @@ class Snapshot:
             self.unknowns,
             self.seed,
             dynamics=self.dynamics,
+            clustering=self.clustering,
         )
         return Ledger(self.grid, self.max_steps, estimator, self.robot_types)
 
@@ -180,7 +188,9 @@ def belief_fields(
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
     unknowns = estimator.unknowns.priors
-    given = estimator.prior.joint if unknowns and not ledger.deployments else np.empty(0)
+    coupling = 0.0 if estimator.clustering is None else estimator.clustering.coupling
+    is_other = not ledger.deployments and (unknowns or coupling)
+    given = estimator.prior.joint if is_other else np.empty(0)
     return Fields(
         header=header_fields(ledger.newest_stamp if ledger.newest else started),
         mission=stamp_fields(mission),
@@ -203,7 +213,7 @@ def belief_fields(
         dynamics=estimator.dynamics.kind,
         appear=estimator.dynamics.appear,
         vanish=estimator.dynamics.vanish,
-        clustering=0.0,
+        clustering=np.nan if coupling == LEARNT_COUPLING else float(coupling),
         deployments=len(ledger.deployments),
         agent=newest.agent,
         deployment=stamp_fields(newest.stamp),
@@ -277,8 +287,8 @@ def read_belief_maps(message: Any) -> Snapshot:
     ------
     ValueError
         If it is in another frame, its geometry or sensor model is out of range, its joint is of
-        another size or no distribution, it holds deployments and names none, there are no such
-        dynamics of hazards, or hazards are said to cluster.
+        another size or no distribution, it holds deployments and names none, or there are no
+        such dynamics of hazards and no such clustering.
 
     """
     check_frame('header.frame_id', message.header.frame_id)
@@ -290,8 +300,6 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f'dynamics is {shown(message.dynamics)}: it must be one of {", ".join(HAZARDS)}'
         )
-    if message.clustering != 0.0:
-        raise ValueError(f'clustering is {message.clustering}: known is only 0')
     grid = read_map_metadata(
         message.info,
         base=message.base,
@@ -315,6 +323,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         version=message.method_version,
         seed=message.seed,
         dynamics=Dynamics(message.dynamics, message.appear, message.vanish),
+        clustering=read_clustering(message.clustering, grid),
         deployments=message.deployments,
         newest=newest_deployment(message),
         belief=belief,
@@ -341,6 +350,24 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
         return Belief(joint.reshape(-1, 2, 2))
     except ValueError as error:
         raise ValueError(str(error).replace('joint', name, 1)) from error
+
+
+def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
+    """
+    Return how hazards cluster: 0 for not at all, NaN for a coupling that is learnt.
+
+    Raises
+    ------
+    ValueError
+        If it is out of range.
+
+    """
+    if coupling == 0.0:
+        return None
+    try:
+        return Clustering(grid, LEARNT_COUPLING if np.isnan(coupling) else coupling)
+    except ValueError as error:
+        raise ValueError(f'clustering: {error}') from error
 
 
 def read_unknowns(numbers: Iterable[Any]) -> Unknowns:

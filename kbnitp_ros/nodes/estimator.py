@@ -71,7 +71,7 @@ class EstimatorNode(FieldNode):
         self._views = Views(self, agents)
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
-            if estimator.unknowns.priors
+            if estimator.parameters
             else None
         )
         self._new = NewEvidence()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from kbnitp_ros.configuration import (
+    clustering_of,
     dynamics_of,
     estimator_of,
     execution_of,
@@ -91,7 +92,7 @@ def core_mission(parameters):
             len(values['agents']), values['allocation'], tuple(robot_types_of(values).values())
         ),
         truth=Truth(execution=execution_of(values)),
-        learning=Learning(unknowns_of(values), values['seed']),
+        learning=Learning(unknowns_of(values), values['seed'], clustering_of(values, grid)),
         dynamics=dynamics_of(values),
         goal=goal_of(values, grid),
         stop=stop_of(values),

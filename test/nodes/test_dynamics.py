@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Missions in fields that change are killed, go on, and are those of core."""
+"""Missions in fields that change, or are clustered, are killed, go on, and are those of core."""
 
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.log.replay import replay
@@ -29,8 +29,9 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
     [
         {'hazards.dynamics': 'used_up'},
         {'hazards.dynamics': 'changing', 'hazards.appear': 0.05, 'hazards.vanish': 0.2},
+        {'prior.clustering': 'learn', 'method': 'kappa_bnitp_sampled', 'learn': ['lethality']},
     ],
-    ids=['used_up', 'changing'],
+    ids=['used_up', 'changing', 'clustered'],
 )
 def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     log = field.folder / 'mission.mcap'
@@ -56,7 +57,8 @@ def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     field.until(lambda: beliefs[-1].deployments == held, 'last belief', patience=180)
     expected = core_mission(parameters)
     assert {each.observation.survived for each in expected} == {True, False}
-    assert any((each.world.hazard != expected[0].world.hazard).any() for each in expected)
+    changes = any((each.world.hazard != expected[0].world.hazard).any() for each in expected)
+    assert changes == ('hazards.dynamics' in hazards)
     believed = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
     assert believed == expected[-1].belief.joint.tobytes()
     assert set(field.processes.stop().values()) == {0}

@@ -3,6 +3,7 @@
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
+from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.compiled import compiled, while_compiling
 from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
@@ -26,11 +27,14 @@ __all__ = [
     'ALL_KNOWN',
     'AS_ORDERED',
     'HAZARDS',
+    'LEARNT_COUPLING',
     'ORDINARY',
     'STATIC',
+    'STRONGEST',
     'Belief',
     'Beta',
     'Bins',
+    'Clustering',
     'Dynamics',
     'Execution',
     'Grid',

@@ -10,6 +10,7 @@ from typing import Any
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
     Belief,
+    Clustering,
     Dynamics,
     Learnt,
     Observation,
@@ -23,6 +24,7 @@ from kbnitp_ros.core.field import (
 )
 from kbnitp_ros.core.inference.methods import (
     CALLED,
+    check_clusters,
     check_takes_lost_at,
     dynamics_of,
     Inference,
@@ -53,10 +55,13 @@ class Estimator:
         gives the same belief, bit for bit.
     dynamics : Dynamics
         How hazards change. The prior is about the first deployment, the belief about the last.
+    clustering : Clustering, optional
+        How static hazards cluster; independent unless given. The prior hazard must then be the
+        same in all cells that may have one, and `belief` is what is expected of each at first.
 
     Attributes
     ----------
-    prior, method, unknowns, seed, dynamics
+    prior, method, unknowns, seed, dynamics, clustering
         What it was made with.
     version : int
         Of the method's arithmetic.
@@ -65,8 +70,8 @@ class Estimator:
     ------
     ValueError
         If the method is unknown, it learns no numbers and there are some to learn, one of these
-        makes no difference, it does not take such hazards, or a method of another package breaks
-        its rules.
+        makes no difference, it does not take such hazards, the prior or the dynamics do not go
+        with a clustering, or a method of another package breaks its rules.
 
     """
 
@@ -79,6 +84,7 @@ class Estimator:
         seed: int = 0,
         *,
         dynamics: Dynamics = STATIC,
+        clustering: Clustering | None = None,
     ) -> None:
         start = METHODS.find(method)
         if unknowns.priors and not start.learns:
@@ -93,17 +99,25 @@ class Estimator:
                 f'{name_of(method)} does not take hazards that are {dynamics.effect}: '
                 f'use {", ".join(able)}'
             )
+        if clustering is not None:
+            check_clusters(start, method, dynamics)
         self.prior = belief
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
         self.dynamics = dynamics
-        # Methods that know of static hazards alone are not told.
+        self.clustering = clustering
+        # Methods that know of independent static hazards alone are not told.
         told = () if dynamics.effect == 'static' else (dynamics,)
+        clusters = clustering is not None and clustering.coupling != 0.0
+        named = {'clustering': clustering} if clusters else {}
+        make: Callable[..., Inference] = start
         self.version = start.version
         try:
             with METHODS.blamed(method):
-                self._inference = self._checked(start(belief, model, unknowns, self.seed, *told))
+                self._inference = self._checked(
+                    make(belief, model, unknowns, self.seed, *told, **named)
+                )
         except PluginError as error:
             raise ValueError(str(error)) from error
 

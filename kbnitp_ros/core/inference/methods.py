@@ -7,7 +7,7 @@ A new one is one file and one line here, or an entry point of another package.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import cast, Protocol
 
 from kbnitp_ros.core.field import (
@@ -29,7 +29,7 @@ from kbnitp_ros.core.inference.filtering import (
 )
 from kbnitp_ros.core.inference.sampling import Sampled
 from kbnitp_ros.core.inference.smoothing import Smoother
-from kbnitp_ros.plugins import Registry, takes
+from kbnitp_ros.plugins import name_of, Registry, takes
 
 # What an inference can do, and what it knows.
 CALLED = ('assimilate', 'copy')
@@ -84,6 +84,9 @@ class Method(Protocol):
         is told by a fifth argument.
     takes_lost_at : bool, optional
         Whether it uses `Observation.lost_at`, by default not: then such losses are refused.
+    clusters : bool, optional
+        Whether it takes a `Clustering`, by default not. It is told of one by the keyword argument
+        `clustering`.
 
     """
 
@@ -152,6 +155,27 @@ def check_takes_lost_at(method: Method, name: str) -> None:
         able = [each for each in METHODS if getattr(METHODS[each], 'takes_lost_at', False)]
         raise ValueError(
             f'lost_at is given, and {name} does not use it: use {", ".join(able)}, or leave it out'
+        )
+
+
+def check_clusters(method: Method, given: str | Callable[..., object], dynamics: Dynamics) -> None:
+    """
+    Check that a method takes clustered hazards of these dynamics.
+
+    Raises
+    ------
+    ValueError
+        If not; names those that do.
+
+    """
+    if not getattr(method, 'clusters', False):
+        able = [name for name, each in METHODS.items() if getattr(each, 'clusters', False)]
+        raise ValueError(
+            f'{name_of(given)} does not take clustered hazards: use {" or ".join(able)}'
+        )
+    if dynamics.effect != 'static':
+        raise ValueError(
+            f'hazards are {dynamics.effect} and clustered: only static hazards may cluster'
         )
 
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import Bins
-from kbnitp_ros.core.inference.sampling.prior_map import expit, PriorMap
+from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling.prior_map import expit
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,7 +51,9 @@ class ChainState:
         }
         return cls(place, np.empty(0, np.intp), np.empty((CHAINS, 0), np.int8))
 
-    def with_cells(self, cells: Places, hazard: PriorMap, rng: np.random.Generator) -> ChainState:
+    def with_cells(
+        self, cells: Places, hypotheses: Hypotheses, rng: np.random.Generator
+    ) -> ChainState:
         """
         Return the state with `cells`, those that it holds among them.
 
@@ -58,7 +61,8 @@ class ChainState:
         the numbers of the chain.
         """
         is_held = np.isin(cells, self.cells)
-        probability = expit(hazard.at(self.place['hazard_density'], cells[~is_held]))
+        offset = hypotheses.offset('hazard_density', self.place)
+        probability = expit(hypotheses.maps.hazard.at(offset, cells[~is_held]))
         hazardous = np.empty((CHAINS, cells.size), np.int8)
         hazardous[:, is_held] = self.hazardous
         hazardous[:, ~is_held] = even(np.count_nonzero(~is_held), rng) < probability

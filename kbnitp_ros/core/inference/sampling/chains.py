@@ -14,7 +14,7 @@ from kbnitp_ros.core.inference.sampling.chain_state import (
     GROUPS,
     Places,
 )
-from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling.hypotheses import Clusters, Hypotheses
 from kbnitp_ros.core.inference.sampling.prior_map import (
     CERTAIN_HAZARD,
     CERTAIN_TARGET,
@@ -85,6 +85,10 @@ class Chains:
         self._undecided = np.flatnonzero(maps.hazard.undecided)
         self._graph = tally.loss_graph(maps.possible, maps.hazard.undecided)
         self._located = tally.located_graph(maps.possible)
+        self._ties = gibbs.Ties(np.empty((0, 4), np.intp), np.ones(CHAINS))
+        if hypotheses.clusters is not None:
+            # The chains hold all cells.
+            self._ties = gibbs.Ties(hypotheses.clusters.neighbors, self._tie())
         # On a large field robots come back from few cells: the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = maps.odds()
@@ -123,6 +127,14 @@ class Chains:
 
     def sweep(self) -> None:
         """Draw everything once, and add up the probabilities it was drawn with."""
+        target_if_safe, target_if_hazardous = self.draw_field()
+        self._draw_survival()
+        self._draw_the_rest(target_if_safe, target_if_hazardous)
+        self._unvisited.add(self._place)
+        self.sweeps += 1
+
+    def draw_field(self) -> tuple[Floats, Floats]:
+        """Draw the hazards alone; return the odds of targets without and with one."""
         odds, target_if_safe, target_if_hazardous = self._given_returns()
         factors = gibbs.Factors(
             odds,
@@ -139,6 +151,7 @@ class Chains:
                 factors,
                 self._graph,
                 self._located,
+                self._ties,
                 self._undecided,
                 self._rng.random(out=self._uniform),
                 self._odds,
@@ -146,13 +159,15 @@ class Chains:
             if self._tally.steps.size or self._tally.located_steps.size:
                 proposals = self._rng.random((CHAINS, SWAPS, 4))
                 gibbs.swap_hazards(
-                    self._hazard_state, factors, self._graph, self._located, proposals
+                    self._hazard_state,
+                    factors,
+                    self._graph,
+                    self._located,
+                    self._ties,
+                    proposals,
                 )
             gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
-        self._draw_survival()
-        self._draw_the_rest(target_if_safe, target_if_hazardous)
-        self._unvisited.add(self._place)
-        self.sweeps += 1
+        return target_if_safe, target_if_hazardous
 
     @property
     def state(self) -> ChainState:
@@ -161,7 +176,7 @@ class Chains:
 
     def hazards(self) -> NDArray[np.bool_]:
         """Return the hazards of all cells in each chain, shape (chains, cells)."""
-        prior = self._hypotheses.maps.hazard.at(self._place['hazard_density'])
+        prior = self._hypotheses.maps.hazard.at(self._offset('hazard_density'))
         hazards: NDArray[np.bool_] = self._rng.random((CHAINS, prior.shape[1])) < expit(prior)
         hazards[:, self._cells] = self._hazardous
         return hazards
@@ -188,6 +203,17 @@ class Chains:
         variance = by_group.var(axis=0, ddof=1) / GROUPS
         seen = joint > 0.0
         return joint, float((variance[seen] / joint[seen]).sum() / 2.0)
+
+    def _offset(self, name: str) -> Places:
+        """Return which offset of a prior map each chain has."""
+        return self._hypotheses.offset(name, self._place)
+
+    def _tie(self) -> Floats:
+        """Return e^J of each chain."""
+        clusters = self._hypotheses.clusters
+        assert clusters is not None
+        strength: Floats = np.exp(clusters.coupling[self._place['coupling']])
+        return strength
 
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
         """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
@@ -219,7 +245,7 @@ class Chains:
         tally, maps = self._tally, self._maps
         cells = self._returned
         read: Floats = np.zeros((1, cells.size))
-        log_odds = maps.hazard.at(self._place['hazard_density'], cells)
+        log_odds = maps.hazard.at(self._offset('hazard_density'), cells)
         if_safe = maps.background.at(self._place['target_background'], cells)
         if_hazardous = maps.kappa.at(self._place['kappa'], cells)
         for rates, survived, positive, negative in zip(
@@ -248,7 +274,7 @@ class Chains:
         """Return the odds by a map of the prior, but for the cells with returns."""
         of_values = self._prior_odds[name]
         is_known = of_values.shape[0] == 1
-        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._place[name]]
+        odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._offset(name)]
         odds[:, self._returned] = np.exp(log_odds)
         return odds
 
@@ -355,7 +381,9 @@ class Chains:
         tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
         unknown = hypotheses.unknown
         hazardous = self._hazardous.astype(bool)
-        if 'hazard_density' in unknown:
+        if hypotheses.clusters is not None:
+            self._draw_clustering(hypotheses.clusters)
+        elif 'hazard_density' in unknown:
             prior = maps.hazard
             count = (hazardous & prior.undecided).sum(axis=1)
             log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
@@ -389,6 +417,29 @@ class Chains:
                 )
                 log_likelihood = positive * np.log(values) + negative * np.log1p(-values)
                 self._draw(name, log_likelihood)
+
+    def _draw_clustering(self, clusters: Clusters) -> None:
+        r"""
+        Draw the density and the coupling of a clustered prior, given hazards and each other.
+
+        Equation :eq:`coupling-conditional`,
+
+        .. math:: P(J, \eta \mid z) \propto P(J) P(\eta) \frac{1}{Z_{J \eta}}
+            \exp \Bigl( a_{J \eta} \sum_i z_i + J \sum_{i \sim j} z_i z_j \Bigr).
+        """
+        unknown, place = self._hypotheses.unknown, self._place
+        count = self._hazardous.sum(axis=1)[:, None]
+        if 'hazard_density' in unknown:
+            field, log_z = (each[place['coupling']] for each in (clusters.field, clusters.log_z))
+            self._draw('hazard_density', field * count - log_z)
+        if 'coupling' in unknown:
+            pairs = np.empty(CHAINS, np.int64)
+            gibbs.count_tied(self._ties, self._hazardous, pairs)
+            field, log_z = (
+                each.T[place['hazard_density']] for each in (clusters.field, clusters.log_z)
+            )
+            self._draw('coupling', field * count + pairs[:, None] * clusters.coupling - log_z)
+            self._ties = self._ties._replace(strength=self._tie())
 
     def learnt(self) -> dict[str, Learnt]:
         """Return what is known of each unknown number by now, by its name."""

@@ -119,6 +119,23 @@ class HazardState(NamedTuple):
     strike: NDArray[np.intp]
 
 
+class Ties(NamedTuple):
+    """
+    What ties the hazards of neighbouring cells in the prior (equation :eq:`clustered-prior`).
+
+    Attributes
+    ----------
+    neighbors : ndarray of int, shape (cells, 4)
+        The cells that share a side with each, -1 for none; no rows if hazards are independent.
+    strength : ndarray, shape (chains,)
+        e^J.
+
+    """
+
+    neighbors: NDArray[np.intp]
+    strength: NDArray[np.float64]
+
+
 class Factors(NamedTuple):
     """
     The factors of the conditionals that hazards are drawn from.
@@ -299,6 +316,27 @@ def located_ratio(
 
 
 @compiled
+def hazards_around(ties: Ties, hazardous: NDArray[np.int8], cell: int) -> int:
+    """Return how many of a cell's neighbours are hazardous."""
+    count = 0
+    for neighbor in ties.neighbors[cell]:
+        if neighbor >= 0:
+            count += hazardous[neighbor]
+    return count
+
+
+@compiled
+def count_tied(ties: Ties, hazardous: NDArray[np.int8], pairs: NDArray[np.int64]) -> None:
+    """Count the pairs of neighbouring hazards in each chain."""
+    for chain in range(hazardous.shape[0]):
+        count = 0
+        for cell in range(hazardous.shape[1]):
+            if hazardous[chain, cell]:
+                count += hazards_around(ties, hazardous[chain], cell)
+        pairs[chain] = count // 2
+
+
+@compiled
 def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int, n: int) -> int:
     """Return the cell number n, from 0, of those that have this hazard."""
     for cell in cells:
@@ -315,6 +353,7 @@ def draw_hazards(
     factors: Factors,
     graph: LossGraph,
     located: LocatedGraph,
+    ties: Ties,
     cells: NDArray[np.intp],
     uniform: NDArray[np.float64],
     drawn_with: NDArray[np.float64],
@@ -328,7 +367,8 @@ def draw_hazards(
 
     where :math:`e^{o_i}` are the odds without the losses, :math:`F` is the chance of a loss, and
     :math:`E_a'` are the exposures of path a in its other cells. Of located losses the ratio is
-    that of equation :eq:`loss-located`.
+    that of equation :eq:`loss-located`. Where hazards cluster, each hazardous neighbour multiplies
+    the odds by :math:`e^J`.
 
     `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
     shape, takes the conditional odds of a hazard that each was drawn with.
@@ -337,6 +377,7 @@ def draw_hazards(
     sums = new_sums(located, factors)
     # Handing so many arrays to a function takes longer than what it does without such losses.
     any_located = located.cell.size > 0
+    any_tied = ties.neighbors.shape[0] > 0
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
@@ -360,6 +401,9 @@ def draw_hazards(
             ratio = min(ratio * (with_hazard / without), LARGE)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
+            if any_tied:
+                around = hazards_around(ties, hazardous, cell)
+                ratio = min(ratio * ties.strength[chain] ** around, LARGE)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
             if drawn != here:
@@ -375,6 +419,7 @@ def swap_hazards(
     factors: Factors,
     graph: LossGraph,
     located: LocatedGraph,
+    ties: Ties,
     uniform: NDArray[np.float64],
 ) -> None:
     r"""
@@ -387,12 +432,14 @@ def swap_hazards(
 
     One proposal takes four numbers of `uniform`, shape (chains, proposals, 4): for the path, its
     hazardous cell, its safe cell and the acceptance. There are as many of each after a swap
-    as before, so proposals are symmetric.
+    as before, so proposals are symmetric. Where hazards cluster, the ratio has :math:`e^{J k}` as
+    well, with the k neighbouring pairs of hazards that the swap brings.
     """
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors)
     # Handing so many arrays to a function takes longer than what it does without such losses.
     any_located = located.cell.size > 0
+    any_tied = ties.neighbors.shape[0] > 0
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
@@ -411,8 +458,15 @@ def swap_hazards(
                 continue
             old = nth_cell(cells, hazardous, 1, int(numbers[1] * hazards))
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
+            ratio = odds[new] / odds[old]
+            if any_tied:
+                # Neither is a neighbour of the other's hazard.
+                hazardous[old] = 0
+                more = hazards_around(ties, hazardous, new) - hazards_around(ties, hazardous, old)
+                hazardous[old] = 1
+                ratio = min(ratio * ties.strength[chain] ** more, LARGE)
             # The new hazard comes first, so that no loss is left unexplained in between.
-            ratio = loss_ratio(exposures, factors, graph, table, new, 1, odds[new] / odds[old])
+            ratio = loss_ratio(exposures, factors, graph, table, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
                 hazardous[new] = 1

@@ -5,15 +5,48 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
-from kbnitp_ros.core.field import Belief, Bins, RobotType, SensorModel, times_log, Unknowns
+from kbnitp_ros.core.field import (
+    Belief,
+    Bins,
+    Clustering,
+    RobotType,
+    SensorModel,
+    times_log,
+    Unknowns,
+)
 from kbnitp_ros.core.inference.filtering import can_be_lost
 from kbnitp_ros.core.inference.sampling.prior_map import PriorMap, PriorMaps
 from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
+# How far the hazards of a prior that is the same in all cells may differ by rounding.
+SAME = 1e-12
+
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+
+
+class Clusters(NamedTuple):
+    """
+    A clustered prior, for each coupling J and each hazard density.
+
+    Attributes
+    ----------
+    neighbors : ndarray of int, shape (cells, 4)
+        The cells that share a side with each, -1 for none.
+    coupling : ndarray, shape (couplings,)
+        J.
+    field, log_z : ndarray, shape (couplings, densities)
+        a and ln Z.
+
+    """
+
+    neighbors: NDArray[np.intp]
+    coupling: NDArray[np.float64]
+    field: NDArray[np.float64]
+    log_z: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,26 +83,38 @@ class Hypotheses:
         What robots like all others, and their sensors, are believed to be like.
     unknowns : Unknowns
         Which of these numbers are not known.
+    clustering : Clustering, optional
+        Of the hazards; independent unless given.
 
     Attributes
     ----------
     belief : Belief
         The prior, averaged over what is not known.
     bins : dict of str to Bins
-        The values of each number in `Unknowns`, by its name; of one that is known just one.
+        The values of each number in `Unknowns`, and of the coupling of a clustered prior, by its
+        name; of one that is known just one.
     unknown : tuple of str
         Which are not.
     maps : PriorMaps
         The prior, cell by cell.
+    clusters : Clusters or None
+        What a clustered prior says.
 
     Raises
     ------
     ValueError
-        If a number that is said to be unknown makes no difference; it is named.
+        If a number that is said to be unknown makes no difference, it is named; or a clustered
+        prior is of another size or not the same in all cells that may have a hazard.
 
     """
 
-    def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns) -> None:
+    def __init__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        clustering: Clustering | None = None,
+    ) -> None:
         self._model = model
         self._prior = belief
         open_bins = {name: prior.bins() for name, prior in unknowns.priors.items()}
@@ -94,10 +139,46 @@ class Hypotheses:
             kappa=self._map('kappa', belief.kappa, possible),
             background=self._map('target_background', background.clip(max=1.0), safe > 0.0),
         )
+        self.clusters: Clusters | None = None
+        if clustering is not None:
+            self._cluster(belief, clustering)
         self.prior_is_known = not {'hazard_density', 'kappa', 'target_background'}.intersection(
             self.unknown
         )
-        self.belief = belief if self.prior_is_known else self._averaged()
+        # Of a clustered prior only the chains know what is expected in each cell.
+        is_expected = self.prior_is_known or self.clusters is not None
+        self.belief = belief if is_expected else self._averaged()
+
+    def _cluster(self, belief: Belief, clustering: Clustering) -> None:
+        """Take hazards for clustered."""
+        undecided = self.maps.hazard.undecided
+        if clustering.grid.cells != belief.cells:
+            raise ValueError(
+                f'clustering is of a grid of {clustering.grid.cells} cells, and the prior has '
+                f'{belief.cells}'
+            )
+        hazard = belief.hazard[belief.hazard > 0.0]
+        if hazard.size == 0 or hazard.max() == 1.0 or np.ptp(hazard) > SAME:
+            raise ValueError(
+                'the prior hazards differ between cells: clustered hazards need one density in '
+                '(0, 1) for all cells that may have a hazard'
+            )
+        densities = belief.hazard[undecided][:1]
+        if 'hazard_density' in self.unknown:
+            densities = self.bins['hazard_density'].values
+        bins = clustering.bins
+        field, log_z = clustering.fields(undecided, densities)
+        self.clusters = Clusters(clustering.neighbors, bins.values, field, log_z)
+        self.bins['coupling'] = bins
+        if bins.values.size > 1:
+            self.unknown += ('coupling',)
+        self.maps = replace(self.maps, hazard=self.maps.hazard.with_log_odds(field.ravel()))
+
+    def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
+        """Return which offset of a prior map belongs to the numbers of each chain."""
+        if name != 'hazard_density' or self.clusters is None:
+            return place[name]
+        return place['coupling'] * self.clusters.field.shape[1] + place['hazard_density']
 
     def _map(
         self, name: str, probability: NDArray[np.float64], where: NDArray[np.bool_]

@@ -79,6 +79,15 @@ class PriorMap:
         log_absent[undecided] = -softplus(log_odds[undecided, None] + offset)
         return cls(log_odds, undecided, offset, log_absent)
 
+    def with_log_odds(self, log_odds: NDArray[np.float64]) -> PriorMap:
+        """Return the map with each of these log odds, (values,), in all undecided cells."""
+        return replace(
+            self,
+            log_odds=np.where(self.undecided, log_odds[0], self.log_odds),
+            offset=log_odds - log_odds[0],
+            log_absent=np.zeros((self.log_odds.size, 1)),
+        )
+
     def within(self, cells: NDArray[np.intp]) -> PriorMap:
         """Return the map of some of the cells."""
         return replace(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import Belief, Dynamics, SensorModel, STATIC, Unknowns
+from kbnitp_ros.core.field import Belief, Clustering, Dynamics, SensorModel, STATIC, Unknowns
 from kbnitp_ros.core.inference.sampling.cause_sampler import CauseSampler
 from kbnitp_ros.core.inference.sampling.sampler import Sampler
 
@@ -14,7 +14,7 @@ class Sampled:
 
     Attributes
     ----------
-    learns, version, takes_lost_at, dynamics
+    learns, version, takes_lost_at, dynamics, clusters
         As of a `Method`.
 
     """
@@ -23,6 +23,7 @@ class Sampled:
     version = Sampler.version
     takes_lost_at = Sampler.takes_lost_at
     dynamics = ('changing', 'used_up')
+    clusters = True
 
     def __call__(
         self,
@@ -32,6 +33,8 @@ class Sampled:
         seed: int,
         dynamics: Dynamics = STATIC,
         /,
+        *,
+        clustering: Clustering | None = None,
     ) -> Sampler | CauseSampler:
         """
         Return the inference before the first deployment.
@@ -43,7 +46,7 @@ class Sampled:
 
         """
         if dynamics.effect == 'static':
-            return Sampler(belief, model, unknowns, seed)
+            return Sampler(belief, model, unknowns, seed, clustering)
         if unknowns.priors:
             raise ValueError(
                 f'{" and ".join(unknowns.priors)} cannot be unknown where hazards are '

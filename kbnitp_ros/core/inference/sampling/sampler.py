@@ -16,7 +16,15 @@ from collections.abc import Iterator, Mapping
 from copy import copy
 from typing import ClassVar
 
-from kbnitp_ros.core.field import Belief, Learnt, Observation, RobotType, SensorModel, Unknowns
+from kbnitp_ros.core.field import (
+    Belief,
+    Clustering,
+    Learnt,
+    Observation,
+    RobotType,
+    SensorModel,
+    Unknowns,
+)
 from kbnitp_ros.core.inference.filtering import check_cells
 from kbnitp_ros.core.inference.sampling.chain_state import CHAINS, ChainState
 from kbnitp_ros.core.inference.sampling.chains import Chains
@@ -29,6 +37,9 @@ from numpy.typing import NDArray
 # deployment.
 SWEEPS = 4
 MOST_SWEEPS = 32
+
+# Sweeps that take the chains into a clustered prior, and as many that its belief averages.
+PRIOR_SWEEPS = 64
 
 # How far chance may take a converged belief from what endless sweeps would give (KL divergence,
 # nats), with all numbers known and with some to learn. What is yet to be learnt of a number moves
@@ -70,6 +81,8 @@ class Sampler:
         Which numbers of the two are not known.
     seed : int
         At least 0.
+    clustering : Clustering, optional
+        Of the hazards; independent unless given. The chains then hold all cells from the start.
 
     Attributes
     ----------
@@ -89,8 +102,8 @@ class Sampler:
     Raises
     ------
     ValueError
-        If a number that is said to be unknown makes no difference, or the field is too large for
-        the memory that chains may take.
+        If a number that is said to be unknown makes no difference, the field is too large for the
+        memory that chains may take, or the prior is none of clustered hazards.
 
     """
 
@@ -99,9 +112,16 @@ class Sampler:
     version: ClassVar[int] = 2
     takes_lost_at: ClassVar[bool] = True
 
-    def __init__(self, belief: Belief, model: SensorModel, unknowns: Unknowns, seed: int) -> None:
+    def __init__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        clustering: Clustering | None = None,
+    ) -> None:
         check_memory(belief.cells)
-        self._hypotheses = Hypotheses(belief, model, unknowns)
+        self._hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
         self.belief = self._hypotheses.belief
@@ -110,12 +130,28 @@ class Sampler:
         self.parameters: Mapping[str, Learnt] = {
             name: Learnt(bins, np.exp(bins.log_prior))
             for name, bins in self._hypotheses.bins.items()
-            if name in unknowns.priors
+            if name in self._hypotheses.unknown
         }
         self.model = self._hypotheses.model_with(
             {name: learnt.mean for name, learnt in self.parameters.items()}
         )
         self.sampling_error, self.is_converged = 0.0, True
+        if self._hypotheses.clusters is not None:
+            self._enter_prior(rng)
+
+    def _enter_prior(self, rng: np.random.Generator) -> None:
+        """Bring the chains into the clustered prior, and believe what they then expect."""
+        cells = np.arange(self.belief.cells)
+        state = self._state.with_cells(cells, self._hypotheses, rng)
+        chains = Chains(self._hypotheses, self._tally, state, rng)
+        # The numbers stay as they were drawn, so that each chain comes to the field of its own.
+        for _ in range(PRIOR_SWEEPS):
+            chains.draw_field()
+        chains = Chains(self._hypotheses, self._tally, chains.state, rng)
+        for _ in range(PRIOR_SWEEPS):
+            chains.sweep()
+        joint, self.sampling_error = chains.joint()
+        self.belief, self._state = self._hypotheses.belief_of(joint), chains.state
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """
@@ -132,8 +168,9 @@ class Sampler:
         tally = self._tally.with_deployment(observation, robot_type)
         self._hypotheses.refuse_impossible(tally)
         rng = generator(self._seed, tally.deployments)
-        visited = np.flatnonzero(tally.visited)
-        state = self._state.with_cells(visited, self._hypotheses.maps.hazard, rng)
+        held = tally.visited
+        held[self._state.cells] = True
+        state = self._state.with_cells(np.flatnonzero(held), self._hypotheses, rng)
         chains = Chains(self._hypotheses, tally, state, rng)
         converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
         for _ in range(MOST_SWEEPS // SWEEPS):
@@ -144,7 +181,7 @@ class Sampler:
                 break
         self._tally, self._state = tally, chains.state
         if self._hypotheses.prior_is_known:
-            joint[~tally.visited] = self._hypotheses.belief.joint[~tally.visited]
+            joint[~held] = self._hypotheses.belief.joint[~held]
         self.belief = self._hypotheses.belief_of(joint)
         self.sampling_error, self.is_converged = error, error <= converged
         self.parameters = chains.learnt()

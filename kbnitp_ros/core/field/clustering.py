@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether hazards lie independently of each other or in clusters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.partition import log_partition, STRIP
+from kbnitp_ros.core.field.unknowns import Bins
+import numpy as np
+from numpy.typing import NDArray
+
+# Beyond this, hazards come close to filling large regions or none (critical: 1.763).
+STRONGEST = 1.7
+# How many couplings are weighed when it is learnt.
+COUPLINGS = 17
+# How close the log odds of the density come to those asked for, and after how many steps at most.
+PRECISION = 1e-10
+MOST_STEPS = 100
+
+LEARNT_COUPLING = 'learn'
+
+
+@dataclass(frozen=True)
+class Clustering:
+    r"""
+    A prior in which hazards lie in clusters: a Markov random field.
+
+    Equation :eq:`clustered-prior`,
+
+    .. math:: P(z) \propto \exp \Bigl( a \sum_i z_i + J \sum_{i \sim j} z_i z_j \Bigr),
+
+    over the cells that may have a hazard, with the pairs i ~ j of those that share a side. The
+    field a is such that the mean of P(z_i = 1) over these cells is the density of the prior.
+
+    Parameters
+    ----------
+    grid : Grid
+        Whose cells share sides.
+    coupling : float or str
+        J in [0, 1.7]; 0: hazards are independent. ``'learn'``: it is unknown, and all values are
+        equally likely at first.
+
+    Raises
+    ------
+    ValueError
+        If the coupling is NaN, out of range or another word.
+
+    """
+
+    grid: Grid
+    coupling: float | str
+
+    def __post_init__(self) -> None:
+        if self.coupling == LEARNT_COUPLING:
+            return
+        try:
+            coupling = float(self.coupling)
+        except (TypeError, ValueError):
+            coupling = np.nan
+        if not 0.0 <= coupling <= STRONGEST:
+            raise ValueError(
+                f"coupling is {self.coupling!r}: it must be in [0, {STRONGEST}] or 'learn'"
+            )
+        object.__setattr__(self, 'coupling', coupling)
+
+    @property
+    def bins(self) -> Bins:
+        """Return the couplings there may be, and what is believed of each at first."""
+        if self.coupling != LEARNT_COUPLING:
+            return Bins.known(float(self.coupling))
+        edges = STRONGEST * np.arange(COUPLINGS + 1) / COUPLINGS
+        values = (edges[1:] + edges[:-1]) / 2.0
+        return Bins(edges, values, np.full(COUPLINGS, -np.log(COUPLINGS)))
+
+    @property
+    def neighbors(self) -> NDArray[np.intp]:
+        """Return the cells that share a side with each, -1 for none, shape (cells, 4)."""
+        cells = np.arange(self.grid.cells).reshape(self.grid.height, self.grid.width)
+        around = np.pad(cells, 1, constant_values=-1)
+        sides = (around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1])
+        return np.stack(sides, axis=-1).reshape(-1, 4)
+
+    def fields(
+        self, possible: NDArray[np.bool_], densities: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """
+        Return the field a and log Z of each coupling and density.
+
+        Equation :eq:`clustered-density`.
+
+        Parameters
+        ----------
+        possible : ndarray of bool, shape (cells,)
+            Which cells may have a hazard.
+        densities : ndarray, shape (values,)
+            In (0, 1).
+
+        Returns
+        -------
+        field, log_z : ndarray, shape (couplings, values)
+
+        Raises
+        ------
+        ValueError
+            If the field is too wide for its obstacles.
+
+        """
+        free = possible.reshape(self.grid.height, self.grid.width)
+        if densities.size > 1 and min(free.shape) > STRIP and np.count_nonzero(~free) > 1:
+            raise ValueError(
+                f'hazard_density is unknown on a field of {self.grid.width} x {self.grid.height} '
+                f'cells with obstacles: with clustered hazards it must be known, or the field at '
+                f'most {STRIP} cells across'
+            )
+        sought = np.log(densities) - np.log1p(-densities)
+        field = sought.copy()
+        fields, log_zs = [], []
+        for coupling in self.bins.values:
+            # Each starts from the one before.
+            field, log_z = _field_of(free, coupling, sought, field)
+            fields.append(field)
+            log_zs.append(log_z)
+        return np.stack(fields), np.stack(log_zs)
+
+
+def _field_of(
+    free: NDArray[np.bool_],
+    coupling: float,
+    sought: NDArray[np.float64],
+    field: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Find the field that gives the log odds sought, and log Z, by the secant method."""
+    cells = np.count_nonzero(free)
+    slope, off = np.ones_like(field), np.zeros_like(field)
+    step = np.zeros_like(field)
+    for _ in range(MOST_STEPS):
+        log_z, count = log_partition(free, field, coupling)
+        before, off = off, np.log(count) - np.log(cells - count) - sought
+        if np.abs(off).max() < PRECISION:
+            return field, log_z
+        moved = step != 0.0
+        slope[moved] = np.maximum((off - before)[moved] / step[moved], 1.0)
+        step = -off / slope
+        field = field + step
+    return field, log_z

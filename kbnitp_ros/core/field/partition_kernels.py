@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The transfer matrix of clustered hazards, applied cell by cell."""
+
+from __future__ import annotations
+
+from math import exp, log
+
+from kbnitp_ros.core.field.compiled import compiled
+import numpy as np
+from numpy.typing import NDArray
+
+
+@compiled
+def transfer(
+    free: NDArray[np.bool_],
+    fields: NDArray[np.float64],
+    coupling: float,
+    log_z: NDArray[np.float64],
+    count: NDArray[np.float64],
+) -> None:
+    r"""
+    Sum over all hazards of a strip, row by row (equation :eq:`transfer-matrix`).
+
+    `weight[s]` sums what the cells so far can be, where bit c of s is the hazard of the last cell
+    so far in column c. One more cell in column c changes that bit from u to z,
+
+    .. math:: w'(s_z) = e^{a z} \sum_u w(s_u) \, e^{J z (u + z_{c - 1})}.
+
+    Parameters
+    ----------
+    free : ndarray of bool, shape (rows, columns)
+        Which cells may have a hazard.
+    fields : ndarray, shape (values,)
+        Each a.
+    coupling : float
+        J.
+    log_z, count : ndarray, shape (values,)
+        Take ln Z and its derivative by a: the expected number of hazards.
+
+    """
+    rows, columns = free.shape
+    states = 1 << columns
+    weight, slope = np.empty(states), np.empty(states)
+    for value in range(fields.size):
+        hazard, tie = exp(fields[value]), exp(coupling)
+        weight[:], slope[:] = 0.0, 0.0
+        weight[0] = 1.0
+        log_scale = 0.0
+        for row in range(rows):
+            for column in range(columns):
+                bit = 1 << column
+                left = bit >> 1
+                for base in range(0, states, 2 * bit):
+                    for safe in range(base, base + bit):
+                        struck = safe + bit
+                        by_left = hazard * tie if safe & left else hazard
+                        with_hazard, its_slope = 0.0, 0.0
+                        if free[row, column]:
+                            with_hazard = by_left * (weight[safe] + tie * weight[struck])
+                            its_slope = by_left * (slope[safe] + tie * slope[struck])
+                        weight[safe] += weight[struck]
+                        slope[safe] += slope[struck]
+                        weight[struck] = with_hazard
+                        slope[struck] = its_slope + with_hazard
+            largest = weight.max()
+            weight /= largest
+            slope /= largest
+            log_scale += log(largest)
+        total = weight.sum()
+        log_z[value] = log_scale + log(total)
+        count[value] = slope.sum() / total

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sampling clustered hazards, against the posterior by enumeration."""
+
+from itertools import product
+
+import brute_force
+from extent import FULL
+from kbnitp_ros.core import (
+    Belief,
+    Clustering,
+    Dynamics,
+    Estimator,
+    Grid,
+    Learning,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.core.inference.sampling import sampler
+from laws import for_each
+import numpy as np
+import pytest
+
+METHOD = 'kappa_bnitp_sampled'
+KAPPA, BACKGROUND = 0.8, 0.1
+GRIDS = [(2, 3), (3, 3), (4, 3)]
+
+
+def prior_of(grid, density):
+    """Return a prior of one density, free at the base."""
+    return Belief.prior(grid, density, density * KAPPA + (1 - density) * BACKGROUND, KAPPA)
+
+
+def prior_weights(grid, coupling, density):
+    """Return all states of the hazards, (states, cells), and their prior probabilities."""
+    states = np.array(list(product((0, 1), repeat=grid.cells)))
+    states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
+    count = states.sum(axis=1)
+    maps = states.reshape(-1, grid.height, grid.width)
+    pairs = (maps[:, 1:] * maps[:, :-1]).sum(axis=(1, 2))
+    pairs += (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
+    low, high = -40.0, 40.0
+    for _ in range(100):
+        field = (low + high) / 2
+        weight = np.exp(field * count + coupling * pairs - max(0.0, field) * grid.cells)
+        weight /= weight.sum()
+        below = weight @ count < density * grid.may_be_hazardous.sum()
+        low, high = (field, high) if below else (low, field)
+    return states, weight
+
+
+def likelihood(states, model, observations):
+    """Return the probability of all outcomes and readings, given each state of the hazards."""
+    survival = np.array(brute_force.step_survival(model))
+    positive = np.array(brute_force.detection(model))
+    looks = np.ones((2, states.shape[1]))
+    product_of = np.ones(len(states))
+    for each in observations:
+        survived = np.prod(survival[states[:, each.path[1:]]], axis=1)
+        product_of *= survived if each.survived else 1.0 - survived
+        if each.survived:
+            for cell, reading in zip(each.path[1:], each.readings):
+                looks[:, cell] *= positive if reading else 1.0 - positive
+    by_hazard = np.array([BACKGROUND, KAPPA])
+    read = by_hazard[:, None] * looks[1] + (1.0 - by_hazard[:, None]) * looks[0]
+    return product_of * np.prod(read[states, np.arange(states.shape[1])], axis=1)
+
+
+def posterior(grid, couplings, density, model, observations):
+    """Return P(hazard) of each cell, and the weight of each coupling."""
+    by_coupling = []
+    for coupling in couplings:
+        states, weight = prior_weights(grid, coupling, density)
+        by_coupling.append(weight * likelihood(states, model, observations))
+    joint = np.array(by_coupling) / np.sum(by_coupling)
+    return joint.sum(axis=0) @ states, joint.sum(axis=1)
+
+
+def random_mission(seed, malfunction=0.05):
+    """Draw a field, a world in it, and what robots on random walks meet."""
+    rng = np.random.default_rng([2024, seed])
+    width, height = GRIDS[seed % 3]
+    blocked = (5,) if seed % 5 == 0 else ()
+    grid = Grid(width, height, base=int(rng.integers(5)), blocked=blocked)
+    clustering = Clustering(grid, 'learn' if seed % 2 else float(rng.uniform(0.1, 1.7)))
+    density = float(rng.uniform(0.05, 0.5))
+    model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])), malfunction)
+    coupling = float(rng.choice(clustering.bins.values))
+    states, weight = prior_weights(grid, coupling, density)
+    hazard = states[rng.choice(len(states), p=weight)].astype(bool)
+    target = rng.random(grid.cells) < np.where(hazard, KAPPA, BACKGROUND)
+    world = World(hazard, target)
+    paths = []
+    while len(paths) < 10:
+        steps = int(rng.integers(2, 8))
+        path = brute_force.random_path(rng, width, height, grid.base, steps)
+        if not set(path) & set(blocked):
+            paths.append(path)
+    observations = [world.traverse(path, model, rng) for path in paths]
+    return grid, clustering, density, model, observations
+
+
+def estimator_of(grid, clustering, density, model, seed=0):
+    """Return what samples."""
+    return Estimator(prior_of(grid, density), model, METHOD, seed=seed, clustering=clustering)
+
+
+def divergence(exact, hazard):
+    """Return the KL divergence of cells from the exact posterior, nats."""
+    p, q = np.stack([exact, 1 - exact]), np.stack([hazard, 1 - hazard])
+    inside = p > 1e-12
+    return float((p[inside] * np.log(p[inside] / q[inside])).sum())
+
+
+def divergences(seeds):
+    """Return the divergence of each mission's belief, and the error of each mean coupling."""
+    of_beliefs, of_couplings = [], []
+    for seed in seeds:
+        grid, clustering, density, model, observations = random_mission(seed)
+        estimator = estimator_of(grid, clustering, density, model, seed)
+        for each in observations:
+            estimator.assimilate(each)
+        couplings = clustering.bins.values
+        exact, weights = posterior(grid, couplings, density, model, observations)
+        of_beliefs.append(divergence(exact, estimator.belief.hazard))
+        if clustering.coupling == 'learn':
+            mean = estimator.parameters['coupling'].mean
+            of_couplings.append(abs(mean - weights @ couplings))
+    return of_beliefs, of_couplings
+
+
+def test_beliefs_are_those_of_enumeration(record_property):
+    of_beliefs, of_couplings = divergences(range(300 if FULL else 9))
+    record_property('divergences', np.percentile(of_beliefs, [50, 90, 99, 100]).tolist())
+    assert np.mean(of_beliefs) < 0.001
+    assert np.quantile(of_beliefs, 0.95) < 0.003
+    assert np.mean(of_couplings) < 0.02
+
+
+def test_more_sweeps_come_closer(monkeypatch):
+    few, _ = divergences(range(4))
+    monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
+    monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
+    monkeypatch.setattr(sampler, 'CONVERGED_LEARNING', 0.0)
+    many, _ = divergences(range(4))
+    assert np.mean(many) < np.mean(few) / 3
+    assert np.max(many) < 5e-5
+
+
+@for_each('seed', range(6))
+def test_the_belief_before_any_robot_is_the_prior(seed):
+    grid, clustering, density, model, _ = random_mission(seed)
+    exact, _ = posterior(grid, clustering.bins.values, density, model, [])
+    estimator = estimator_of(grid, clustering, density, model)
+    assert estimator.belief.hazard == pytest.approx(exact, abs=0.01)
+    # Targets follow hazards as in the prior.
+    belief, prior = estimator.belief, prior_of(grid, density)
+    assert belief.kappa[belief.hazard > 0] == pytest.approx(prior.kappa[belief.hazard > 0])
+
+
+def test_draws_are_clustered():
+    grid = Grid(6, 6)
+    shared = []
+    for coupling in (0.0, 1.2):
+        estimator = estimator_of(grid, Clustering(grid, coupling), 0.2, SensorModel(0.5))
+        maps = estimator.draws(2000, np.random.default_rng(0))[0].reshape(-1, 6, 6)
+        shared.append((maps[:, 1:] & maps[:, :-1]).mean())
+        assert maps.mean() * 36 / 35 == pytest.approx(0.2, abs=0.01)
+    assert shared[1] > 1.5 * shared[0]
+
+
+def test_density_and_coupling_are_learnt_together():
+    """Of a field that was seen whole, against all densities and couplings there may be."""
+    grid = Grid(4, 3)
+    clustering, unknowns = Clustering(grid, 'learn'), Unknowns(hazard_density=(0.05, 0.6))
+    hazard = np.zeros(12, bool)
+    hazard[[2, 3, 6, 7]] = True
+    # A safe sensor of targets that are hazards shows them all.
+    model = SensorModel(0.0, 0.0, true_positive=1.0 - 1e-9, false_positive=1e-9)
+    prior = Belief.prior(grid, 0.3, 0.3, 1.0)
+    estimator = Estimator(prior, model, METHOD, unknowns, clustering=clustering)
+    path = [0, 1, 2, 3, 7, 11, 10, 6, 9, 8, 5, 4, 0]
+    world = World(hazard, hazard)
+    for seed in range(12):
+        estimator.assimilate(world.traverse(path, model, np.random.default_rng(seed)))
+    bins = unknowns.hazard_density.bins()
+    weights = np.empty((clustering.bins.values.size, bins.values.size))
+    for row, coupling in enumerate(clustering.bins.values):
+        for column, density in enumerate(bins.values):
+            states, weight = prior_weights(grid, coupling, density)
+            here = weight[(states == hazard).all(axis=1)].item()
+            weights[row, column] = here * np.exp(bins.log_prior[column])
+    weights /= weights.sum()
+    means = weights.sum(axis=1) @ clustering.bins.values, weights.sum(axis=0) @ bins.values
+    found = estimator.parameters['coupling'].mean, estimator.parameters['hazard_density'].mean
+    assert found == pytest.approx(means, abs=0.03)
+
+
+def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
+    grid, _, density, model, observations = random_mission(1)
+    beliefs = []
+    for clustering in (None, Clustering(grid, 0.0)):
+        estimator = estimator_of(grid, clustering, density, model)
+        for each in observations:
+            estimator.assimilate(each)
+        beliefs.append(estimator.belief.joint.tobytes())
+    assert beliefs[0] == beliefs[1]
+
+
+def test_the_same_seed_gives_the_same_mission():
+    grid = Grid(3, 3)
+    world = World.random(grid, np.random.default_rng(1), 0.2, KAPPA, BACKGROUND)
+    learning = Learning(seed=3, clustering=Clustering(grid, 'learn'))
+    missions = [
+        run_mission(
+            grid,
+            prior_of(grid, 0.2),
+            SensorModel(0.5),
+            world,
+            4,
+            0,
+            METHOD,
+            SearchOptions('relaxed', 6),
+            learning=learning,
+        )
+        for _ in range(2)
+    ]
+    first, second = ([each.belief.joint.tobytes() for each in mission] for mission in missions)
+    assert first == second
+
+
+@for_each(
+    'changed, message',
+    [
+        ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
+        ({'dynamics': Dynamics('used_up')}, 'used_up and clustered: only static'),
+        ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, and the prior has 12'),
+        (
+            {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
+            'prior hazards differ between cells',
+        ),
+    ],
+)
+def test_what_does_not_go_with_clusters_is_refused(changed, message):
+    grid = Grid(4, 3)
+    given = {
+        'belief': prior_of(grid, 0.2),
+        'model': SensorModel(0.5),
+        'method': METHOD,
+        'clustering': Clustering(grid, 0.5),
+    }
+    with pytest.raises(ValueError, match=message):
+        Estimator(**(given | changed))
