@@ -78,7 +78,7 @@ class Table:
         Returns
         -------
         pandas.DataFrame
-            A column a head; of means two more, with `` low`` and `` high`` behind the head, the
+            A column a head; of means two more, with the words low and high behind the head, the
             ends of the 95 % intervals.
 
         """
