@@ -13,6 +13,7 @@ from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.headers import header, shown
+from kbnitp_ros.nodes.lifecycle import Lifecycle, PERIOD
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 from nav_msgs.msg import Path
 import numpy as np
@@ -46,11 +47,12 @@ def path_goal(points: NDArray[np.float64], stamp: int) -> FollowPath.Goal:
     return FollowPath.Goal(path=Path(header=header(stamp), poses=poses))
 
 
-# By the parameter driver: the action's type, its name, and how a goal of it is made.
-DRIVERS: dict[str, tuple[Any, Callable[[NDArray[np.float64], int], Any]]] = {
-    'follow_waypoints': (FollowWaypoints, waypoints_goal),
-    'navigate_through_poses': (NavigateThroughPoses, through_poses_goal),
-    'follow_path': (FollowPath, path_goal),
+# By the parameter driver, the action's name: its type, how a goal of it is made, and the node of
+# Nav2 that serves it.
+DRIVERS: dict[str, tuple[Any, Callable[[NDArray[np.float64], int], Any], str]] = {
+    'follow_waypoints': (FollowWaypoints, waypoints_goal, 'waypoint_follower'),
+    'navigate_through_poses': (NavigateThroughPoses, through_poses_goal, 'bt_navigator'),
+    'follow_path': (FollowPath, path_goal, 'controller_server'),
 }
 
 
@@ -111,10 +113,14 @@ class Driver:
         self._node = node
         self._grid = grid
         self._patience = patience
-        kind, self._goal_along = DRIVERS[name]
+        kind, self._goal_along, server = DRIVERS[name]
         above = f'/{namespace.strip("/")}'.rstrip('/')
         self.name = node.resolve_topic_name(f'{above}/{name}' if namespace else name)
         self._client = ActionClient(node, kind, self.name)
+        self._lifecycle = Lifecycle(node, f'{self.name.rpartition("/")[0]}/{server}')
+        # Whether the last goal of `_try_goal` was accepted; None before the answer.
+        self._takes_goals: bool | None = None
+        self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
         # Counts the goals, so that what is said of one that is over changes nothing.
         self._number = 0
@@ -126,6 +132,43 @@ class Driver:
         if self._client.server_is_ready():
             return ''
         return f'the action server {self.name} (parameters driver and nav_namespace)'
+
+    def not_ready(self, place: tuple[float, float], stamp: int) -> str:
+        """
+        Return what Nav2 lacks to take the first goal of a deployment; empty when nothing.
+
+        An action server of Nav2 is there before it is active, and rejects goals until then.
+
+        Parameters
+        ----------
+        place : tuple of float
+            Where the robot is, x and y in metres.
+        stamp : int
+            The time, in nanoseconds.
+
+        """
+        if awaited := self.awaited or self._lifecycle.awaited:
+            return awaited
+        return '' if self._lifecycle.is_told else self._try_goal(place, stamp)
+
+    def _try_goal(self, place: tuple[float, float], stamp: int) -> str:
+        """Find out by a goal that ends where the robot is, and is cancelled when accepted."""
+        if self._takes_goals:
+            self._takes_goals = None
+            return ''
+        if time.monotonic() > self._tried_at + PERIOD:
+            self._tried_at = time.monotonic()
+            goal = self._goal_along(np.array([place, place]), stamp)
+            self._client.send_goal_async(goal).add_done_callback(self._on_tried)
+        if self._takes_goals is None:
+            return f'the action server {self.name} to answer'
+        return f'Nav2 to be ready: the action server {self.name} rejects goals'
+
+    def _on_tried(self, answer: Future) -> None:
+        handle = answer.result()
+        self._takes_goals = handle.accepted
+        if handle.accepted:
+            handle.cancel_goal_async()
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
         """

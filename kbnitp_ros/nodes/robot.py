@@ -271,7 +271,7 @@ class RobotNode(FieldNode):
         for superseded in self._pending.superseded():
             if not self._refuse(superseded, f'path {self._key(deployment)} came before it left'):
                 return self._no_room
-        if awaited := self._not_ready() or self._hold.awaited:
+        if awaited := self._hold.awaited or self._not_ready():
             return waiting_for(awaited)
         if not self._depart(deployment):
             return self._no_room
@@ -324,7 +324,7 @@ class RobotNode(FieldNode):
                 f'the robot to be at its base, cell {self.grid.base}: it is '
                 f'{away:.1f} m from there, and may be {tolerance} m (parameter arrival_tolerance)'
             )
-        return self._driver.awaited
+        return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
     def _go_on(self, deployment: Deployment) -> State:
         """Have the robot do what is next; return what it does."""

@@ -149,6 +149,7 @@ class Apart:
                     'robots': {'/scout_1': [0.5, 0.5]},
                     'targets': targets,
                     'detection_type': 'bool',
+                    'lifecycle': True,
                     'track': str(folder / 'track.jsonl'),
                 }
             )

@@ -57,13 +57,24 @@ class Fleet:
         in the namespace of the robot alone.
     detection_type : str
         What robots and their detectors are set to.
+    lifecycle : bool
+        Whether the nodes of Nav2 tell their states.
 
     """
 
     SOURCES = Path(__file__).parent
 
-    def __init__(self, field, names=('scout_1',), speed=5.0, mission='', detection_type='bool'):
+    def __init__(
+        self,
+        field,
+        names=('scout_1',),
+        speed=5.0,
+        mission='',
+        detection_type='bool',
+        lifecycle=True,
+    ):
         self.field = field
+        self._lifecycle = lifecycle
         self.names = names
         self._speed = speed
         self._mission = mission
@@ -87,6 +98,7 @@ class Fleet:
             'targets': TARGETS,
             'detection_type': self._detection_type,
             'speed': self._speed,
+            'lifecycle': self._lifecycle,
             'track': str(self._track),
         }
         file = self.field.folder / 'simulation.json'

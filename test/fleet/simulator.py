@@ -6,13 +6,15 @@ Robots on differential drives among obstacles, simulated by ir-sim, behind the a
 
 The configuration is JSON: width, height and blocked of a field of 1 m cells; robots, by namespace,
 the x and y where each begins; targets, the cells where detectors see something; detection_type, as
-the parameter of robots; speed in m/s; and track, the file that the true positions go to. Each
-robot has a world of its own with the same obstacles, since all leave from one base. Its namespace
-has tf, tf_static, detections and the three actions; and inject, on which a text tells what is to
+the parameter of robots; speed in m/s; lifecycle, whether the nodes of Nav2 tell their states; and
+track, the file that the true positions go to. Each robot has a world of its own with the same
+obstacles, since all leave from one base. Its namespace has tf, tf_static, detections, the three
+actions and the states of the nodes that serve them; and inject, on which a text tells what is to
 go wrong with the next goal:
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
-    die (the action servers go, and their goal), live (they are back)
+    inactive (all goals are rejected, as by a node that is not active),
+    die (the action servers go, and their goal), live (they are back, and active)
 
 With an exclamation mark, such as reject!, with all goals until another text comes.
 """
@@ -30,6 +32,8 @@ import time
 
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 import irsim
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 import numpy as np
 import rclpy
@@ -70,6 +74,8 @@ robot:
 obstacle:
 {obstacles}
 """
+
+SERVERS = ('waypoint_follower', 'bt_navigator', 'controller_server')
 
 ACTIONS = {
     'follow_waypoints': FollowWaypoints,
@@ -125,7 +131,18 @@ class Robot:
         self._detections = node.create_publisher(kind, f'{namespace}/detections', 10)
         node.create_subscription(String, f'{namespace}/inject', self._on_inject, 10)
         self._static.publish(self._transform('base_footprint', 'base_link', 0.0, 0.0, 0.0))
+        for name in SERVERS if config['lifecycle'] else ():
+            node.create_service(GetState, f'{namespace}/{name}/get_state', self._tell_state)
         self._live()
+
+    def _tell_state(self, _, response):
+        is_active = self._wrong != 'inactive'
+        response.current_state = (
+            State(id=State.PRIMARY_STATE_ACTIVE, label='active')
+            if is_active
+            else State(id=State.PRIMARY_STATE_INACTIVE, label='inactive')
+        )
+        return response
 
     def _live(self):
         self._servers = [
@@ -163,6 +180,8 @@ class Robot:
         return wrong.removesuffix('!')
 
     def _judge(self, _):
+        if self._wrong == 'inactive':
+            return GoalResponse.REJECT
         if self._wrong.startswith('reject'):
             self._take_wrong()
             return GoalResponse.REJECT

@@ -7,6 +7,7 @@ from itertools import count
 
 from extent import FULL, LONG, some
 from fleet import Fleet, moves, TARGETS
+from kbnitp_msgs.msg import AgentStatus
 import numpy as np
 import pytest
 
@@ -113,6 +114,28 @@ def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
     said = field.said('/scout_1/robot')
     assert 'the goal of /scout_1/follow_waypoints was cancelled' in said
     assert 'rejected the goal; going home' in said
+
+
+@pytest.mark.parametrize(
+    'lifecycle, told',
+    [
+        (True, "waiting for /scout_1/waypoint_follower to be active: its lifecycle state is "),
+        (False, 'waiting for Nav2 to be ready: the action server /scout_1/follow_waypoints '),
+    ],
+)
+def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told):
+    fleet = Fleet(field, lifecycle=lifecycle)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(attempts=1)
+    fleet.inject('inactive')
+    key = fleet.send(1, [0, 1, 0])
+    field.until(lambda: told in field.said('/scout_1/robot'), 'wait for Nav2 on the console')
+    said = [status.state for status in fleet.statuses['scout_1']]
+    assert said == [AgentStatus.ACCEPTED]
+    fleet.inject('live')
+    report = fleet.report_of(reports, key)
+    assert moves([0, *(cell for cell, _ in report.readings)]) == [0, 1, 0]
 
 
 def test_a_robot_waits_for_what_drives_it_and_says_so(field):
