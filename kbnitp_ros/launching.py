@@ -11,6 +11,7 @@ from typing import Any
 
 from kbnitp_ros.configuration import nearest, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.log.log_path import new_log
 from kbnitp_ros.nodes.runtime.transport import udp_only
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
@@ -19,6 +20,7 @@ from launch.actions import (
     OpaqueFunction,
     SetEnvironmentVariable,
     Shutdown,
+    TimerAction,
 )
 from launch.substitutions import (
     LaunchConfiguration,
@@ -33,6 +35,11 @@ SWITCH = ['true', 'false']
 # How processes may end that launch was told to end: one that did not listen yet was killed, and of
 # one that ended while launch was about to signal it, asyncio says 255.
 ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
+
+# The exit codes of nodes that are not started again: their work is done, or they cannot start.
+FINAL = (0, 2)
+
+RESPAWN_DELAY = 2.0  # seconds
 
 # The parameters that are arguments as well, of all nodes that have them.
 OPTIONS = (
@@ -154,6 +161,12 @@ def mission_description(
     return LaunchDescription([*arguments, TRANSPORT, mission])
 
 
+def respawned(make: Callable[[], Node]) -> TimerAction:
+    """Return what starts a node again, in a moment."""
+    start = OpaqueFunction(function=lambda _: [make()])
+    return TimerAction(period=RESPAWN_DELAY, actions=[start])
+
+
 def hear_interrupts_once() -> None:
     """
     Keep Python from raising KeyboardInterrupt, too, on signals that launch handles by itself.
@@ -202,11 +215,19 @@ class MissionArguments:
         self._context = context
         self._failures: list[str] = []
         self._namespace = self.argument('namespace').strip('/')
+        # What is started again is so outside the groups of launch files.
+        self._above = context.launch_configurations.get('ros_namespace', '')
         self._sections = read_sections(self.argument('params_file'))
         self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
         self.agents = agents_named(self.argument('agents')) or list(
             self._values('planner').get('agents', parameters_of('planner')['agents'].default)
         )
+        self._log = self._log_path() if self.argument('record') == 'true' else None
+
+    def _log_path(self) -> Path:
+        """Return where the log is to be: nodes that are started again go on with it."""
+        file = self.argument('file') or self._values('recorder').get('file')
+        return Path(self.argument('resume') or file or new_log())
 
     def argument(self, name: str) -> str:
         """Return an argument as it was given."""
@@ -248,12 +269,10 @@ class MissionArguments:
             arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', view])],
             remappings=self.poses,
         )
-        file = self.argument('file')
-        recorder = self.node('recorder', {'file': file} if file else {})
         return [
             # First, so that nothing runs yet when it turns out not to be installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
-            *([recorder] if self.argument('record') == 'true' else []),
+            *([self.node('recorder', {'file': str(self._log)})] if self._log else []),
             self.node('estimator', awaits=['planner']),
             self.node('planner', awaits=['agent', 'estimator']),
         ]
@@ -270,6 +289,8 @@ class MissionArguments:
         """
         Return a node of the mission.
 
+        If the mission is recorded, it is started again when it dies, and goes on with the log.
+
         Parameters
         ----------
         name : str
@@ -284,18 +305,21 @@ class MissionArguments:
             Whether the others go on without it.
 
         """
-        known, record = parameters_of(name), self.argument('record') == 'true'
+        known, log = parameters_of(name), self._log
         told = {
             'agents': self.agents,
             'resume': self.argument('resume'),
-            'recorded': record,
-            'await_nodes': [*awaits, *(['recorder'] if record else [])],
+            'recorded': log is not None,
+            'await_nodes': [*awaits, *(['recorder'] if log else [])],
         } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
         given = {each: value for each, value in told.items() if each in known} | (own or {})
         self._check_counts(self._full_name(namespace, name), given)
+        params_file = self.argument('params_file')
 
-        def end(event: Any, context: LaunchContext) -> Shutdown | None:
-            """End the mission with this node; with an error if any node has failed by then."""
+        def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
+            """Start this node again, or end the mission; with an error if any node has failed."""
+            if log and event.returncode not in FINAL and not context.is_shutdown:
+                return respawned(lambda: make(str(log) if log.exists() else ''))
             if event.returncode not in (ENDED if context.is_shutdown else (0,)):
                 self._failures.append(
                     f'{event.process_name} ended with exit code {event.returncode}'
@@ -307,17 +331,20 @@ class MissionArguments:
                 raise RuntimeError(f'the mission failed: {failures}; see above what was said')
             return Shutdown() if ends_mission else None
 
-        return Node(
-            package='kbnitp_ros',
-            executable=name,
-            name=name,
-            namespace=namespace,
-            parameters=[LaunchConfiguration('params_file'), given],
-            remappings=self.poses if name == 'agent' else [],
-            ros_arguments=['--enclave', self._full_name(namespace, name)],
-            output='screen',
-            on_exit=end,
-        )
+        def make(resume: str) -> Node:
+            return Node(
+                package='kbnitp_ros',
+                executable=name,
+                name=name,
+                namespace=f'{self._above}/{namespace}'.rstrip('/') or '/',
+                parameters=[params_file, given | {'resume': resume}],
+                remappings=self.poses if name == 'agent' else [],
+                ros_arguments=['--enclave', self._full_name(namespace, name)],
+                output='screen',
+                on_exit=end,
+            )
+
+        return make(self.argument('resume'))
 
     def _check_counts(self, node: str, given: dict[str, Any]) -> None:
         """Check that ROS, to which sections of a file that come later count more, takes these."""

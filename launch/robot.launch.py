@@ -2,7 +2,7 @@
 """Launch the agent of one real robot, on its own computer."""
 
 from kbnitp_ros.configuration.given import read_sections
-from kbnitp_ros.launching import SHARE, TRANSPORT
+from kbnitp_ros.launching import FINAL, respawned, SHARE, TRANSPORT
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import (
@@ -60,8 +60,14 @@ def robot(context):
     below = f'/{nav.strip("/")}'.rstrip('/')
     parameters = {'agent': given['agent'], 'nav_namespace': nav}
     parameters |= {name: given[name] for name in OPTIONS if given[name]}
-    return [
-        Node(
+
+    def end(event, context):
+        """Start the robot again when it died: its journal has all that it needs."""
+        is_final = event.returncode in FINAL or context.is_shutdown
+        return Shutdown() if is_final else respawned(node)
+
+    def node():
+        return Node(
             package='kbnitp_ros',
             executable='robot',
             name='robot',
@@ -74,6 +80,7 @@ def robot(context):
             ],
             ros_arguments=['--enclave', f'{own}/robot'],
             output='screen',
-            on_exit=Shutdown(),
+            on_exit=end,
         )
-    ]
+
+    return [node()]

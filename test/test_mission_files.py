@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file, the configuration and the RViz view fit the nodes."""
 
-from contextlib import suppress
 import os
 from pathlib import Path
 import re
@@ -9,7 +8,6 @@ from shutil import which
 import signal
 import subprocess
 from subprocess import DEVNULL
-import sys
 import time
 
 from kbnitp_ros.bag.reader import LogError, read_log
@@ -20,6 +18,7 @@ from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
+from launches import interrupt, launched, nodes_of
 from laws import for_each
 import pytest
 import yaml
@@ -27,21 +26,6 @@ import yaml
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / 'config' / 'mission.yaml'
 POSES = 'tf2_msgs/msg/TFMessage'
-
-LAUNCH = """
-import sys
-from launch import LaunchDescription, LaunchService
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-
-file, *arguments = sys.argv[1:]
-service = LaunchService(argv=arguments)
-service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
-    PythonLaunchDescriptionSource(file),
-    launch_arguments=[argument.split(':=') for argument in arguments],
-)]))
-sys.exit(service.run())
-"""
 
 
 @for_each('node', NODES)
@@ -81,26 +65,6 @@ def reports_in(log):
         return len({from_stamp(each.message.deployment) for each in read_log(log, [REPORT])})
     except LogError:
         return 0
-
-
-def launched(folder, domain, *arguments, launch_file='mission', **options):
-    """Start a launch file with these arguments; the paths in them are relative to a folder."""
-    # On a busy machine nodes may need longer to end than launch gives them.
-    patience = [f'sig{name}_timeout:=60' for name in ('term', 'kill')]
-    file = ROOT / 'launch' / f'{launch_file}.launch.py'
-    return subprocess.Popen(
-        [sys.executable, '-c', LAUNCH, file, *patience, *arguments],
-        cwd=folder,
-        env=environment(domain),
-        start_new_session=True,
-        **options,
-    )
-
-
-def interrupt(mission):
-    """Send SIGINT as a terminal does, to launch and all its nodes."""
-    with suppress(ProcessLookupError):
-        os.killpg(mission.pid, signal.SIGINT)
 
 
 def run_until_over(folder, reports, missions):
@@ -338,17 +302,6 @@ def test_the_launch_file_refuses_a_team_of_no_number(tmp_path, configured, agent
     assert f"agents is '{agents}': it must be a whole number, at least 1, or names" in said
 
 
-def nodes_of(mission):
-    """Return the nodes that launch has started, by namespace and name, as process numbers."""
-    children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
-    found = {}
-    for child in children:
-        command = Path(f'/proc/{child}/cmdline').read_text()
-        names = re.findall(r'__node:=(\w+)\0-r\0__ns:=([/\w]*)', command)
-        found |= {f'{space.rstrip("/")}/{name}': int(child) for name, space in names}
-    return found
-
-
 def launched_until(folder, domain, condition, *arguments):
     """Launch a mission, and return it and its log, named by nobody, when a condition holds."""
     mission = launched(folder, domain, *arguments)
@@ -372,27 +325,39 @@ def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
 
 
 @pytest.mark.processes
-def test_a_node_that_dies_ends_the_mission_and_fails_it(tmp_path, configured):
-    configured(robots=1000)
+def test_a_node_of_a_mission_on_record_that_dies_goes_on_with_its_log(tmp_path, configured):
+    configured(robots=1000, step_period=0.02)
     with free_domain() as domain:
-        mission, _ = launched_until(tmp_path, domain, reports_in, 'params_file:=short.yaml')
-        os.kill(nodes_of(mission)['/estimator'], signal.SIGKILL)
-        assert mission.wait(timeout=120) == 1
+        arguments = ['params_file:=short.yaml', 'agents:=2', 'namespace:=north']
+        mission, log = launched_until(tmp_path, domain, reports_in, *arguments)
+        for name in ('estimator', 'scout_2/agent', 'recorder', 'planner'):
+            before, deadline = reports_in(log), time.monotonic() + 120
+            os.kill(nodes_of(mission)[f'/north/{name}'], signal.SIGKILL)
+            while reports_in(log) < before + 5 or f'/north/{name}' not in nodes_of(mission):
+                assert time.monotonic() < deadline, name
+                assert mission.poll() is None
+                time.sleep(0.2)
+        interrupt(mission)
+        assert mission.wait(timeout=120) == 0
+    assert replay(log).reproduced
 
 
 @pytest.mark.processes
-def test_an_agent_of_a_team_that_dies_fails_the_mission_when_that_ends(tmp_path, configured):
+def test_a_node_of_a_mission_that_nobody_records_ends_it_when_it_dies(tmp_path, configured):
     configured(robots=1000, step_period=0.02)
     with free_domain() as domain:
-        arguments = ['params_file:=short.yaml', 'agents:=2']
-        mission, log = launched_until(tmp_path, domain, reports_in, *arguments)
-        os.kill(nodes_of(mission)['/scout_2/agent'], signal.SIGKILL)
-        before, deadline = reports_in(log), time.monotonic() + 120
-        while reports_in(log) < before + 5:
+        mission = launched(
+            tmp_path, domain, 'params_file:=short.yaml', 'agents:=2', 'record:=false'
+        )
+        deadline = time.monotonic() + 120
+        while len(nodes_of(mission)) < 4:
             assert time.monotonic() < deadline
-            assert mission.poll() is None
-            time.sleep(0.2)
-        interrupt(mission)
+            time.sleep(0.1)
+        os.kill(nodes_of(mission)['/scout_2/agent'], signal.SIGKILL)
+        time.sleep(2)
+        # The others of a team carry on.
+        assert mission.poll() is None
+        os.kill(nodes_of(mission)['/estimator'], signal.SIGKILL)
         assert mission.wait(timeout=120) == 1
 
 

@@ -660,6 +660,14 @@ TABLE = (
         limits=(1, 1000),
     ),
     Parameter(
+        'time_budget',
+        0.0,
+        'Seconds from its departure in which the robot is to be home again: it goes home when no '
+        'more is left than the way back takes, by its steps so far; 0 for no limit.',
+        ('robot',),
+        limits=(0.0, 1e9),
+    ),
+    Parameter(
         'retry_delay',
         2.0,
         'Seconds after a goal failed until the next.',

@@ -104,12 +104,15 @@ class Driver:
         Whether a goal is under way.
     failure : str
         Why the last goal was not reached; empty if it was.
+    was_cancelled : bool
+        Whether that is because somebody else cancelled it.
 
     """
 
     def __init__(self, node: Node, name: str, namespace: str, grid: Grid, patience: float) -> None:
         self.is_busy = False
         self.failure = ''
+        self.was_cancelled = False
         self._node = node
         self._grid = grid
         self._patience = patience
@@ -187,7 +190,7 @@ class Driver:
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
         self._number += 1
         number = self._number
-        self.is_busy, self.failure, self._handle = True, '', None
+        self.is_busy, self.failure, self.was_cancelled, self._handle = True, '', False, None
         self._heard = time.monotonic()
         goal = self._goal_along(points, stamp)
         answer = self._client.send_goal_async(goal, lambda _: self._hear(number))
@@ -240,6 +243,8 @@ class Driver:
         missed = [each.index for each in getattr(ended.result, 'missed_waypoints', ())]
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
             how = ENDINGS.get(ended.status, f'left with status {ended.status}')
+            if number == self._number:
+                self.was_cancelled = ended.status == GoalStatus.STATUS_CANCELED
             self._end(number, f'the goal of {self.name} was {how}: {told}')
         elif ended.result.error_code:
             self._end(number, f'the goal of {self.name} failed: {told}')

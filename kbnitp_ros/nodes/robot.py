@@ -38,6 +38,7 @@ from kbnitp_ros.robot import (
     Step,
     Walk,
     Whereabouts,
+    without_loops,
 )
 from kbnitp_ros.robot.transforms import Place, Transforms
 from tf2_msgs.msg import TFMessage
@@ -331,6 +332,14 @@ class RobotNode(FieldNode):
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
         itinerary = self._itinerary
+        if not itinerary.heads_home and self._is_time_up(deployment):
+            self.get_logger().warning(
+                f'{self._key(deployment)}: of {self.values["time_budget"]} s (parameter '
+                'time_budget) what the way back takes is left; going home'
+            )
+            self._driver.cancel()
+            self._is_driving = False
+            itinerary.go_home()
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
             return working(f'driving {goal}')
@@ -357,6 +366,14 @@ class RobotNode(FieldNode):
         self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
         return working(f'driving {goal}')
+
+    def _is_time_up(self, deployment: Deployment) -> bool:
+        """Say whether no more time is left than the way back takes, by the steps so far."""
+        budget: float = self.values['time_budget']
+        spent = (self.now() - deployment.departed) / SECOND
+        steps_back = len(without_loops(reversed(deployment.cells))) - 1
+        way_back = steps_back * spent / max(len(deployment.steps), 1)
+        return 0 < budget <= spent + way_back
 
     def _wait_at_gate(self, deployment: Deployment) -> State:
         """Stay at the base until the departure is on record; a pause ends it there."""
@@ -396,7 +413,11 @@ class RobotNode(FieldNode):
             itinerary.succeed()
             return
         was_homebound = itinerary.heads_home
-        itinerary.fail()
+        if self._driver.was_cancelled and not was_homebound:
+            # Whoever did so does not want it to go on.
+            itinerary.go_home()
+        else:
+            itinerary.fail()
         self._try_again_at = time.monotonic() + self.values['retry_delay']
         then = 'trying again' if itinerary.heads_home == was_homebound else 'going home'
         self.get_logger().warning(f'{failure}; {then}')

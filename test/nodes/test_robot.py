@@ -43,30 +43,27 @@ def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
 ROUNDS = 20 if FULL else 1
 
 
-def fail(fleet, how, driver, when):
+def fail(fleet, how, when):
     """Have a failure strike a robot that is to leave, or has left some time ago, in seconds."""
     if how in ('reject', 'abort', 'silent', 'lie'):
         fleet.inject(how)
         return
     fleet.field.until(lambda: 'driving' in fleet.state(), 'robot under way')
     fleet.wait(when)
-    if how == 'cancel':
-        fleet.cancel_all(driver)
-    else:
-        fleet.inject('die')
-        fleet.field.until(lambda: 'waiting for the action server' in fleet.state(), 'wait')
-        fleet.inject('live')
+    fleet.inject('die')
+    fleet.field.until(lambda: 'waiting for the action server' in fleet.state(), 'wait')
+    fleet.inject('live')
 
 
 @pytest.mark.parametrize(
     'driver, failures',
     [
-        ('follow_waypoints', ['reject', 'abort', 'cancel']),
+        ('follow_waypoints', ['reject', 'abort']),
         pytest.param('follow_path', ['silent', 'lie', 'die'], marks=pytest.mark.full),
         *(
             pytest.param(
                 driver,
-                ['reject', 'abort', 'cancel', 'silent', 'lie', 'die'],
+                ['reject', 'abort', 'silent', 'lie', 'die'],
                 marks=LONG,
             )
             for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
@@ -86,14 +83,24 @@ def test_a_failure_is_tried_again_and_the_walk_is_reported_as_it_was(field, driv
             since = len(fleet.truth()['scout_1'])
             orders = [0, 1, 2, 1, 0]
             if how in ('reject', 'abort', 'silent', 'lie'):
-                fail(fleet, how, driver, 0)
+                fail(fleet, how, 0)
                 key = fleet.send(next(numbers), orders)
             else:
                 key = fleet.send(next(numbers), orders)
-                fail(fleet, how, driver, rng.uniform(0, 0.3))
+                fail(fleet, how, rng.uniform(0, 0.3))
             report = fleet.report_of(reports, key)
             fleet.see_that_it_is_true(report, since)
             assert moves([0, *(cell for cell, _ in report.readings)]) == orders, how
+
+
+WAY_ROUND = [0, 1, 2, 3, 16, 15, 14, 13, 0]
+
+
+def is_out_and_back(report):
+    """Say whether a robot came home by the way it came, before the end of its orders."""
+    cells = moves([0, *(cell for cell, _ in report.readings)])
+    turn = len(cells) // 2
+    return cells == cells[::-1] and cells[: turn + 1] == WAY_ROUND[: turn + 1]
 
 
 def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
@@ -101,25 +108,52 @@ def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
     reports = fleet.reports()
     fleet.simulate()
     fleet.start(attempts=2)
-    key = fleet.send(1, [0, 1, 2, 3, 16, 15, 14, 13, 0])
+    key = fleet.send(1, WAY_ROUND)
     field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
+    fleet.inject('die')
+    field.until(lambda: 'waiting for the action server' in fleet.state(), 'wait')
+    fleet.inject('live')
     fleet.inject('reject!')
-    fleet.cancel_all('follow_waypoints')
     field.until(lambda: 'going home' in field.said('/scout_1/robot'), 'end of its orders')
     fleet.inject('live')
     report = fleet.report_of(reports, key)
     fleet.see_that_it_is_true(report)
-    cells = [cell for cell, _ in report.readings]
-    assert cells in ([1, 0], [1, 2, 1, 0], [1, 2, 3, 2, 1, 0])
+    assert is_out_and_back(report)
+    assert 'rejected the goal; going home' in field.said('/scout_1/robot')
+
+
+def test_a_robot_whose_goal_is_cancelled_goes_home(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start()
+    key = fleet.send(1, WAY_ROUND)
+    field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
+    fleet.cancel_all('follow_waypoints')
+    report = fleet.report_of(reports, key)
+    fleet.see_that_it_is_true(report)
+    assert is_out_and_back(report)
     said = field.said('/scout_1/robot')
-    assert 'the goal of /scout_1/follow_waypoints was cancelled' in said
-    assert 'rejected the goal; going home' in said
+    assert 'was cancelled: error code 0, no message; going home' in said
+
+
+def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
+    fleet = Fleet(field, speed=1.0)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(time_budget=5.0)
+    report = fleet.report_of(reports, fleet.send(1, WAY_ROUND))
+    fleet.see_that_it_is_true(report)
+    assert is_out_and_back(report)
+    assert '(parameter time_budget) what the way back takes is left' in field.said(
+        '/scout_1/robot'
+    )
 
 
 @pytest.mark.parametrize(
     'lifecycle, told',
     [
-        (True, "waiting for /scout_1/waypoint_follower to be active: its lifecycle state is "),
+        (True, 'waiting for /scout_1/waypoint_follower to be active: its lifecycle state is '),
         (False, 'waiting for Nav2 to be ready: the action server /scout_1/follow_waypoints '),
     ],
 )

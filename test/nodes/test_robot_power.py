@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import subprocess
 
 from extent import FULL
-from fleet import Fleet
+from fleet import FIELD, Fleet
+from launches import interrupt, launched, nodes_of
 import numpy as np
 import pytest
 
@@ -70,3 +74,36 @@ def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
         assert len(told) == 1
     assert where['in the field'] >= len(CUTS) // 3
     assert 'it goes home' in field.said('/scout_1/robot')
+
+
+def test_a_launched_robot_that_is_killed_in_the_field_comes_home(field):
+    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    parameters = field.folder / 'robot.yaml'
+    given = {**FIELD, 'await_nodes': ['test'], 'stay_time': 0.3}
+    # JSON is YAML.
+    parameters.write_text(json.dumps({'/**/robot': {'ros__parameters': given}}))
+    arguments = {
+        'nav_namespace': 'scout_1',
+        'journal': fleet.journal('scout_1'),
+        'params_file': parameters,
+    }
+    robot = launched(
+        field.folder,
+        int(os.environ['ROS_DOMAIN_ID']),
+        *(f'{name}:={value}' for name, value in arguments.items()),
+        launch_file='robot',
+    )
+    try:
+        key = fleet.send(1, ORDERS)
+        field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
+        os.kill(nodes_of(robot)['/scout_1/robot'], signal.SIGKILL)
+        fleet.inject('die')
+        fleet.inject('live')
+        report = fleet.report_of(reports, key)
+    finally:
+        interrupt(robot)
+    assert robot.wait(60) == 0
+    fleet.see_that_it_is_true(report)

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launch files as processes."""
+
+from contextlib import suppress
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+
+from kbnitp_ros.cli.processes import environment
+
+ROOT = Path(__file__).parents[1]
+
+LAUNCH = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+file, *arguments = sys.argv[1:]
+service = LaunchService(argv=arguments)
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
+    PythonLaunchDescriptionSource(file),
+    launch_arguments=[argument.split(':=') for argument in arguments],
+)]))
+sys.exit(service.run())
+"""
+
+
+def launched(folder, domain, *arguments, launch_file='mission', **options):
+    """Start a launch file with these arguments; the paths in them are relative to a folder."""
+    # On a busy machine nodes may need longer to end than launch gives them.
+    patience = [f'sig{name}_timeout:=60' for name in ('term', 'kill')]
+    file = ROOT / 'launch' / f'{launch_file}.launch.py'
+    return subprocess.Popen(
+        [sys.executable, '-c', LAUNCH, file, *patience, *arguments],
+        cwd=folder,
+        env=environment(domain),
+        start_new_session=True,
+        **options,
+    )
+
+
+def interrupt(mission):
+    """Send SIGINT as a terminal does, to launch and all its nodes."""
+    with suppress(ProcessLookupError):
+        os.killpg(mission.pid, signal.SIGINT)
+
+
+def nodes_of(mission):
+    """Return the nodes that launch has started, by namespace and name, as process numbers."""
+    children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
+    found = {}
+    for child in children:
+        command = Path(f'/proc/{child}/cmdline').read_text()
+        names = re.findall(r'__node:=(\w+)\0-r\0__ns:=([/\w]*)', command)
+        found |= {f'{space.rstrip("/")}/{name}': int(child) for name, space in names}
+    return found
