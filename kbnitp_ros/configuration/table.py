@@ -639,6 +639,14 @@ TABLE = (
         limits=(1e-3, 1e6),
     ),
     Parameter(
+        'max_speed',
+        0.0,
+        'What the robot can drive, in m/s: after a jump that is faster nothing more is read on '
+        'its walk; 0 to check no jump.',
+        ('robot',),
+        limits=(0.0, 1e6),
+    ),
+    Parameter(
         'arrival_tolerance',
         0.5,
         'Metres from the middle of the base within which the robot is home.',

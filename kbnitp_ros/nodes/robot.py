@@ -127,7 +127,9 @@ class RobotNode(FieldNode):
 
     def _set_out(self, deployment: Deployment, path: Sequence[int]) -> None:
         self._deployment = deployment
-        self._walk = Walk(self.grid, deployment.cells[-1], self.values['tf_timeout'])
+        self._walk = Walk(
+            self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
+        )
         self._whereabouts = Whereabouts(round(self.values['tf_timeout'] * SECOND))
         self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
@@ -168,6 +170,8 @@ class RobotNode(FieldNode):
         self._say('/tf', '')
         self._enter(entered)
         if self._deployment is not None:
+            if self._walk.doubt and not self._deployment.is_doubted:
+                self._doubt(self._deployment, self._walk.doubt)
             is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
             step = len(self._deployment.steps) if is_well_in else 0
             self._whereabouts.note(self._place.odometry, step)
@@ -182,6 +186,13 @@ class RobotNode(FieldNode):
         assert self._deployment is not None
         self._deployment.steps.append(Step(cell, self.now()))
         self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
+
+    def _doubt(self, deployment: Deployment, why: str) -> None:
+        """Read nothing any more: it would count for a cell that the robot may not be in."""
+        told = f'{self._key(deployment)}: its walk is doubted, and nothing more is read: {why}'
+        self.get_logger().warning(told)
+        self.diagnostics.values['doubt'] = told
+        self._keep(partial(self._journal.doubt, deployment, self.now()))
 
     def _keep(self, write: Callable[[], None]) -> bool:
         """Have something on the disk, or say why it is not: it is kept in memory until then."""
@@ -210,7 +221,7 @@ class RobotNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
-        if self._deployment is None or number == 0:
+        if self._deployment is None or self._deployment.is_doubted or number == 0:
             return
         step = self._deployment.steps[number - 1]
         # All that is said in a cell is one reading: whether anything was seen.

@@ -53,6 +53,8 @@ class Deployment:
         Those made so far.
     is_home : bool
         Whether the robot is back at its base, so that no step follows.
+    is_doubted : bool
+        Whether it was localised where it cannot have come to: nothing is read from then on.
 
     """
 
@@ -62,6 +64,7 @@ class Deployment:
     departed: int = 0
     steps: list[Step] = field(default_factory=list)
     is_home: bool = False
+    is_doubted: bool = False
 
     @property
     def base(self) -> int:

@@ -11,6 +11,7 @@ of the JSON, begun with that of the line before, so that a line counts only wher
     {"deployment": NS, "mission": NS, "orders": [CELL, ...], "departed": NS}
                                                                      before it says that it departs
     {"step": NUMBER, "cell": CELL, "time": NS, "reading": -1 or 0 or 1}
+    {"doubted": NS}                                                  no step that follows is read
     {"home": NS}                                                     no step follows
 
 A step that stands again has another reading by then.
@@ -160,6 +161,8 @@ class Journal:
             step = Step(entry['cell'], entry['time'], entry['reading'])
             before = number - 1
             steps[before:number] = [step]
+        elif 'doubted' in entry:
+            self.deployments[-1].is_doubted = entry['doubted'] >= 0
         else:
             self.deployments[-1].is_home = entry['home'] >= 0
 
@@ -256,6 +259,12 @@ class Journal:
                 'reading': step.reading,
             }
         )
+        self.write()
+
+    def doubt(self, deployment: Deployment, time: int) -> None:
+        """Keep that nothing is read from now on; raises OSError as `step` does."""
+        deployment.is_doubted = True
+        self._unwritten.append({'doubted': time})
         self.write()
 
     def arrive(self, deployment: Deployment, time: int) -> None:

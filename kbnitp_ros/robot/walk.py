@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 from kbnitp_ros.core import Grid
 from kbnitp_ros.robot.way import shortest_way
 import numpy as np
@@ -26,13 +28,25 @@ class Walk:
     patience : float
         How long, in seconds, a position must last that is further than one cell away: until then
         it may be an error of who tells positions.
+    max_speed : float
+        What the robot can drive, in m/s; 0 when that is not checked.
+
+    Attributes
+    ----------
+    doubt : str
+        Why the cells of this walk may be others: the last jump that counts and that the robot
+        cannot have made; empty without any.
 
     """
 
-    def __init__(self, grid: Grid, cell: int, patience: float) -> None:
+    def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
         self.cell = cell
+        self.doubt = ''
         self._patience = patience
+        self._max_speed = max_speed
+        # Where and when it was last seen where it can be: x, y and time.
+        self._seen: tuple[float, float, float] | None = None
         # Since when the robot seems to have jumped.
         self._away_since: float | None = None
 
@@ -57,8 +71,7 @@ class Walk:
 
         """
         if self._off_middle(x, y) <= 0.5 + MARGIN:
-            self._away_since = None
-            return []
+            return self._come_to(self.cell, x, y, time)
         cell = self.cell_at(x, y)
         row, col = divmod(self.cell, self.grid.width)
         to_row, to_col = divmod(cell, self.grid.width)
@@ -70,10 +83,28 @@ class Walk:
                     f'the robot seems to have jumped from cell {self.cell} to cell {cell}, '
                     f'({x:.2f}, {y:.2f}): that counts if it lasts for {self._patience} s'
                 )
+            self.doubt = self._doubt_of(x, y, time) or self.doubt
+        return self._come_to(cell, x, y, time)
+
+    def _come_to(self, cell: int, x: float, y: float, time: float) -> list[int]:
+        """Have the robot be in a cell; return those that it has entered on a shortest way."""
         way = shortest_way(self.grid, self.cell, cell)[1:]
-        self._away_since = None
-        self.cell = cell
+        self.cell, self._seen, self._away_since = cell, (x, y, time), None
         return way
+
+    def _doubt_of(self, x: float, y: float, time: float) -> str:
+        """Return that a robot cannot have come to a position by now; empty if it can."""
+        if self._seen is None or not self._max_speed:
+            return ''
+        from_x, from_y, since = self._seen
+        distance, seconds = hypot(x - from_x, y - from_y), time - since
+        # Localisation that corrects itself by less than a cell is as good as that.
+        if distance <= self._max_speed * seconds + self.grid.resolution:
+            return ''
+        return (
+            f'a jump from ({from_x:.2f}, {from_y:.2f}) to ({x:.2f}, {y:.2f}), {distance:.1f} m in '
+            f'{seconds:.2f} s, and the robot makes {self._max_speed} m/s (parameter max_speed)'
+        )
 
     def _off_middle(self, x: float, y: float) -> float:
         """Return how far a position is from the middle of the cell, along x or y, in its sides."""

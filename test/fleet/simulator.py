@@ -16,6 +16,8 @@ go wrong with the next goal:
     inactive (all goals are rejected, as by a node that is not active),
     die (the action servers go, and their goal), live (they are back, and active)
 
+With jump all that is told of where the robot is is `JUMP` m too far along x, until live.
+
 With an exclamation mark, such as reject!, with all goals until another text comes.
 """
 
@@ -60,6 +62,8 @@ NEAR, GOAL = 0.2, 0.15
 
 # How the frame odom lies in the frame map: somewhere and turned, as after a start.
 ODOM = (3.0, -2.0, 0.7)
+
+JUMP = 4.0
 
 WORLD = """
 world: {{width: {width}, height: {height}, step_time: {tick}, sample_time: {tick},
@@ -107,6 +111,7 @@ class Robot:
         self._speed = config.get('speed', 5.0)
         self._goal = None
         self._wrong = ''
+        self._jump = 0.0
         self._servers = []
         obstacles = '\n'.join(
             '  - {shape: {name: rectangle, length: 0.9, width: 0.9}, state: '
@@ -165,8 +170,10 @@ class Robot:
             for server in self._servers:
                 server.destroy()
             self._servers = []
+        elif message.data == 'jump':
+            self._jump = JUMP
         elif message.data == 'live':
-            self._wrong = ''
+            self._wrong, self._jump = '', 0.0
             if not self._servers:
                 self._live()
         else:
@@ -257,7 +264,7 @@ class Robot:
         dx, dy = x - moved_x, y - moved_y
         seen_x = dx * cos(turned) + dy * sin(turned)
         seen_y = dy * cos(turned) - dx * sin(turned)
-        self._tf.publish(self._transform('map', 'odom', *ODOM))
+        self._tf.publish(self._transform('map', 'odom', moved_x + self._jump, moved_y, turned))
         self._tf.publish(self._transform('odom', 'base_footprint', seen_x, seen_y, yaw - turned))
         cell = int(y) * self._config['width'] + int(x)
         sees = cell in self._config['targets']

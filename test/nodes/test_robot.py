@@ -150,6 +150,22 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     )
 
 
+def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
+    fleet = Fleet(field, speed=1.0)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(max_speed=1.5, tf_timeout=0.5)
+    key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
+    field.until(lambda: 2 in fleet.walked(), 'robot under way')
+    fleet.inject('jump')
+    field.until(lambda: 'its walk is doubted' in field.said('/scout_1/robot'), 'doubt')
+    fleet.inject('live')
+    report = fleet.report_of(reports, key)
+    first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
+    assert all(reading == -1 for _, reading in report.readings[first:])
+    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:first])
+
+
 @pytest.mark.parametrize(
     'lifecycle, told',
     [
