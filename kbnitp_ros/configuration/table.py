@@ -605,8 +605,9 @@ TABLE = (
     Parameter(
         'journal',
         '',
-        "File on the robot's own disk that keeps its orders, its way and its readings, one for "
-        'each mission; empty for AGENT.journal in the folder .ros/kbnitp_ros of the home.',
+        "File on the robot's own disk that keeps its orders, its way and its readings; when a "
+        'mission begins, that of the one before is moved to a folder beside. Empty for '
+        'AGENT.journal in the folder .ros/kbnitp_ros of the home.',
         ('robot',),
     ),
     Parameter(

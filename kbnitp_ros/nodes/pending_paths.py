@@ -78,12 +78,16 @@ class PendingPaths:
         self._accept(deployment)
 
     def _check_mission(self, mission: int) -> None:
+        """Check that a mission is that of the journal, or a later one."""
+        own = self._journal.mission
+        if own is not None and mission > own:
+            return
         try:
-            check_mission(mission, self._journal.mission)
+            check_mission(mission, own)
         except ValueError as error:
             raise ValueError(
-                f'{error}; journal {self._journal.path} is of that one: for a new mission move it '
-                'away, or name another file by the parameter journal'
+                f'{error}; journal {self._journal.path} is of that one, which began later: for '
+                'this mission name another file by the parameter journal'
             ) from error
 
     def _known(self, stamp: int) -> Deployment | None:

@@ -280,6 +280,8 @@ class RobotNode(FieldNode):
             return working(f'taking paths of {self._agent}')
         if awaited := self._duplicates.awaited:
             return waiting_for(awaited)
+        if not self._keep(partial(self._journal.begin, deployment.mission)):
+            return self._no_room
         for superseded in self._pending.superseded():
             if not self._refuse(superseded, f'path {self._key(deployment)} came before it left'):
                 return self._no_room

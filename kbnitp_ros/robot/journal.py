@@ -15,6 +15,9 @@ of the JSON, begun with that of the line before, so that a line counts only wher
     {"home": NS}                                                     no step follows
 
 A step that stands again has another reading by then.
+
+A journal is of one mission. When another begins it is moved to a folder beside, which is named by
+when its own began, in nanoseconds.
 """
 
 from __future__ import annotations
@@ -61,7 +64,8 @@ class Journal:
     Raises
     ------
     JournalError
-        If the file is no journal, that of another agent or field, or in use by another process.
+        If the file is no journal, that of another agent, of another field that the robot is in, or
+        in use by another process.
     OSError
         If it cannot be read or written.
 
@@ -69,6 +73,11 @@ class Journal:
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
+        self._heading = heading(agent, grid)
+        self._open()
+
+    def _open(self) -> None:
+        """Read the file, which is made if it is not there."""
         self.deployments: list[Deployment] = []
         self.refusals: dict[int, tuple[int, str]] = {}
         self.corruption = ''
@@ -80,10 +89,44 @@ class Journal:
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             self._lock()
-            self._read(heading(agent, grid))
+            is_of_this_field = self._read(self._heading)
         except BaseException:
             os.close(self._file)
             raise
+        if not is_of_this_field:
+            self._set_aside()
+
+    def _set_aside(self) -> None:
+        """Keep the file in the folder of its mission, and begin another."""
+        kept = self.path.parent / str(self.mission or 0) / self.path.name
+        while kept.exists():
+            kept = kept.with_name(f'{kept.name}.again')
+        with naming(kept):
+            kept.parent.mkdir(exist_ok=True)
+            self.path.replace(kept)
+        for folder in (kept.parent, self.path.parent):
+            sync_folder(folder)
+        self.close()
+        self._open()
+
+    def begin(self, mission: int) -> None:
+        """
+        Have it be that of a mission, at home.
+
+        Parameters
+        ----------
+        mission : int
+            When that began, in nanoseconds.
+
+        Raises
+        ------
+        OSError
+            If it is not: then it is that of the mission before.
+
+        """
+        self.write()
+        if self.mission not in (None, mission):
+            self._set_aside()
 
     def _lock(self) -> None:
         try:
@@ -93,8 +136,13 @@ class Journal:
                 f'journal {self.path} is in use by another process: each robot needs its own'
             ) from error
 
-    def _read(self, expected: dict[str, Any]) -> None:
-        """Read what is on the disk; cut off what is corrupt, and keep it beside."""
+    def _read(self, expected: dict[str, Any]) -> bool:
+        """
+        Read what is on the disk; cut off what is corrupt, and keep it beside.
+
+        Return whether it is of this field. If it is of another, its robot must be home from there.
+        """
+        of_another: JournalError | None = None
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
         *lines, rest = content.split(b'\n')
@@ -104,7 +152,7 @@ class Journal:
                 if number:
                     self._take(entry)
                 else:
-                    self._check_heading(entry, expected)
+                    of_another = self._check_heading(entry, expected)
             except JournalError:
                 raise
             except (ValueError, KeyError, TypeError, IndexError) as error:
@@ -115,12 +163,15 @@ class Journal:
             self._size += len(line) + 1
         if not lines and not self._is_torn(rest, expected):
             raise JournalError(self._no_journal)
+        if of_another and self.under_way:
+            raise of_another
         whole = self._size
         self._cut(content[whole:])
         if self._size == 0:
             self._append(expected)
             # A new file is there after a loss of power only when its folder is on the disk.
             sync_folder(self.path.parent)
+        return of_another is None
 
     @property
     def _no_journal(self) -> str:
@@ -136,14 +187,20 @@ class Journal:
             raise ValueError('the check sum is another')
         return entry
 
-    def _check_heading(self, entry: dict[str, Any], expected: dict[str, Any]) -> None:
-        """Raise a JournalError unless the journal is that of this robot on this field."""
+    def _check_heading(
+        self, entry: dict[str, Any], expected: dict[str, Any]
+    ) -> JournalError | None:
+        """Return that the journal is of another field; raise that if it is of another robot."""
         for name, wanted in expected.items():
             if entry[name] != wanted:
-                raise JournalError(
+                other = JournalError(
                     f'journal {self.path} has {name} {json.dumps(entry[name])}: here it is '
                     f'{json.dumps(wanted)}; name another file, or move it away'
                 )
+                if name == 'grid':
+                    return other
+                raise other
+        return None
 
     def _take(self, entry: dict[str, Any]) -> None:
         """Take in a line that is as it was written."""

@@ -198,10 +198,10 @@ class Fleet:
     def key(self, number, name='scout_1'):
         return DeploymentKey(name, number * 10**9)
 
-    def send(self, number, cells, name='scout_1'):
+    def send(self, number, cells, name='scout_1', mission=5):
         """Send a robot along a path that is on disk."""
         key = self.key(number, name)
-        path = path_message(GRID, cells, key.stamp, 5)
+        path = path_message(GRID, cells, key.stamp, mission)
         self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(path)
         recorded = Recorded(stamp=path.header.stamp, content=content_hash(path))
         self._talker(Recorded, f'/{name}/recorded', qos.EVIDENCE).publish(recorded)

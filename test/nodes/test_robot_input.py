@@ -150,10 +150,28 @@ def test_a_path_for_another_field_or_mission_is_refused(field):
     paths.publish(path_message(GRID, [0, 13, 26, 13, 0], 10**9, 5))
     assert 'enters a blocked cell' in field.until_refused('/scout_1/robot', 2)
     fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
-    paths.publish(path_message(GRID, [0, 1, 0], 2 * 10**9, 7))
+    paths.publish(path_message(GRID, [0, 1, 0], 2 * 10**9, 4))
     told = field.until_refused('/scout_1/robot', 3)
-    assert 'it belongs to the mission begun at 0.000000007' in told
-    assert f'journal {fleet.journal("scout_1")} is of that one: for a new mission move' in told
+    assert 'it belongs to the mission begun at 0.000000004' in told
+    assert f'journal {fleet.journal("scout_1")} is of that one, which began later' in told
+
+
+def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field):
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start()
+    for number, mission in ((1, 5), (2, 7), (3, 9)):
+        fleet.report_of(reports, fleet.send(number, [0, 1, 0], mission=mission))
+        journal = fleet.journal('scout_1')
+        field.kill('/scout_1/robot')
+        kept = {int(each.parent.name): each for each in journal.parent.glob(f'*/{journal.name}')}
+        assert sorted(kept) == [each for each in (5, 7) if each < mission]
+        for begun, path in {**kept, mission: journal}.items():
+            opened = Journal(path, 'scout_1', GRID)
+            assert [(each.mission, each.is_home) for each in opened.deployments] == [(begun, True)]
+            opened.close()
+        fleet.start()
 
 
 def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):

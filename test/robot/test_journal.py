@@ -104,17 +104,34 @@ def test_corruption_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_fact
     assert bool(kept) == (len(together) == len(content))
 
 
-def test_a_journal_of_another_robot_or_field_is_refused_by_name(tmp_path):
+def test_a_journal_of_another_robot_is_refused_by_name(tmp_path):
     path = tmp_path / 'folder' / 'journal'
     opened(path).close()
     content = path.read_bytes()
     with pytest.raises(JournalError, match=r'journal .*folder/journal has agent "scout_1": here'):
         opened(path, 'scout_2')
-    with pytest.raises(JournalError, match=r'has grid .*"width": 4.*here it is .*"width": 5'):
-        opened(path, grid=Grid(5, 3, blocked=[5]))
-    with pytest.raises(JournalError, match='has grid'):
-        opened(path, grid=Grid(4, 3, blocked=[6]))
     assert path.read_bytes() == content
+
+
+def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_path):
+    path = tmp_path / 'journal'
+    kept = []
+    for number, grid in enumerate((GRID, Grid(5, 3, blocked=[5]), Grid(4, 3, blocked=[6]))):
+        journal = opened(path, grid=grid)
+        assert not journal.deployments
+        assert {each.read_bytes() for each in tmp_path.glob('7/*')} == set(kept)
+        deployment = Deployment(number + 1, 7, (0, 1, 0), 1)
+        journal.depart(deployment)
+        content = path.read_bytes()
+        journal.close()
+        # A robot that is out is on that field.
+        with pytest.raises(JournalError, match=r'has grid .*here it is '):
+            opened(path, grid=Grid(6, 6))
+        assert path.read_bytes() == content
+        journal = opened(path, grid=grid)
+        journal.arrive(journal.deployments[-1], 2)
+        journal.close()
+        kept.append(path.read_bytes())
 
 
 @for_each('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
