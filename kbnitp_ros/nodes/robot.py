@@ -25,6 +25,7 @@ from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
 from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.duplicate_names import DuplicateNames
 from kbnitp_ros.nodes.hold import Hold
+from kbnitp_ros.nodes.links import Links
 from kbnitp_ros.nodes.pending_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
@@ -48,6 +49,10 @@ from visualization_msgs.msg import Marker
 LARGEST_TRANSFORMS = 2**19
 
 
+# The exit code of a robot that DDS lets nobody hear before it is started again.
+NEW_LINKS = os.EX_TEMPFAIL
+
+
 class RobotNode(FieldNode):
     """
     Send one real robot along each path of its agent, by Nav2, and report how that went.
@@ -58,6 +63,7 @@ class RobotNode(FieldNode):
     """
 
     def __init__(self) -> None:
+        self._links = Links()
         super().__init__('robot')
         values = self.values
         self._agent: str = values['agent']
@@ -87,6 +93,11 @@ class RobotNode(FieldNode):
         self._stays_until: int | None = None
         self._try_again_at = 0.0
         self._resume()
+        if self._links.are_missing:
+            self.get_logger().warning(
+                'this computer has no link but lo: until it has one nobody elsewhere hears this '
+                f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
+            )
         for topic, profile, is_static in (
             ('/tf', qos.POSES, False),
             ('/tf_static', qos.LATCHED_POSES, True),
@@ -263,6 +274,12 @@ class RobotNode(FieldNode):
         # At home its state says so, and whom it waits for.
         self._say('name', self._duplicates.heard if self._deployment else '')
         self._driver.look()
+        if (self._deployment is None or self._is_at_gate) and (news := self._links.news):
+            self._say(
+                'links', f'{news}, unknown to DDS: exit code {NEW_LINKS}, to be started again'
+            )
+            self.end(NEW_LINKS)
+            return
         self.diagnostics.waiting = self._pending.pending
         self.diagnostics.state = (
             self._wait() if self._deployment is None else self._go_on(self._deployment)

@@ -16,6 +16,7 @@ from fleet import FIELD, GRID, SIMULATOR, TARGETS
 from kbnitp_ros.bag.reader import LogError, read_log
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.nodes.robot import NEW_LINKS
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -28,12 +29,13 @@ def ip(*arguments):
 
 
 @contextmanager
-def networks(robots):
+def networks(robots, multicast=True):
     """
-    Make a network for the base and one for each robot, on one bridge.
+    Make a network for the base and one for each robot, on one bridge, with multicast or without.
 
     The base is heard by all robots and hears them; they do not hear each other. Yield the names of
-    the networks, that of the base first, and what switches the links of the robots.
+    the networks, that of the base first; what switches the links of the robots; and what gives
+    the first robot another address.
     """
     mark = f'k{os.getpid() % 10_000}'
     bridge = f'{mark}br'
@@ -56,11 +58,26 @@ def networks(robots):
             ]
         for outer in outer_ends[1:]:
             steps.append(['link', 'set', outer, 'type', 'bridge_slave', 'isolated', 'on'])
+        if not multicast:
+            steps.append(['link', 'set', bridge, 'type', 'bridge', 'mcast_snooping', '0'])
+            for outer in outer_ends:
+                steps.append(['link', 'set', outer, 'type', 'bridge_slave', 'mcast_flood', 'off'])
         for step in steps:
             made = ip(*step)
             if made.returncode:
                 pytest.skip(f'no networks can be made: ip {" ".join(step)}: {made.stderr.strip()}')
-        yield names, lambda state: [ip('link', 'set', each, state) for each in outer_ends[1:]]
+
+        def switch(state):
+            for each in outer_ends[1:]:
+                ip('link', 'set', each, state)
+
+        def readdress():
+            inner = f'{mark}i1'
+            ip('-n', names[1], 'address', 'flush', 'dev', inner)
+            ip('-n', names[1], 'address', 'add', '10.77.0.77/24', 'dev', inner)
+            ip('-n', names[1], 'route', 'add', '224.0.0.0/4', 'dev', inner)
+
+        yield names, switch, readdress
     finally:
         ip('link', 'delete', bridge)
         for name in names:
@@ -81,6 +98,8 @@ class Apart:
         What takes the links up and down.
     robots : int
         How many robots leave, one after another.
+    discovery : dict
+        The variables by which nodes find each other.
 
     Attributes
     ----------
@@ -88,10 +107,12 @@ class Apart:
         Of the mission.
     switch : callable
         Takes the links 'up' or 'down'.
+    readdress : callable
+        Gives the first robot another address.
 
     """
 
-    def __init__(self, folder, names, switch, robots):
+    def __init__(self, folder, names, switch, robots, discovery):
         base, *own = names
         self.switch = switch
         self._folder = folder
@@ -106,34 +127,73 @@ class Apart:
             'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config/fastdds.xml'),
             'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
             'ROS_LOG_DIR': str(folder / 'ros_log'),
+            **discovery,
         }
+        if 'ROS_DISCOVERY_SERVER' in discovery:
+            address, port = discovery['ROS_DISCOVERY_SERVER'].split(':')
+            server = ['fast-discovery-server', '-i', '0', '-l', address, '-p', port]
+            self._started.append(subprocess.Popen(['ip', 'netns', 'exec', base, *server]))
         # Each robot has targets elsewhere, so that reports tell which it was.
         others = sorted(set(range(GRID.cells)) - set(TARGETS))
+        self._simulators = []
+        self._robots = []
+        self._robots_said = []
         for number, (network, targets) in enumerate(zip(own, (TARGETS, others)), 1):
-            self._start(network, str(SIMULATOR), str(self._simulation(number, targets)))
-        self._robots_said = [
-            self._start_node(
-                network,
-                'robot',
-                {
-                    **base_parameters,
-                    'nav_namespace': 'scout_1',
-                    'journal': str(folder / f'{number}.journal'),
-                    'await_nodes': ['planner', 'estimator', 'recorder'],
-                },
-                '__ns:=/m/scout_1',
-                '/tf:=/scout_1/tf',
-                '/tf_static:=/scout_1/tf_static',
-                'detections:=/scout_1/detections',
-            )
-            for number, network in enumerate(own, 1)
-        ]
+            simulation = str(self._simulation(number, targets))
+            self._start_simulator(network, simulation)
+        for number, network in enumerate(own, 1):
+            self._start_robot(number, network, base_parameters)
         for name, parameters in (
             ('recorder', {'file': str(self.log)}),
             ('estimator', base_parameters),
             ('planner', {**base_parameters, 'robots': robots, 'recorded': True}),
         ):
             self._planner_said = self._start_node(base, name, parameters, '__ns:=/m')
+
+    def _start_simulator(self, network, simulation):
+        self._start(network, str(SIMULATOR), simulation)
+        self._simulators.append((self._started[-1], network, simulation))
+
+    def _start_robot(self, number, network, parameters):
+        said = self._start_node(
+            network,
+            'robot',
+            {
+                **parameters,
+                'nav_namespace': 'scout_1',
+                'journal': str(self._folder / f'{number}.journal'),
+                'await_nodes': ['planner', 'estimator', 'recorder'],
+            },
+            '__ns:=/m/scout_1',
+            '/tf:=/scout_1/tf',
+            '/tf_static:=/scout_1/tf_static',
+            'detections:=/scout_1/detections',
+        )
+        self._robots_said.append(said)
+        self._robots.append((self._started[-1], number, network, parameters))
+
+    def _start_again(self):
+        """Start robots again whose computers have new links, as launch does."""
+        for each in self._robots.copy():
+            process, *robot = each
+            if process.poll() == NEW_LINKS:
+                self._robots.remove(each)
+                self._start_robot(*robot)
+
+    def reboot(self):
+        """Cut the power of the robots' computers, and switch them on again."""
+        for process in self._robots_computers():
+            process.kill()
+            process.wait()
+        simulators, self._simulators = self._simulators, []
+        robots, self._robots = self._robots, []
+        for _, *simulator in simulators:
+            self._start_simulator(*simulator)
+        for _, *robot in robots:
+            self._start_robot(*robot)
+
+    def _robots_computers(self):
+        return [*(each[0] for each in self._simulators), *(each[0] for each in self._robots)]
 
     def _simulation(self, number, targets):
         """Write what a simulator needs to know, and return its file."""
@@ -178,6 +238,7 @@ class Apart:
     def until(self, condition, what, seconds=PATIENCE):
         end = time.monotonic() + seconds
         while not condition():
+            self._start_again()
             told = [said.read_text() for said in (*self._robots_said, self._planner_said)]
             assert time.monotonic() < end, (what, *told)
             time.sleep(0.02)
@@ -202,7 +263,7 @@ class Apart:
 
 
 @contextmanager
-def apart(folder, robots, namesakes=1):
+def apart(folder, robots, namesakes=1, discovery=None):
     """
     Have a mission run whose base is apart from its robots; it is over when this is left.
 
@@ -214,10 +275,13 @@ def apart(folder, robots, namesakes=1):
         How many leave, one after another.
     namesakes : int
         How many robots there are of the one name, 1 or 2.
+    discovery : dict, optional
+        The variables by which nodes find each other; if there are any there is no multicast.
 
     """
-    with networks(namesakes) as (names, switch):
-        mission = Apart(folder, names, switch, robots)
+    with networks(namesakes, multicast=not discovery) as (names, switch, readdress):
+        mission = Apart(folder, names, switch, robots, discovery or {})
+        mission.readdress = readdress
         try:
             yield mission
         finally:

@@ -64,3 +64,45 @@ def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, lon
     assert told.reproduced
     assert not told.evidence.refused
     assert len(told.evidence.reports) == robots
+
+
+@pytest.mark.full
+@pytest.mark.campaign
+@pytest.mark.parametrize('what', ['reboot', 'readdress'])
+def test_a_robot_is_heard_again_that_was_rebooted_without_a_link_or_has_another_address(
+    tmp_path, what
+):
+    with apart(tmp_path, 2) as mission:
+        mission.until(lambda: mission.count('leaving on') == 1, 'departure')
+        mission.switch('down')
+        # While the robot is out.
+        getattr(mission, what)()
+        mission.until(lambda: mission.count('home from') == 1, 'return')
+        if what == 'reboot':
+            mission.until(lambda: mission.count('no link but lo') == 1, 'word of it')
+        mission.switch('up')
+        mission.until(lambda: len(mission.reports()) == 1, 'report')
+        assert mission.count('to be started again') == 1
+        mission.until(lambda: len(mission.reports()) == 2, 'report of the next robot')
+    told = replay(mission.log)
+    assert told.reproduced
+    assert not told.evidence.refused
+
+
+@pytest.mark.full
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    'discovery',
+    [
+        {'ROS_DISCOVERY_SERVER': '10.77.0.1:11811', 'ROS_SUPER_CLIENT': 'TRUE'},
+        {'ROS_STATIC_PEERS': '10.77.0.1;10.77.0.2'},
+    ],
+)
+def test_base_and_robot_find_each_other_without_multicast(tmp_path, discovery):
+    with apart(tmp_path, 1, discovery=discovery) as mission:
+        mission.until(lambda: mission.count('leaving on') == 1, 'departure')
+        mission.switch('down')
+        mission.until(lambda: mission.count('home from') == 1, 'return')
+        mission.switch('up')
+        mission.until(lambda: len(mission.reports()) == 1, 'report')
+    assert replay(mission.log).reproduced

@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.nodes.runtime.transport import PROFILES, udp_only
+from kbnitp_ros.nodes.runtime.transport import deaf_to_server, PROFILES, udp_only
 import pytest
 
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -127,3 +127,23 @@ def test_what_the_user_decides_is_left_alone():
             PROFILES: str(CONFIG / 'fastdds.xml'),
             'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
         }
+
+
+def test_a_node_says_when_a_discovery_server_would_have_it_wait_for_ever(tmp_path):
+    server = {'ROS_DISCOVERY_SERVER': '127.0.0.1:11811'}
+    told = deaf_to_server(server)
+    for client in ({}, server | {'ROS_SUPER_CLIENT': 'TRUE'}, {'ROS_SUPER_CLIENT': 'FALSE'}):
+        assert not deaf_to_server(client)
+    with free_domain() as domain:
+        recorder = subprocess.Popen(
+            [sys.executable, '-m', 'kbnitp_ros', 'recorder'],
+            env=environment(domain) | server,
+            cwd=tmp_path,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert told in recorder.stderr.readline()
+        finally:
+            recorder.kill()
+            recorder.communicate()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+import os
 import time
 from typing import Any, TypeVar
 
@@ -21,6 +22,7 @@ from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
 from kbnitp_ros.nodes.runtime.signals import (
     stop_on_signal,
 )
+from kbnitp_ros.nodes.runtime.transport import deaf_to_server
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -72,6 +74,8 @@ class MissionNode(GraphNode):
         For a line about each deployment; it can be silenced alone.
     is_over : bool
         Whether its work is done, so that its process ends.
+    exit_code : int
+        Of the process that ends so.
 
     """
 
@@ -79,7 +83,7 @@ class MissionNode(GraphNode):
         super().__init__(name)
         self.values = declare(self, name)
         self.diagnostics = Diagnostics(self)
-        self.is_over = False
+        self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
         self._author_counts: dict[str, int] = {}
@@ -87,6 +91,8 @@ class MissionNode(GraphNode):
         self._awaited = ''
         self._say_at = 0.0
         self.create_poll(self._say_what_is_awaited)
+        if warning := deaf_to_server(os.environ):
+            self.get_logger().warning(warning)
 
     def now(self) -> int:
         """
@@ -255,9 +261,9 @@ class MissionNode(GraphNode):
             executor.remove_node(self)
             executor.shutdown()
 
-    def end(self) -> None:
-        """End the process, with exit code 0, once it is known why."""
-        self.is_over = True
+    def end(self, exit_code: int = 0) -> None:
+        """End the process, once it is known why."""
+        self.is_over, self.exit_code = True, exit_code
         self.diagnostics.publish()
 
     def finish(self) -> None:

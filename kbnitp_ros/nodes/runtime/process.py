@@ -65,8 +65,8 @@ def run(
     Returns
     -------
     int
-        0 after a signal or when its work is done; 2 if the node could not start, 1 if it could not
-        go on: then one line on stderr says why, and so does diagnostics.
+        0 after a signal, that of the node when its work is done; 2 if the node could not start, 1
+        if it could not go on: then one line on stderr says why, and so does diagnostics.
 
     """
     note_signals()
@@ -106,7 +106,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
             _complain(name, broken)
             node.diagnostics.fail(broken)
         else:
-            code = 0
+            code = node.exit_code
     finally:
         _leave(code, executor, node)
     return code

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The transport over which nodes talk: UDP, and no shared memory."""
+"""How nodes find each other, and talk: by UDP, and no shared memory."""
 
 from __future__ import annotations
 
@@ -43,3 +43,18 @@ def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
         if 'ROS_LOCALHOST_ONLY' in environment:
             variables['ROS_LOCALHOST_ONLY'] = '0'
     return variables
+
+
+def deaf_to_server(environment: Mapping[str, str]) -> str:
+    """
+    Return why nodes that a discovery server introduces see too little; empty if they do not.
+
+    It tells a client only of those that it talks to, and nodes of a mission look at the whole graph.
+    """
+    server = environment.get('ROS_DISCOVERY_SERVER')
+    if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):
+        return ''
+    return (
+        f'ROS_DISCOVERY_SERVER is {server!r} and ROS_SUPER_CLIENT is not TRUE, so nodes wait for '
+        'each other for ever: set ROS_SUPER_CLIENT=TRUE for all nodes of the mission'
+    )
