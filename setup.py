@@ -43,6 +43,7 @@ setup(
         (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
         (f'share/{package_name}/security', glob('security/*.policy.xml')),
         (f'share/{package_name}/scenarios', glob('scenarios/*.*')),
+        (f'share/{package_name}/systemd', glob('systemd/*.service')),
     ],
     python_requires='>=3.10',
     install_requires=['numba', 'numpy', 'PyYAML'],

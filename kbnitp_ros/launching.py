@@ -13,10 +13,11 @@ from kbnitp_ros.configuration import nearest, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.log_path import new_log
 from kbnitp_ros.nodes.runtime.transport import udp_only
-from launch import LaunchContext, LaunchDescription
+from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     GroupAction,
+    LogInfo,
     OpaqueFunction,
     SetEnvironmentVariable,
     Shutdown,
@@ -135,7 +136,7 @@ def description_of(name: str) -> str:
 
 def mission_description(
     arguments: Sequence[DeclareLaunchArgument],
-    nodes: Callable[[MissionArguments], Iterable[Node]],
+    nodes: Callable[[MissionArguments], Iterable[Action]],
 ) -> LaunchDescription:
     """
     Return what a launch file starts.
@@ -151,7 +152,7 @@ def mission_description(
     hear_interrupts_once()
     names = [argument.name for argument in arguments]
 
-    def start(context: LaunchContext) -> list[Node]:
+    def start(context: LaunchContext) -> list[Action]:
         check_arguments(context.argv, names)
         return list(nodes(MissionArguments(context)))
 
@@ -245,7 +246,7 @@ class MissionArguments:
         """Return the remapping of poses: robots of one name in two teams are not the same one."""
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
-    def base(self, **of_real_robots: str) -> list[Node]:
+    def base(self, **of_real_robots: str) -> list[Action]:
         """
         Return the nodes of the base, and RViz.
 
@@ -272,10 +273,14 @@ class MissionArguments:
         return [
             # First, so that nothing runs yet when it turns out not to be installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
-            *([self.node('recorder', {'file': str(self._log)})] if self._log else []),
+            *(self._recorder(self._log) if self._log else []),
             self.node('estimator', awaits=['planner']),
             self.node('planner', awaits=['agent', 'estimator']),
         ]
+
+    def _recorder(self, log: Path) -> list[Action]:
+        told = LogInfo(msg=f'recording to {log}')
+        return [told, self.node('recorder', {'file': str(log)})]
 
     def node(
         self,
@@ -336,7 +341,7 @@ class MissionArguments:
                 package='kbnitp_ros',
                 executable=name,
                 name=name,
-                namespace=f'{self._above}/{namespace}'.rstrip('/') or '/',
+                namespace=f'{self._above.rstrip("/")}/{namespace}'.rstrip('/') or '/',
                 parameters=[params_file, given | {'resume': resume}],
                 remappings=self.poses if name == 'agent' else [],
                 ros_arguments=['--enclave', self._full_name(namespace, name)],

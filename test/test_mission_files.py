@@ -59,6 +59,17 @@ def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
         assert display['Topic']['Reliability Policy'] == 'Reliable'
 
 
+@for_each('name, file', [('kbnitp-base', 'base'), ('kbnitp-robot@', 'robot')])
+def test_units_of_systemd_give_launch_files_arguments_that_they_take(name, file):
+    unit = ROOT.joinpath('systemd', f'{name}.service').read_text()
+    assert f'ros2 launch kbnitp_ros {file}.launch.py' in unit
+    sources = (ROOT / 'launch' / f'{file}.launch.py', ROOT / 'kbnitp_ros/launching.py')
+    known = ''.join(source.read_text() for source in sources)
+    arguments = set(re.findall(r'(\w+):=', unit))
+    assert {'namespace', 'params_file'} <= arguments
+    assert [argument for argument in arguments if f"'{argument}'" not in known] == []
+
+
 def reports_in(log):
     """Return how many deployments are reported on disk; 0 before the recorder has begun."""
     try:

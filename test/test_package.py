@@ -210,7 +210,7 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
     share = Path(get_package_share_directory('kbnitp_ros'))
     files = [
         path.relative_to(ROOT)
-        for folder in ('config', 'foxglove', 'launch', 'rviz', 'scenarios', 'security')
+        for folder in ('config', 'foxglove', 'launch', 'rviz', 'scenarios', 'security', 'systemd')
         for path in ROOT.joinpath(folder).glob('*.*')
     ]
     assert files

@@ -162,8 +162,11 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     fleet.inject('live')
     report = fleet.report_of(reports, key)
     first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
-    assert all(reading == -1 for _, reading in report.readings[first:])
-    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:first])
+    before, after = report.readings[:first], report.readings[first:]
+    assert all(reading == -1 for _, reading in after)
+    # The shortest way to where it seemed to be begins with cells that it was not seen in.
+    assert all(reading in (cell in TARGETS, -1) for cell, reading in before)
+    assert before[0] == (1, False)
 
 
 @pytest.mark.parametrize(

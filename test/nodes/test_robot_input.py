@@ -160,8 +160,8 @@ def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field
     fleet = Fleet(field)
     reports = fleet.reports()
     fleet.simulate()
-    fleet.start()
     for number, mission in ((1, 5), (2, 7), (3, 9)):
+        fleet.start()
         fleet.report_of(reports, fleet.send(number, [0, 1, 0], mission=mission))
         journal = fleet.journal('scout_1')
         field.kill('/scout_1/robot')
@@ -171,7 +171,6 @@ def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field
             opened = Journal(path, 'scout_1', GRID)
             assert [(each.mission, each.is_home) for each in opened.deployments] == [(begun, True)]
             opened.close()
-        fleet.start()
 
 
 def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):

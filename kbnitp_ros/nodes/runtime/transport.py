@@ -49,7 +49,7 @@ def deaf_to_server(environment: Mapping[str, str]) -> str:
     """
     Return why nodes that a discovery server introduces see too little; empty if they do not.
 
-    It tells a client only of those that it talks to, and nodes of a mission look at the whole graph.
+    It tells a client only of those that it talks to; nodes of a mission look at the whole graph.
     """
     server = environment.get('ROS_DISCOVERY_SERVER')
     if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):
