@@ -175,6 +175,14 @@ class EstimatorNode(FieldNode):
             self._refuse(f'{agent}/report', error)
         else:
             self._departures.end(key, report.stamp if report.survived else None)
+            read = [step for step, (_, reading) in enumerate(report.readings, 1) if reading >= 0]
+            last, steps = max(read, default=0), len(report.readings)
+            # A robot that is home need not look there.
+            if changed and steps - last > 1:
+                self.get_logger().warning(
+                    f'{key} has read nothing after step {last} of {steps}: its detector failed, '
+                    'or it is in doubt of where it was'
+                )
             self._accept(key, changed)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:

@@ -85,7 +85,7 @@ class Fleet:
             field.let_depart()
             self.statuses = {name: field.record_departures(name) for name in names}
 
-    def simulate(self, **places):
+    def simulate(self, wrong='', **places):
         """Start the simulator; robots begin where they were, or at these x and y."""
         truth = self.truth()
         known = {name: truth[name][-1] for name in self.names if truth[name]}
@@ -99,6 +99,7 @@ class Fleet:
             'detection_type': self._detection_type,
             'speed': self._speed,
             'lifecycle': self._lifecycle,
+            'wrong': wrong,
             'track': str(self._track),
         }
         file = self.field.folder / 'simulation.json'

@@ -6,11 +6,11 @@ Robots on differential drives among obstacles, simulated by ir-sim, behind the a
 
 The configuration is JSON: width, height and blocked of a field of 1 m cells; robots, by namespace,
 the x and y where each begins; targets, the cells where detectors see something; detection_type, as
-the parameter of robots; speed in m/s; lifecycle, whether the nodes of Nav2 tell their states; and
-track, the file that the true positions go to. Each robot has a world of its own with the same
-obstacles, since all leave from one base. Its namespace has tf, tf_static, detections, the three
-actions and the states of the nodes that serve them; and inject, on which a text tells what is to
-go wrong with the next goal:
+the parameter of robots; speed in m/s; lifecycle, whether the nodes of Nav2 tell their states;
+wrong, what is injected at first; and track, the file that the true positions go to. Each robot
+has a world of its own with the same obstacles, since all leave from one base. Its namespace has
+tf, tf_static, detections, the three actions and the states of the nodes that serve them; and
+inject, on which a text tells what is to go wrong with the next goal:
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
     inactive (all goals are rejected, as by a node that is not active),
@@ -110,7 +110,7 @@ class Robot:
         self._config = config
         self._speed = config.get('speed', 5.0)
         self._goal = None
-        self._wrong = ''
+        self._wrong = config.get('wrong', '')
         self._jump = 0.0
         self._servers = []
         obstacles = '\n'.join(

@@ -156,6 +156,19 @@ def test_a_late_return_replaces_the_loss_and_counts_in_its_place(estimator):
     assert belief.belief.joint.tobytes() == expected.joint.tobytes()
 
 
+def test_a_robot_that_read_nothing_on_its_last_steps_is_told(estimator):
+    steps = len(HOME) - 1
+    for number, unread in enumerate(range(steps + 1), 1):
+        readings = np.where(np.arange(steps) < steps - unread, 0, -1)
+        estimator.paths.publish(path(number))
+        estimator.reports.publish(
+            report_message(key(number), Observation(HOME, True, readings), 0)
+        )
+        until_held(estimator, number)
+        told = f'{key(number)} has read nothing after step {steps - unread} of {steps}'
+        assert (told in estimator.said('/estimator')) == (unread > 1)
+
+
 def test_a_restarted_estimator_says_the_same_of_the_same_evidence(estimator):
     estimator.paths.publish(path(1))
     estimator.reports.publish(changed(returned(1), header=header(77)))

@@ -53,8 +53,7 @@ def test_a_day_in_the_field_is_as_the_page_shows_it(field):
     awaited = ['agent', 'estimator', 'recorder']
     planner = field.start('planner', {**base, 'await_nodes': awaited}, MISSION)
     until_said(ROBOT, 'waiting for TF')
-    fleet.simulate()
-    fleet.inject('inactive')
+    fleet.simulate(wrong='inactive')
     until_said(ROBOT, 'to be active')
     fleet.inject('live')
     field.until(lambda: len(set(fleet.walked())) > 1, 'robot in the field')

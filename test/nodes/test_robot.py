@@ -179,9 +179,8 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
 def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told):
     fleet = Fleet(field, lifecycle=lifecycle)
     reports = fleet.reports()
-    fleet.simulate()
+    fleet.simulate(wrong='inactive')
     fleet.start(attempts=1)
-    fleet.inject('inactive')
     key = fleet.send(1, [0, 1, 0])
     field.until(lambda: told in field.said('/scout_1/robot'), 'wait for Nav2 on the console')
     said = [status.state for status in fleet.statuses['scout_1']]
