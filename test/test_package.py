@@ -56,7 +56,7 @@ ACTIONS = {
 }
 
 # Imported only by those who ask for them.
-OPTIONAL = {'distributed', 'pandas', 'ray'}
+OPTIONAL = {'distributed', 'pandas', 'ray', 'sphinx'}
 
 
 def imported_by(*folders):
