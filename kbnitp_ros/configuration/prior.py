@@ -37,9 +37,17 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
         return earlier_belief(log, grid)
     numbers = {name: values[f'prior.{name}'] for name in MAPS}
     maps = {
-        name: read_probabilities(file, grid, numbers[name]) for name, file in files.items() if file
+        name: read_probabilities(file, grid, numbers[name], values['prior.resample'])
+        for name, file in files.items()
+        if file
     }
-    return Belief.prior(grid, **(numbers | maps))
+    prior = numbers | maps
+    if 'hazard' in maps and 'target' not in maps and numbers['hazard'] < 1.0:
+        # The numbers say how likely a target is without a hazard, which the map leaves as it is.
+        background = numbers['target'] - numbers['kappa'] * numbers['hazard']
+        background = min(max(background / (1.0 - numbers['hazard']), 0.0), 1.0)
+        prior['target'] = prior['kappa'] * maps['hazard'] + background * (1.0 - maps['hazard'])
+    return Belief.prior(grid, **prior)
 
 
 def earlier_belief(log: str, grid: Grid) -> Belief:

@@ -213,6 +213,13 @@ TABLE = (
         for name in ('hazard', 'target', 'kappa')
     ),
     Parameter(
+        'prior.resample',
+        False,
+        'Whether a .npy of the prior may have other rows and columns than the field; a cell then '
+        'has the mean of what lies over it.',
+        ('estimator',),
+    ),
+    Parameter(
         'prior.clustering',
         0.0,
         'How strongly a hazard makes those in the cells that share a side with its cell likely: '

@@ -16,7 +16,9 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 
-def read_probabilities(path: str | Path, grid: Grid, elsewhere: float) -> NDArray[np.float64]:
+def read_probabilities(
+    path: str | Path, grid: Grid, elsewhere: float, resample: bool = False
+) -> NDArray[np.float64]:
     """
     Return a probability for each cell of a grid, from a file.
 
@@ -33,6 +35,8 @@ def read_probabilities(path: str | Path, grid: Grid, elsewhere: float) -> NDArra
         Its cells need not have the size of the map's pixels.
     elsewhere : float
         The probability of cells that the map does not cover: beyond its edges or transparent.
+    resample : bool
+        Whether a .npy file may have other rows and columns than the grid.
 
     Returns
     -------
@@ -42,15 +46,24 @@ def read_probabilities(path: str | Path, grid: Grid, elsewhere: float) -> NDArra
     Raises
     ------
     MapError
-        If the file cannot be read or holds a value outside [0, 1].
+        If the file cannot be read, holds a value outside [0, 1], or is an array of another shape
+        than the grid and `resample` is false.
 
     """
     path = Path(path)
     if path.suffix == '.npy':
         probability = read_array(path)
+        rows, columns = probability.shape
+        if (rows, columns) != (grid.height, grid.width) and not resample:
+            is_transposed = (columns, rows) == (grid.height, grid.width)
+            raise MapError(
+                f'{path} has {rows} rows and {columns} columns, and the field {grid.height} and '
+                f'{grid.width}: '
+                + ('transpose it' if is_transposed else 'set prior.resample to true to take means')
+            )
         resolution = (
-            grid.height * grid.resolution / probability.shape[0],
-            grid.width * grid.resolution / probability.shape[1],
+            grid.height * grid.resolution / rows,
+            grid.width * grid.resolution / columns,
         )
         origin = grid.origin
     else:

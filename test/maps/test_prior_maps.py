@@ -91,8 +91,20 @@ def test_an_array_lies_over_the_whole_grid(tmp_path):
     np.save(path, [[0.1, 0.2], [0.3, 0.5]])
     grid = Grid(2, 2, resolution=3.0, origin=(7.0, 8.0))
     assert read_probabilities(path, grid, 0.9) == pytest.approx([0.1, 0.2, 0.3, 0.5])
-    assert read_probabilities(path, Grid(1, 2), 0.9) == pytest.approx([0.15, 0.4])
-    assert read_probabilities(path, Grid(4, 1), 0.9) == pytest.approx([0.2, 0.2, 0.35, 0.35])
+    assert read_probabilities(path, Grid(1, 2), 0.9, resample=True) == pytest.approx([0.15, 0.4])
+    found = read_probabilities(path, Grid(4, 1), 0.9, resample=True)
+    assert found == pytest.approx([0.2, 0.2, 0.35, 0.35])
+
+
+@for_each(
+    'width, height, remedy', [(2, 3, 'transpose it'), (3, 3, 'prior.resample to true'), (6, 1, '')]
+)
+def test_arrays_of_another_shape_are_refused(tmp_path, width, height, remedy):
+    path = tmp_path / 'prior.npy'
+    np.save(path, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    told = f'has 2 rows and 3 columns, and the field {height} and {width}: .*{remedy}'
+    with pytest.raises(MapError, match=told):
+        read_probabilities(path, Grid(width, height), 0.9)
 
 
 @for_each(

@@ -70,6 +70,26 @@ def test_maps_say_it_cell_by_cell_and_numbers_elsewhere(tmp_path):
     assert prior.joint[8].tolist() == [[1.0, 0.0], [0.0, 0.0]]
 
 
+def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp_path):
+    hazard = np.linspace(0.0, 0.99, 20)
+    given = {'prior.hazard_map': write(tmp_path / 'hazard.npy', hazard.reshape(4, 5))}
+    prior = prior_of(VALUES | given, GRID)
+    free = GRID.may_be_hazardous & (hazard > 0.0)
+    assert prior.hazard[free] == pytest.approx(hazard[free])
+    assert prior.kappa[free] == pytest.approx(0.8)
+    # The numbers 0.5, 0.45 and 0.8 leave 0.1 for targets where no hazard is.
+    background = prior.joint[free, 0, 1] / prior.joint[free, 0].sum(axis=1)
+    assert background == pytest.approx(0.1)
+
+
+def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path):
+    given = {
+        'prior.kappa_map': write(tmp_path / 'kappa.npy', np.full((8, 10), 0.7)),
+        'prior.resample': True,
+    }
+    assert prior_of(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
+
+
 @for_each(
     'name, values, told',
     [
@@ -81,7 +101,8 @@ def test_maps_say_it_cell_by_cell_and_numbers_elsewhere(tmp_path):
             np.zeros((4, 5)),
             'no joint distribution at cell 0: .*; likewise at cells 1, 2',
         ),
-        ('hazard', np.ones((4, 5)), 'no joint distribution at cell 0'),
+        ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is the base'),
+        ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
     ],
 )
 def test_what_no_prior_can_be_is_refused(tmp_path, name, values, told):
