@@ -692,7 +692,12 @@ class PlannerNode(FieldNode):
 
     @property
     def _missing_listeners(self) -> str:
-        return self.missing_listeners(self._paths.values())
+        missing = self.missing_listeners(self._paths.values())
+        if missing or 'agent' not in self.values['await_nodes']:
+            return missing
+        # In a field that changes every simulating agent listens to the paths of all.
+        absent = [agent for agent in self._agents if not self._peers.is_present(agent)]
+        return f'agent to answer for {some(absent)} (parameter await_nodes)' if absent else ''
 
     def _state_at(self, obstacle: Obstacle) -> State:
         """Return what the planner does while an obstacle keeps robots from leaving."""

@@ -21,7 +21,10 @@ pytestmark = pytest.mark.processes
         ('replay nothere.mcap --repair /proc/here/a.mcap', 'replay: /proc/here: No such file'),
         ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is no file'),
         ('study paper --out /proc/here', 'study: /proc/here: No such file or directory'),
-        ('recorder --ros-args -p file:=/proc/here/a.mcap', 'recorder: /proc/here/a.mcap: No such'),
+        (
+            'recorder --ros-args -p file:=/proc/here/a.mcap',
+            'recorder: folder /proc/here cannot be',
+        ),
         ('agent --ros-args -p world.file:=nothere.yaml', 'agent: nothere.yaml: No such file'),
     ],
 )

@@ -7,6 +7,7 @@ from base import Base, GRID
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Observation
+from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.progress import MissionState
 
@@ -37,7 +38,14 @@ def test_console_and_replay_tell_how_a_mission_ended(field):
     base.reports['scout_1'].publish(report_message(key, stay, key.stamp + 1))
     base.until_sent(2)
     assert f'{key} is back without a step' in field.said('/planner')
+
+    def is_recorded(loss_cost):
+        planner = read_parameters(base.log).get('/planner', {})
+        return planner.get('loss_cost') == loss_cost
+
+    field.until(lambda: is_recorded(0.0), 'parameters on record')
     assert field.set_parameter('/planner', 'loss_cost', 0.5).successful
+    field.until(lambda: is_recorded(0.5), 'the change on record')
     base.do('end_mission')
     base.come_back()
     ended = 'done: 2 of 2 robots deployed, ended by the operator'

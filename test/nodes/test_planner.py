@@ -493,7 +493,8 @@ def test_the_bound_of_a_plan_is_told_with_the_progress(field):
     field.until(is_told, 'a bound')
     (told,) = (each for each in shown if not math.isnan(each.upper_bound))
     assert (told.header, told.ordered, told.upper_bound) == (stamp, 7, bounded.upper_bound)
-    assert f'at most {bounded.gap:.2g} nats below the best' in field.said('/planner')
+    gap = f'at most {bounded.gap:.2g} nats below the best'
+    field.until(lambda: gap in field.said('/planner'), 'the departure with its bound')
 
 
 def test_an_objective_that_is_not_sought_is_refused(field):

@@ -285,7 +285,7 @@ def test_goals_refuse_the_planner_exact():
     grid, model = Grid(3, 3), SensorModel(0.5)
     belief, world = Belief.prior(grid, 0.3, 0.4, 0.8), World(np.zeros(9, bool), np.zeros(9, bool))
     options = SearchOptions('exact', 6)
-    with pytest.raises(ValueError, match='the planner is exact.*not the goal lane'):
+    with pytest.raises(ValueError, match='planner is exact.*the goal is lane'):
         run_mission(grid, belief, model, world, 1, 0, options=options, goal=Lane(to=8))
 
 
