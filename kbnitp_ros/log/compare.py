@@ -101,7 +101,8 @@ def _differences_of_field(
     elif isinstance(ours, list):
         for index, elements in enumerate(zip(theirs, ours)):
             yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
-    elif theirs != ours:
+    # NaN differs from itself.
+    elif theirs != ours and (theirs == theirs or ours == ours):
         yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
 
 

@@ -36,6 +36,7 @@ def test_a_day_in_the_field_is_as_the_page_shows_it(field):
         'robots': 2,
         'recorded': True,
         'silent_loss': True,
+        'step_period': 1.0,
         'return_deadline': 300.0,
         'keep_running': False,
     }

@@ -7,9 +7,13 @@ import argparse
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.files import installed
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 WIDTH = 90
 INDENT = ' ' * 6
@@ -24,10 +28,28 @@ EXAMPLES = {
 }
 
 
+class Parser(argparse.ArgumentParser):
+    """
+    That of argparse, but for an output that takes no help.
+
+    argparse passes over that. The end of the last line is printed apart, so that it fails as well
+    and whoever flushes the output learns of it.
+    """
+
+    def format_help(self) -> str:
+        """Return the help without the end of its last line."""
+        return super().format_help().rstrip('\n')
+
+    def print_help(self, file: SupportsWrite[str] | None = None) -> None:
+        """Print the help."""
+        super().print_help(file)
+        print(file=file)
+
+
 def command_parser(name: str, description: str, *examples: str) -> argparse.ArgumentParser:
     """Return a parser that knows --help and --version."""
     paragraphs = cleandoc(description).split('\n\n')
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=name,
         description='\n\n'.join(fill(each, WIDTH) for each in paragraphs),
         epilog='\n  '.join(['examples:', *examples]),

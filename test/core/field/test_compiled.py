@@ -136,8 +136,8 @@ def test_torn_files_are_compiled_anew(tmp_path, torn):
 
 MISSIONS = """
 from kbnitp_ros.core import (
-    Belief, Dynamics, Grid, Learning, plan, run_mission, SearchOptions, SensorModel, Team,
-    Unknowns, World,
+    Belief, Clustering, Dynamics, Grid, Learning, plan, run_mission, SearchOptions, SensorModel,
+    Team, Unknowns, World,
 )
 import numpy as np
 
@@ -151,10 +151,12 @@ for method, objective, unknowns, effect in (
     rng = np.random.default_rng(1)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     alpha = 2.0 if objective == 'behavioral' else 1.0
+    clustering = Clustering(grid, 'learn') if unknowns.priors else None
     mission = run_mission(
         grid, prior, model, world, 8, rng, method,
         SearchOptions(max_steps=6, objective=objective, alpha=alpha),
-        team=Team(2), learning=Learning(unknowns), dynamics=Dynamics(effect),
+        team=Team(2), dynamics=Dynamics(effect),
+        learning=Learning(unknowns, clustering=clustering),
     )
     print(mission[-1].belief.joint.tobytes().hex())
 print(plan(grid, prior, model, 6, bound=True).upper_bound)
