@@ -7,13 +7,10 @@ import argparse
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import Any
 
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.files import installed
-
-if TYPE_CHECKING:
-    from _typeshed import SupportsWrite
 
 WIDTH = 90
 INDENT = ' ' * 6
@@ -40,7 +37,7 @@ class Parser(argparse.ArgumentParser):
         """Return the help without the end of its last line."""
         return super().format_help().rstrip('\n')
 
-    def print_help(self, file: SupportsWrite[str] | None = None) -> None:
+    def print_help(self, file: Any = None) -> None:
         """Print the help."""
         super().print_help(file)
         print(file=file)
