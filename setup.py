@@ -48,6 +48,8 @@ setup(
     python_requires='>=3.10',
     install_requires=['numba', 'numpy', 'PyYAML'],
     extras_require={
+        # By this colcon knows what runs the tests.
+        'test': ['pytest'],
         'study': [*shown, *studies],
         'report': [*shown, *logs],
         'all': [*shown, *studies, *logs],

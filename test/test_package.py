@@ -236,3 +236,8 @@ def test_robots_are_driven_by_the_actions_of_nav2(action):
     hashes = json.loads(share.joinpath(f'action/{action}.json').read_text())['type_hashes']
     (own,) = (each['hash_string'] for each in hashes if each['type_name'].endswith(f'/{action}'))
     assert own == f'RIHS01_{ACTIONS[action]}'
+
+
+def test_colcon_runs_the_tests_with_pytest():
+    """Without this extra `colcon test` runs unittest, which finds no test and passes."""
+    assert "'test': ['pytest']" in ROOT.joinpath('setup.py').read_text()
