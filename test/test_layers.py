@@ -54,9 +54,9 @@ BELOW = {
     'robot': {'files', 'core', 'messages'},
     'figures': {'core', 'plugins'},
     'study': {'files', 'plugins', 'core', 'figures'},
-    'report': {'core', 'maps', 'messages', 'log', 'bag', 'figures'},
+    'report': {'files', 'core', 'maps', 'messages', 'log', 'bag', 'figures'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
-    'base': {'core', 'messages', 'log', 'configuration'},
+    'base': {'files', 'core', 'messages', 'log', 'configuration'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {
         'files',

@@ -75,11 +75,16 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     kept : int
         How many paths of an agent their publisher keeps for those who join late.
 
+    Attributes
+    ----------
+    kept : int
+        The same.
+
     """
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
         self._values = values
-        self._kept = kept
+        self.kept = kept
         self._in_flight: dict[DeploymentKey, DeploymentInFlight] = {}
         self._sent: set[DeploymentKey] = set()
         self._departures = Departures()
@@ -139,7 +144,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     @property
     def forgotten(self) -> int:
         """How many deployments nobody hears again: their publishers keep them no longer."""
-        return sum(max(0, sent - self._kept) for sent in self._sent_by_agent.values())
+        return sum(max(0, sent - self.kept) for sent in self._sent_by_agent.values())
 
     def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
         """Take note of a robot that is sent on a path, by a message with this content."""

@@ -3,7 +3,7 @@
 
 from kbnitp_ros.files.regular import open_file
 from kbnitp_ros.files.share import installed, share
-from kbnitp_ros.files.words import in_words, naming
+from kbnitp_ros.files.words import in_words, naming, some
 from kbnitp_ros.files.yaml_text import KeyTwiceError, NotYamlError, parse_yaml, read_yaml
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     'parse_yaml',
     'read_yaml',
     'share',
+    'some',
 ]

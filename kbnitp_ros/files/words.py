@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What went wrong, in words for those who type commands."""
+"""What went wrong, and which of many things are meant, in words."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 import errno
 from pathlib import Path
@@ -18,6 +18,9 @@ REMEDIES = {
     errno.EPERM: 'check the permissions of the file and its folder',
     errno.EIO: 'check the disk',
 }
+
+# How many of many topics, or robots, a line names.
+NAMED = 3
 
 
 @contextmanager
@@ -43,3 +46,10 @@ def in_words(error: BaseException) -> str:
         remedy = REMEDIES.get(error.errno or 0)
         return ': '.join(map(str, [*about, error.strerror])) + (f' ({remedy})' if remedy else '')
     return ' '.join(str(error).split()) or type(error).__name__
+
+
+def some(items: Iterable[object], named: int = NAMED) -> str:
+    """Return the first few of some items in words, and how many more there are."""
+    first = [str(each) for each in items]
+    more = len(first) - named
+    return ', '.join(first[:named]) + (f' and {more} more' if more > 0 else '')

@@ -11,7 +11,9 @@ from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import describe_plan, Plans
+from kbnitp_ros.base.search import Situation
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
+from kbnitp_ros.files import some
 from kbnitp_ros.log.operator_state import OperatorState, Paths
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message
@@ -23,7 +25,7 @@ from kbnitp_ros.messages.operator_action import (
 )
 from kbnitp_ros.messages.sizes import RECORDED
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import MissionNode, some
+from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +51,7 @@ class Proposals:
         self.plans: Plans = {}
         self._node = node
         self._grid = grid
-        self._made_for: Any = None
+        self._made_for: Situation | None = None
         self._publishers = {
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
@@ -60,11 +62,11 @@ class Proposals:
         """Return the paths that are proposed."""
         return {key: plan.path for key, plan in self.plans.items()}
 
-    def are_for(self, situation: Any) -> bool:
+    def are_for(self, situation: Situation) -> bool:
         """Return whether there are plans, and they were made for this situation."""
         return bool(self.plans) and self._made_for == situation
 
-    def show(self, plans: Plans, situation: Any) -> None:
+    def show(self, plans: Plans, situation: Situation) -> None:
         """Propose plans that were made for a situation."""
         self.withdraw()
         self.plans, self._made_for = plans, situation

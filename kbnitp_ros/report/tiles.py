@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from kbnitp_ros.core import Decision
+from kbnitp_ros.files import some
 from kbnitp_ros.report.answers import (
     advice,
     cells_of,
@@ -138,6 +139,4 @@ def places(findings: list[Finding]) -> str:
     """Return where findings are, the first of them."""
     if not findings:
         return 'none'
-    named = ', '.join(f'({each.x:g}, {each.y:g})' for each in findings[:NAMED])
-    rest = len(findings) - NAMED
-    return f'{named} and {rest} more' if rest > 0 else named
+    return some((f'({each.x:g}, {each.y:g})' for each in findings), NAMED)

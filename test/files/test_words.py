@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from disk import mounted, room_for
-from kbnitp_ros.files import in_words, naming, read_yaml
+from kbnitp_ros.files import in_words, naming, read_yaml, some
 import pytest
 
 
@@ -51,3 +51,9 @@ def test_other_errors_are_said_as_they_are():
         'that: No such file or directory'
     )
     assert in_words(ValueError()) == 'ValueError'
+
+
+def test_a_line_names_some_of_many():
+    assert some('abc') == 'a, b, c'
+    assert some('abcde') == 'a, b, c and 2 more'
+    assert some('abcde', named=4) == 'a, b, c, d and 1 more'

@@ -10,7 +10,7 @@ from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, plan, SensorModel
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS, some
+from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
 from nav_msgs.msg import Path
 import pytest
 
@@ -163,8 +163,3 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
             f'deployments, {lost} robots lost'
         )
     assert 0 < lost < 5
-
-
-def test_a_line_names_some_of_many():
-    assert some('abc') == 'a, b, c'
-    assert some('abcde') == 'a, b, c and 2 more'

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.core import Grid
+from kbnitp_ros.files import some
 from kbnitp_ros.maps import Map, MOST_PIXELS
 from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST
@@ -51,9 +52,6 @@ SAY_AGAIN = 10.0
 
 # The logger, below that of its node, which has a line for each deployment.
 DEPLOYMENTS = 'deployments'
-
-# How many of many topics, or robots, a line on the console names.
-NAMED = 3
 
 T = TypeVar('T')
 
@@ -342,10 +340,3 @@ def _is_of_rclpy_alone(error: Exception) -> bool:
     return bool(frames) and not any(
         frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in frames
     )
-
-
-def some(items: Iterable[object]) -> str:
-    """Return the first few of some items in words, and how many more there are."""
-    first = [str(each) for each in items]
-    more = len(first) - NAMED
-    return ', '.join(first[:NAMED]) + (f' and {more} more' if more > 0 else '')

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps the next robots from leaving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import auto, Enum
+from typing import Any, NamedTuple
+
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.log.operator_state import OperatorState
+from kbnitp_ros.messages.progress import MissionState
+
+
+class Obstacle(Enum):
+    """What keeps robots from leaving."""
+
+    ACTION_UNRECORDED = auto()
+    NO_BELIEF = auto()
+    UNREPORTED = auto()
+    BELIEF_BEHIND = auto()
+    ALL_DEPLOYED = auto()
+    UNDECIDED = auto()
+    OVER = auto()
+    SEVERAL_RECORDERS = auto()
+    NOT_HEARD = auto()
+    ALL_LEFT = auto()
+    PAUSED = auto()
+    NO_FREE_AGENT = auto()
+    SEARCHING = auto()
+    WORTHLESS = auto()
+    UNAPPROVED = auto()
+
+    @property
+    def is_end(self) -> bool:
+        """Whether the mission is over by it."""
+        return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it keeps robots from leaving for a while in every mission."""
+        return self in (
+            Obstacle.UNREPORTED,
+            Obstacle.BELIEF_BEHIND,
+            Obstacle.ALL_LEFT,
+            Obstacle.SEARCHING,
+        )
+
+
+class AgentPresence(NamedTuple):
+    """
+    What is known of an agent.
+
+    Attributes
+    ----------
+    is_present : bool
+        Whether somebody answers for it.
+    says_status : bool
+        Whether it tells when its robots depart.
+    is_left_alone : bool
+        Whether it refused its last order, and is sent no other yet.
+
+    """
+
+    is_present: bool
+    says_status: bool
+    is_left_alone: bool
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """
+    All that decides whether robots leave.
+
+    Attributes
+    ----------
+    values : mapping
+        The planner's parameters by name.
+    agents : mapping of str to AgentPresence
+        The team.
+    in_flight : DeploymentsInFlight
+        The robots that were sent and not reported.
+    operator : OperatorState
+        What holds by the operator's actions.
+    unrecorded_action : str
+        What an action of the operator waits for; empty if none does.
+    sent : int
+        How many robots were sent, those that only the belief knows of included.
+    newest : int or None
+        How many deployments the newest belief holds; None if there is none.
+    last_heard : int
+        How many the belief heard last holds: less than the newest if an estimator starts anew.
+    estimators : int
+        How many nodes publish beliefs.
+    several_recorders : str
+        Which recorders write which logs; empty if there is no more than one.
+    is_decided : callable
+        Returns whether robots can be planned for the goal on the newest belief.
+    why_over : callable
+        Returns why no more robots leave by the goal and the stops; empty if they do.
+    missing_listeners : callable
+        Returns who does not listen yet before the first robot leaves; empty if all do.
+    searched : sequence of str
+        For whose robots paths are searched for.
+    why_worthless : str
+        Why nothing that was found is worth a robot.
+    proposed : sequence of DeploymentKey
+        What waits for the operator's approval.
+
+    """
+
+    values: Mapping[str, Any]
+    agents: Mapping[str, AgentPresence]
+    in_flight: DeploymentsInFlight
+    operator: OperatorState
+    unrecorded_action: str
+    sent: int
+    newest: int | None
+    last_heard: int
+    estimators: int
+    several_recorders: str
+    is_decided: Callable[[], bool]
+    why_over: Callable[[], str]
+    missing_listeners: Callable[[], str]
+    searched: Sequence[str] = ()
+    why_worthless: str = ''
+    proposed: Sequence[DeploymentKey] = ()
+
+    @property
+    def reported(self) -> int:
+        """How many deployments were reported, so that a belief must hold them."""
+        return self.sent - len(self.in_flight)
+
+    @property
+    def robots(self) -> int:
+        """How many robots are to be deployed; after the end those that have departed."""
+        if self.operator.is_ended:
+            return self.sent - len(self.in_flight.undeparted)
+        robots: int = self.values['robots']
+        return robots
+
+    @property
+    def unreported(self) -> list[DeploymentKey]:
+        """Return the deployments in flight that the next round waits for."""
+        # An agent that has left the graph does not keep the others from their next round, nor do
+        # robots that do not depart any more keep a mission from its end.
+        left_out = self.in_flight.undeparted if self.operator.is_ended else ()
+        return [
+            key
+            for key in self.in_flight
+            if self.agents[key.agent].is_present and key not in left_out
+        ]
+
+    @property
+    def absent(self) -> list[str]:
+        """Return the agents that nobody answers for."""
+        return [name for name, agent in self.agents.items() if not agent.is_present]
+
+    @property
+    def mute(self) -> list[str]:
+        """Return the agents that do not say when they depart, where their silence would count."""
+        if self.values['presume_departure'] or not self.values['silent_loss']:
+            return []
+        return [
+            name
+            for name, agent in self.agents.items()
+            if agent.is_present and not agent.says_status
+        ]
+
+    @property
+    def left_alone(self) -> list[str]:
+        """Return the agents that refused their last order, and are sent no other yet."""
+        return [name for name, agent in self.agents.items() if agent.is_left_alone]
+
+    @property
+    def free_agents(self) -> list[str]:
+        """Return the agents that somebody answers for and whose robots are home."""
+        taken = {*self.in_flight.agents, *self.absent, *self.mute, *self.left_alone}
+        return [name for name in self.agents if name not in taken]
+
+    @property
+    def obstacle(self) -> Obstacle | None:
+        """Return what keeps the next robots from being planned; None when nothing."""
+        if self.unrecorded_action:
+            return Obstacle.ACTION_UNRECORDED
+        if self.newest is None and (self.sent or not self.operator.is_ended):
+            return Obstacle.NO_BELIEF
+        held = self.newest or 0
+        unreported = self.unreported
+        if unreported and not self.values['rolling']:
+            return Obstacle.UNREPORTED
+        if held < self.reported:
+            return Obstacle.BELIEF_BEHIND
+        if held >= self.robots:
+            return Obstacle.ALL_DEPLOYED
+        if not self.is_decided():
+            return Obstacle.UNDECIDED
+        if self.why_over():
+            return Obstacle.UNREPORTED if unreported else Obstacle.OVER
+        if self.several_recorders:
+            return Obstacle.SEVERAL_RECORDERS
+        if self.missing_listeners():
+            return Obstacle.NOT_HEARD
+        if self.sent >= self.robots:
+            return Obstacle.ALL_LEFT
+        if self.operator.is_paused:
+            return Obstacle.PAUSED
+        return None if self.free_agents else Obstacle.NO_FREE_AGENT
+
+    def mission_state(self, obstacle: Obstacle) -> MissionState:
+        """Return how far the mission is while an obstacle keeps robots from leaving."""
+        if self.operator.is_ended:
+            return MissionState.ENDED
+        if obstacle.is_end:
+            return MissionState.DONE
+        return MissionState.PAUSED if self.operator.is_paused else MissionState.RUNNING

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameters of a planner may change in a mission under way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kbnitp_ros.configuration import check_search, parameter_of
+from kbnitp_ros.core import Grid, RobotType
+
+
+def check_changes(
+    changes: Mapping[str, Any],
+    values: Mapping[str, Any],
+    grid: Grid,
+    believed: Mapping[str, RobotType],
+    sent: int,
+) -> None:
+    """
+    Check parameters that are to change; those that are none of this package's are left alone.
+
+    Parameters
+    ----------
+    changes : mapping
+        The new values by name.
+    values : mapping
+        The planner's parameters by name, as they are.
+    grid : Grid
+        The field.
+    believed : mapping of str to RobotType
+        The types of agents' robots as the belief has them, as far as they are known.
+    sent : int
+        How many robots were sent.
+
+    Raises
+    ------
+    ValueError
+        If a value is not allowed, there are fewer robots than were sent, or searches take too
+        much memory.
+
+    """
+    given = {
+        name: parameter.check(value)
+        for name, value in changes.items()
+        if (parameter := parameter_of('planner', name))
+    }
+    check_search({**values, **given}, grid, believed)
+    check_robots(given.get('robots', sent), sent)
+
+
+def check_robots(robots: int, sent: int) -> None:
+    """
+    Check how many robots a mission is to have in which some were sent.
+
+    Raises
+    ------
+    ValueError
+        If more were.
+
+    """
+    if robots < sent:
+        raise ValueError(
+            f'parameter robots is {robots}: {sent} robots were sent, and it must be at '
+            f'least that; {sent} ends the mission'
+        )

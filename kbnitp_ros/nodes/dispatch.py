@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sends the planner's robots, and hears what becomes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.late_returns import LateReturns
+from kbnitp_ros.base.refusals import Refusals
+from kbnitp_ros.base.resumption import Resumption
+from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
+from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.deployments import (
+    path_message,
+    read_path,
+    read_report,
+    report_message,
+    Source,
+)
+from kbnitp_ros.messages.headers import read_name
+from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.sizes import largest_path, largest_report, RECORDED, STATUS_SIZE
+from kbnitp_ros.messages.status import read_status
+from kbnitp_ros.messages.status import State as AgentState
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from nav_msgs.msg import Path
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+
+class Dispatch:
+    """
+    The planner's robots, from their orders to their reports.
+
+    Parameters
+    ----------
+    node : FieldNode
+        The planner.
+    agents : sequence of str
+        The team.
+    rounds : Rounds
+        Takes note of the paths.
+    knowledge : Knowledge
+        Takes note of the paths and reports.
+    act : callable
+        Called after each report.
+
+    Attributes
+    ----------
+    in_flight : DeploymentsInFlight
+        Those that were sent and not reported.
+    late : LateReturns
+        Those that were given up and may come home.
+    refusals : Refusals
+        The agents that refused their last orders.
+    last_stamp : int
+        Names the last deployment, in nanoseconds.
+
+    """
+
+    def __init__(
+        self,
+        node: FieldNode,
+        agents: Sequence[str],
+        rounds: Rounds,
+        knowledge: Knowledge,
+        act: Callable[[], None],
+    ) -> None:
+        self._node = node
+        self._values = node.values
+        self._agents = agents
+        self._rounds = rounds
+        self._knowledge = knowledge
+        self._act = act
+        self._paths = {
+            agent: node.create_publisher(Path, f'{agent}/path', qos.EVIDENCE) for agent in agents
+        }
+        self._losses = {
+            agent: node.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
+            for agent in agents
+        }
+        self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
+        self.late = LateReturns(self._values)
+        self.refusals = Refusals()
+        self.last_stamp = 0
+        # Where robots go that were sent and are not known to have departed, in words.
+        self._goals: dict[DeploymentKey, str] = {}
+
+    def restore(self, resumed: Resumption) -> None:
+        """Publish the paths on record again: those sent before are known to nobody else now."""
+        for key, recorded in resumed.deployments.items():
+            if not recorded.is_refused:
+                self._paths[key.agent].publish(recorded.message)
+        resumed.note(self.in_flight, self._rounds)
+        for key, report in resumed.losses():
+            self._losses[key.agent].publish(report)
+            self.late.expect(key, resumed.deployments[key].path)
+        self.last_stamp = resumed.last_stamp
+        for key, steps_survived in resumed.operator.given_up.items():
+            if key in self.in_flight:
+                self.give_up(key, Source.OPERATOR, steps_survived)
+
+    def listen(self) -> None:
+        """Hear what becomes of robots from now on."""
+        self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
+        for agent in self._agents:
+            self._node.hear(
+                DeploymentReport,
+                f'{agent}/report',
+                partial(self._on_report, agent),
+                qos.EVIDENCE,
+                largest_report(value_for(self._values, 'max_steps', agent)),
+            )
+            self._node.hear(
+                AgentStatus,
+                f'{agent}/status',
+                partial(self._on_status, agent),
+                qos.EVIDENCE,
+                STATUS_SIZE,
+            )
+            if self._values['recorded']:
+                self._node.hear(
+                    Recorded,
+                    f'{agent}/recorded',
+                    partial(self._on_recorded, agent),
+                    qos.EVIDENCE,
+                    RECORDED,
+                )
+
+    def _hear_paths(self, agent: str) -> Subscription:
+        """Take the paths of an agent, which another planner may send."""
+        largest = largest_path(value_for(self._values, 'max_steps', agent))
+        return self._node.hear(
+            Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE, largest
+        )
+
+    @property
+    def publishers(self) -> list[Publisher]:
+        """Return the publishers of paths."""
+        return list(self._paths.values())
+
+    def send(self, plans: Plans, mission: int) -> None:
+        """Publish the paths of robots that leave now."""
+        for key, plan in plans.items():
+            message = path_message(self._node.grid, plan.path, key.stamp, mission)
+            content = content_hash(message)
+            self.in_flight.send(key, plan.path, content)
+            self._rounds.note_path(plan.path)
+            self._knowledge.note_path(key, plan.path, content)
+            self._paths[key.agent].publish(message)
+            self._goals[key] = describe_plan(self._node.grid, plan)
+            self.last_stamp = max(self.last_stamp, key.stamp)
+
+    def give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
+        """Report a robot lost that is out."""
+        self._tell_departure(key)
+        path, contact = self.in_flight[key].path, self._values['contact_probability']
+        lost = lost_after_contact(path, steps_survived, contact)
+        self._losses[key.agent].publish(report_message(key, lost, self._node.now(), source))
+        self.in_flight.end(key)
+        self.late.expect(key, path)
+
+    def give_up_overdue(self) -> None:
+        """Report robots lost that should have been back for long."""
+        if self._values['silent_loss']:
+            for key in self.in_flight.overdue(self._node.now()):
+                self.give_up(key, Source.SILENCE)
+
+    def tell_departures(self) -> None:
+        """Tell on the console which robots have departed."""
+        for key in [key for key in self._goals if self.in_flight.has_departed(key)]:
+            self._tell_departure(key)
+
+    def _tell_departure(self, key: DeploymentKey) -> None:
+        if goal := self._goals.pop(key, None):
+            self.refusals.clear(key.agent)
+            self._node.deployment_logger.info(f'{key} leaves {goal}')
+
+    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+        try:
+            key, report = read_report(message, agent)
+            if key in self.in_flight:
+                # The estimator would refuse it too, and the robot is still out.
+                path = self.in_flight[key].path
+                max_steps = value_for(self._values, 'max_steps', agent)
+                observation_of(report, key, path, self._node.grid, max_steps)
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/report', error)
+            return
+        self._tell_departure(key)
+        self.in_flight.end(key, report.stamp if report.survived else None)
+        if report.survived:
+            self.late.end(key)
+            self._warn_of_stay(key, report)
+        self._knowledge.note_report(key, report)
+        self._act()
+
+    def _warn_of_stay(self, key: DeploymentKey, report: Report) -> None:
+        """Say that a robot has used up an order without leaving the base."""
+        if all(cell == self._node.grid.base for cell, _ in report.readings):
+            self._node.get_logger().warning(
+                f'{key} is back without a step, which counts as a deployment: the console of '
+                'its robot tells why'
+            )
+
+    def _on_status(self, agent: str, message: AgentStatus) -> None:
+        """Take note of what an agent does with an order."""
+        try:
+            key, status = read_status(message, agent)
+            robot = self.in_flight.get(key)
+            if not self.in_flight.take(key, status):
+                return
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/status', error)
+            return
+        self._node.diagnostics.accept()
+        if status.state is AgentState.REFUSED and robot is not None:
+            self._rounds.forget_path(robot.path)
+            self.refusals.add(agent)
+            self._goals.pop(key, None)
+            self._node.get_logger().warning(
+                f'{key} is refused by its agent, and its robot stays at the base: '
+                f'{status.reason}; nothing is learnt of it'
+            )
+        self.tell_departures()
+
+    def _on_path(self, agent: str, message: Path) -> None:
+        """Take note of a path: the recorder may have that of another planner on disk."""
+        try:
+            key, cells = read_path(self._node.grid, agent, message)
+            path = self._node.grid.check_path(cells, value_for(self._values, 'max_steps', agent))
+            mission = mission_of_path(message)
+            is_other = self.in_flight.hear(key, path, content_hash(message), mission)
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/path', error)
+            return
+        if is_other:
+            self._node.diagnostics.refuse(
+                f'{agent}/path',
+                f'{key} follows the path of another planner, which the recorder wrote first; the '
+                'path that this planner sent is not used',
+            )
+
+    def _on_recorded(self, agent: str, message: Recorded) -> None:
+        try:
+            key = DeploymentKey(agent, read_name('stamp', message.stamp))
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/recorded', error)
+            return
+        if self.in_flight.record(key, message.content):
+            # Whoever sent it keeps it for those who ask later.
+            self._node.destroy_subscription(self._sent_paths[agent])
+            self._sent_paths[agent] = self._hear_paths(agent)
+        self.tell_departures()

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The newest belief of the planner's mission, and what it tells of robots sent before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.base.obstacle_sentences import not_heard_again
+from kbnitp_ros.configuration import check_search, value_for
+from kbnitp_ros.core import ORDINARY, RobotType
+from kbnitp_ros.log.evidence import BELIEF
+from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.sizes import largest_belief
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from rclpy.subscription import Subscription
+
+
+class NewestBelief:
+    """
+    Hears the beliefs that robots are sent on.
+
+    Parameters
+    ----------
+    node : FieldNode
+        The planner.
+    agents : sequence of str
+        The team.
+    in_flight : DeploymentsInFlight
+        The robots that were sent.
+    take : callable
+        Called with each belief that is the newest.
+
+    Attributes
+    ----------
+    tracker : MissionTracker
+        The mission, and the newest belief.
+    sent_unknown : int
+        How many robots that were sent only the belief knows of.
+    last_heard : int
+        How many deployments the belief heard last holds.
+
+    """
+
+    def __init__(
+        self,
+        node: FieldNode,
+        agents: Sequence[str],
+        in_flight: DeploymentsInFlight,
+        take: Callable[[Snapshot], None],
+    ) -> None:
+        self._node = node
+        self._agents = agents
+        self._in_flight = in_flight
+        self._take = take
+        self.tracker = MissionTracker()
+        self.sent_unknown = 0
+        self.last_heard = 0
+        # Whether it was told that an estimator will never hold all deployments.
+        self._is_incomplete_told = False
+
+    @property
+    def newest(self) -> Snapshot | None:
+        """Return the newest belief; None before the first."""
+        return self.tracker.newest
+
+    @property
+    def robot_types(self) -> Mapping[str, RobotType]:
+        """Return the types of agents' robots as the belief has them, as far as they are known."""
+        return self.newest.robot_types if self.newest else {}
+
+    def listen(self) -> None:
+        """Hear beliefs from now on."""
+        self._subscription = self._hear()
+
+    def listen_anew(self) -> None:
+        """
+        Ask for the belief of the estimators that stay when one of several has left.
+
+        It may have been refused for that of the other, or held to be older.
+        """
+        self.tracker.newest = None
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = self._hear()
+
+    def _hear(self) -> Subscription:
+        largest = largest_belief(self._node.grid.cells)
+        return self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
+
+    def _on_belief(self, message: BeliefMaps) -> None:
+        try:
+            snapshot = read_belief_maps(message)
+            self._check_rules(snapshot)
+            known = self._known(snapshot.mission)
+            self.tracker.check_belief(snapshot, self._node.count_authors('belief', BELIEF), known)
+        except ValueError as error:
+            self._node.diagnostics.refuse('belief', error)
+            return
+        self._node.diagnostics.accept()
+        unknown = snapshot.deployments - self._in_flight.sent
+        if unknown > self.sent_unknown:
+            self._node.get_logger().warning(
+                f'the belief holds {unknown} deployments more than are '
+                'known here: their paths died with the planner before this one, and a restarted '
+                'estimator will lack them, unless the parameter resume names the log'
+            )
+            self.sent_unknown = unknown
+        self._notice_incomplete(snapshot.deployments)
+        if self.tracker.accept_belief(snapshot, known):
+            self._take(snapshot)
+
+    def _check_rules(self, snapshot: Snapshot) -> None:
+        grid, values = self._node.grid, self._node.values
+        if snapshot.grid != grid:
+            raise ValueError(f'it is on {snapshot.grid}: the parameters say {grid}')
+        check_search(values, grid, snapshot.robot_types)
+        for agent in self._agents:
+            own = value_for(values, 'max_steps', agent)
+            theirs = snapshot.robot_types.get(agent, ORDINARY).max_steps or snapshot.max_steps
+            if theirs < own:
+                raise ValueError(
+                    f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
+                    'the estimator would refuse such paths'
+                )
+
+    def _known(self, mission: int) -> int:
+        """Return how many deployments of a mission may be in a belief, as far as known here."""
+        # Each agent may have had a robot out when the planner before this one died.
+        out_before = len(self._agents) if self.sent_unknown else 0
+        return self._in_flight.known(mission) + out_before
+
+    def _notice_incomplete(self, held: int) -> None:
+        """Say if an estimator was restarted that will never hear of all deployments."""
+        self.last_heard = held
+        # One that has the log publishes its prior, and then a belief in all that is on record.
+        if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
+            self._is_incomplete_told = True
+            self._node.diagnostics.refuse(
+                'belief', f'it holds {held} deployments{not_heard_again(self._in_flight.kept)}'
+            )

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps robots from leaving, which of several obstacles counts, and what is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.obstacle_sentences import describe_obstacle, FullNames
+from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
+from kbnitp_ros.log.operator_state import OperatorState
+from kbnitp_ros.messages.operator_action import Action, OperatorAction
+from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.status import AgentStatus, State
+from laws import for_each
+from samples import HOME, key
+
+VALUES = {
+    'robots': 3,
+    'rolling': False,
+    'recorded': False,
+    'silent_loss': True,
+    'presume_departure': False,
+    'return_deadline': 10.0,
+    'step_period': 1.0,
+}
+HERE = AgentPresence(is_present=True, says_status=True, is_left_alone=False)
+NAMES = FullNames(lambda name: f'/a/{name}', lambda name: f'/b/{name}')
+
+
+def in_flight(*keys, kept=2):
+    """Return robots that were sent."""
+    robots = DeploymentsInFlight(VALUES, kept)
+    for content, each in enumerate(keys):
+        robots.send(each, HOME, content)
+    return robots
+
+
+def operator(*actions):
+    """Return what holds by actions of the operator."""
+    state = OperatorState()
+    for stamp, action in enumerate(actions):
+        state.apply(OperatorAction(stamp, action, 0, {}))
+    return state
+
+
+# One robot was deployed, two are to be sent, and nothing keeps the next one from leaving.
+CLEAR = Circumstances(
+    values=VALUES,
+    agents={'scout_1': HERE},
+    in_flight=in_flight(),
+    operator=operator(),
+    unrecorded_action='',
+    sent=1,
+    newest=1,
+    last_heard=1,
+    estimators=1,
+    several_recorders='',
+    is_decided=lambda: True,
+    why_over=lambda: '',
+    missing_listeners=lambda: '',
+)
+
+# What makes each obstacle of these, in the order in which they count.
+MADE_BY = {
+    Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
+    Obstacle.NO_BELIEF: {'newest': None},
+    Obstacle.UNREPORTED: {'in_flight': in_flight(key(1)), 'sent': 2},
+    Obstacle.BELIEF_BEHIND: {'last_heard': 0, 'newest': 0},
+    Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
+    Obstacle.UNDECIDED: {'is_decided': lambda: False},
+    Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
+    Obstacle.SEVERAL_RECORDERS: {'several_recorders': 'two'},
+    Obstacle.NOT_HEARD: {'missing_listeners': lambda: 'the estimator'},
+    Obstacle.PAUSED: {'operator': operator(Action.PAUSE)},
+    Obstacle.NO_FREE_AGENT: {'agents': {'scout_1': HERE._replace(is_present=False)}},
+}
+
+
+def test_robots_leave_where_nothing_keeps_them():
+    assert CLEAR.obstacle is None
+    assert CLEAR.free_agents == ['scout_1']
+
+
+@for_each('obstacle', list(MADE_BY))
+def test_each_obstacle_alone_keeps_robots_from_leaving(obstacle):
+    assert replace(CLEAR, **MADE_BY[obstacle]).obstacle is obstacle
+
+
+@for_each('first, second', list(combinations(MADE_BY, 2)))
+def test_of_two_obstacles_the_first_counts(first, second):
+    both = replace(CLEAR, **MADE_BY[second] | MADE_BY[first])
+    if (first, second) == (Obstacle.UNREPORTED, Obstacle.NO_FREE_AGENT):
+        # Nobody waits for the report of an agent that has left the graph.
+        first = second
+    assert both.obstacle is first
+
+
+def test_the_goal_is_looked_at_only_when_robots_could_leave():
+    def fail():
+        raise AssertionError
+
+    for obstacle in list(MADE_BY)[: list(MADE_BY).index(Obstacle.UNDECIDED)]:
+        changes = MADE_BY[obstacle] | {'is_decided': fail, 'why_over': fail}
+        assert replace(CLEAR, **changes).obstacle is obstacle
+
+
+def test_where_robots_leave_one_by_one_only_the_free_ones_do():
+    agents = {'scout_1': HERE, 'scout_2': HERE}
+    rolling = replace(
+        CLEAR,
+        values={**VALUES, 'rolling': True},
+        agents=agents,
+        in_flight=in_flight(key(1)),
+        sent=2,
+    )
+    assert rolling.obstacle is None
+    assert rolling.free_agents == ['scout_2']
+    assert replace(rolling, why_over=lambda: 'enough').obstacle is Obstacle.UNREPORTED
+    assert replace(rolling, values={**rolling.values, 'robots': 2}).obstacle is Obstacle.ALL_LEFT
+
+
+@for_each(
+    'change, free',
+    [
+        ({'is_left_alone': True}, False),
+        ({'says_status': False}, False),
+        ({'is_present': False}, False),
+        ({}, True),
+    ],
+)
+def test_agents_are_free_that_answer_and_take_orders(change, free):
+    agents = {'scout_1': HERE._replace(**change)}
+    assert bool(replace(CLEAR, agents=agents).free_agents) is free
+
+
+@for_each('change', [{'silent_loss': False}, {'presume_departure': True}])
+def test_who_says_nothing_is_sent_where_silence_does_not_count(change):
+    agents = {'scout_1': HERE._replace(says_status=False)}
+    assert replace(CLEAR, agents=agents, values=VALUES | change).free_agents == ['scout_1']
+
+
+def test_a_mission_that_is_ended_waits_for_those_that_have_departed_alone():
+    ended = replace(
+        CLEAR,
+        operator=operator(Action.END),
+        agents={'scout_1': HERE, 'scout_2': HERE},
+        in_flight=in_flight(key(1), key(2, 'scout_2')),
+        sent=3,
+    )
+    assert ended.unreported == []
+    assert ended.robots == 1
+    assert ended.obstacle is Obstacle.ALL_DEPLOYED
+    ended.in_flight.take(key(1), AgentStatus(State.DEPARTED, 0))
+    assert ended.unreported == [key(1)]
+    assert ended.robots == 2
+    assert ended.obstacle is Obstacle.UNREPORTED
+
+
+@for_each(
+    'actions, obstacle, state',
+    [
+        ([], Obstacle.UNREPORTED, MissionState.RUNNING),
+        ([], Obstacle.OVER, MissionState.DONE),
+        ([], Obstacle.ALL_DEPLOYED, MissionState.DONE),
+        ([Action.PAUSE], Obstacle.UNREPORTED, MissionState.PAUSED),
+        ([Action.PAUSE], Obstacle.ALL_DEPLOYED, MissionState.DONE),
+        ([Action.PAUSE, Action.END], Obstacle.UNREPORTED, MissionState.ENDED),
+    ],
+)
+def test_the_state_of_the_mission(actions, obstacle, state):
+    assert replace(CLEAR, operator=operator(*actions)).mission_state(obstacle) is state
+
+
+@for_each(
+    'obstacle, change, words',
+    [
+        (Obstacle.NO_BELIEF, {'estimators': 0}, 'the belief on /a/belief, which nobody publishes'),
+        (Obstacle.NO_BELIEF, {}, 'its parameter await_nodes names'),
+        (
+            Obstacle.UNREPORTED,
+            {},
+            'scout_1 at 1.000000000 to depart, as its agent tells on /a/scout_1/status',
+        ),
+        (
+            Obstacle.UNREPORTED,
+            {'agents': {'scout_1': HERE._replace(says_status=False)}},
+            'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
+        ),
+        (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
+        (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployments on /a/belief'),
+        (
+            Obstacle.BELIEF_BEHIND,
+            {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
+            'the last one holds 0, and only the last 2 of each agent are heard again',
+        ),
+        (Obstacle.PAUSED, {}, 'by the service /b/pause'),
+        (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
+        (
+            Obstacle.ALL_DEPLOYED,
+            {'operator': operator(Action.END)},
+            'robots deployed, ended by the operator',
+        ),
+        (Obstacle.OVER, {}, '1 of 3 robots deployed: the lane is free'),
+        (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
+        (
+            Obstacle.NO_FREE_AGENT,
+            {'agents': {'scout_1': HERE._replace(says_status=False)}},
+            'nobody publishes /a/scout_1/status, so that the silence',
+        ),
+    ],
+)
+def test_an_obstacle_is_told_with_what_ends_it(obstacle, change, words):
+    now = replace(CLEAR, **MADE_BY[obstacle] | change)
+    assert words in describe_obstacle(now, obstacle, NAMES)
+
+
+def test_proposals_and_searches_are_told_by_their_agents():
+    now = replace(CLEAR, searched=['scout_1'], why_worthless='too far', proposed=[key(1)])
+    told = {
+        obstacle: describe_obstacle(now, obstacle, NAMES)
+        for obstacle in (Obstacle.SEARCHING, Obstacle.WORTHLESS, Obstacle.UNAPPROVED)
+    }
+    assert told[Obstacle.SEARCHING] == 'the search for the paths of scout_1 to end'
+    assert 'worth a robot: too far; ' in told[Obstacle.WORTHLESS]
+    assert 'approve of /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
