@@ -180,13 +180,13 @@ def table(outcomes: list[Outcome]) -> str:
     return '\n'.join(['| what | count |', '|---|---|', *(f'| {a} | {b} |' for a, b in rows)])
 
 
-def run_forged_missions(missions: int, seed: int, folder: Path) -> int:
+def run_forged_missions(missions: int, seed: int, scale: float, folder: Path) -> int:
     """Run missions that all forgeries come to, say what became of them; return 1 if any fails."""
     undisturbed = run_forged(folder / 'undisturbed', ())
     outcomes = []
     failed = []
     for number in tqdm(range(seed, seed + missions), unit='mission'):
-        outcome = run_forged(folder / f'forged-{number}', FORGERIES, seed=number)
+        outcome = run_forged(folder / f'forged-{number}', FORGERIES, scale, number)
         outcome.compare_memory(undisturbed)
         outcomes.append(outcome)
         if outcome.findings:
@@ -216,10 +216,13 @@ def main() -> int:
     parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
     parser.add_argument('--robots', action='store_true', help='have robots refuse and crash, too')
     parser.add_argument('--forged', action='store_true', help='send forged messages instead')
+    parser.add_argument(
+        '--scale', type=float, default=1.0, help='of the number of forged messages; default 1'
+    )
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix='campaign-'))
     if options.forged:
-        return run_forged_missions(options.missions, options.seed, folder)
+        return run_forged_missions(options.missions, options.seed, options.scale, folder)
     seeds = range(options.seed, options.seed + options.missions)
     begun = time.monotonic()
     run = run_departing if options.robots else run_mission
