@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from kbnitp_ros.configuration import MOST_ROBOTS
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import shown
@@ -32,6 +34,8 @@ class MissionTracker:
     def __init__(self) -> None:
         self.mission: int | None = None
         self.newest: Snapshot | None = None
+        # What the estimator of the newest belief was started with; None before the first.
+        self._rules: dict[str, Any] | None = None
         # The missions of all priors so far: one that an estimator states when it starts anew.
         self._priors: set[int] = set()
         # How many deployments the first belief held of which no path was known.
@@ -99,11 +103,10 @@ class MissionTracker:
             raise PathsUnknownError(
                 f'deployments is {snapshot.deployments}: the paths of only {most} are known{why}'
             )
-        if self.newest is None or authors <= 1:
+        if self._rules is None or authors <= 1:
             return
-        rules = self.newest.rules()
         for name, theirs in snapshot.rules().items():
-            if theirs != (ours := rules[name]):
+            if theirs != (ours := self._rules[name]):
                 raise ValueError(
                     f'{name} is {shown(str(theirs))}: it was {shown(str(ours))} before, and '
                     f'{remedy}'
@@ -137,4 +140,9 @@ class MissionTracker:
         is_newest = self.newest is None or snapshot.deployments >= self.newest.deployments
         if is_newest:
             self.newest = snapshot
+            self._rules = snapshot.rules()
         return is_newest
+
+    def forget_newest(self) -> None:
+        """Take the next belief of the same estimator for the newest, whatever it holds."""
+        self.newest = None

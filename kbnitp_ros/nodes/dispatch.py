@@ -186,7 +186,7 @@ class Dispatch:
     def _on_report(self, agent: str, message: DeploymentReport) -> None:
         try:
             key, report = read_report(message, agent)
-            if key in self.in_flight:
+            if is_awaited := key in self.in_flight:
                 # The estimator would refuse it too, and the robot is still out.
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
@@ -198,7 +198,8 @@ class Dispatch:
         self.in_flight.end(key, report.stamp if report.survived else None)
         if report.survived:
             self.late.end(key)
-            self._warn_of_stay(key, report)
+            if is_awaited:
+                self._warn_of_stay(key, report)
         self._knowledge.note_report(key, report)
         self._act()
 

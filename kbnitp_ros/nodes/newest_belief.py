@@ -80,9 +80,9 @@ class NewestBelief:
         """
         Ask for the belief of the estimators that stay when one of several has left.
 
-        It may have been refused for that of the other, or held to be older.
+        It may have been held to be older than that of the other.
         """
-        self.tracker.newest = None
+        self.tracker.forget_newest()
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._hear()
 

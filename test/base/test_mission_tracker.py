@@ -54,6 +54,17 @@ def test_another_estimator_is_told_by_what_it_was_started_with(other, told):
         tracker.check_belief(snapshots(**other)[3], authors=2, known=3)
 
 
+def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves():
+    """Of the beliefs that are asked for then, that of a stranger may come first."""
+    tracker, told = MissionTracker(), snapshots()
+    tracker.accept_belief(told[3], known=3)
+    tracker.forget_newest()
+    with pytest.raises(ValueError, match='^model is .*0.04'):
+        tracker.check_belief(snapshots(malfunction=0.04)[2], authors=2, known=3)
+    tracker.check_belief(told[2], authors=2, known=3)
+    assert tracker.accept_belief(told[2], known=3)
+
+
 @for_each('authors', [1, 2])
 def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     """Its publisher may not be counted yet when it comes."""
