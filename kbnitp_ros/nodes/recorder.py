@@ -453,8 +453,8 @@ class RecorderNode(MissionNode):
                     'nodes publish this topic?)'
                 )
         elif topic.type_name == REPORT:
-            key, report = read_report(message, agent_of(topic.name))
-            self._departures.end(key, report.stamp if report.survived else None)
+            # No robot is taken for back by it: only those who have its path see whether it fits.
+            read_report(message, agent_of(topic.name))
         elif topic.name == self.resolve_topic_name('belief'):
             snapshot = read_belief_maps(message)
             known = self._paths[snapshot.mission]

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from base import Base, GRID
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import DeploymentKey, Observation
 from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import read_path
+from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.status import State, status_message
 from kbnitp_ros.nodes.runtime import qos
@@ -100,9 +100,13 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     # The recorder waits for the path of a departure that it does not know, and then refuses it.
     field.until(lambda: field.count('/recorder', 'refused') == 2, 'refusals by the recorder')
     assert 'its path is not on record' in field.said('/recorder')
+    # A report that does not fit the path keeps no robot from departing.
+    jump = Observation([0, GRID.cells - 1, 0], True, [False, False])
+    base.reports['scout_1'].publish(report_message(key, jump, 1))
+    assert 'path jumps at step 1' in field.until_refused('/planner', 3)
     base.until_named(base.say(State.DEPARTED))
     for number, (state, reason) in enumerate(
-        ((State.DEPARTED, ''), (State.REFUSED, 'too late'), (State.ACCEPTED, '')), start=3
+        ((State.DEPARTED, ''), (State.REFUSED, 'too late'), (State.ACCEPTED, '')), start=4
     ):
         base.say(state, reason, stamp=key.stamp + 1)
         assert 'and was DEPARTED before' in field.until_refused('/planner', number)
@@ -112,11 +116,11 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     base.come_back()
     base.until_state('done: 1 of 1')
     base.say(State.REFUSED, 'too late', stamp=key.stamp + 2)
-    field.until_refused('/planner', 6)
+    field.until_refused('/planner', 7)
     # The same once more is no news.
     base.say(State.DEPARTED)
     field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
-    assert 'this planner says False, which holds' in field.until_refused('/planner', 7)
+    assert 'this planner says False, which holds' in field.until_refused('/planner', 8)
     assert base.beliefs[-1].deployments == 1
 
 
