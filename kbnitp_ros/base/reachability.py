@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from kbnitp_ros.core import Grid
 import numpy as np
 
 
-def reach_note(grid: Grid, max_steps: int, enough: float = 1.0) -> str:
+def reach_note(
+    grid: Grid, max_steps: int, enough: float = 1.0, bases: Sequence[int | None] = (None,)
+) -> str:
     """
     Return how much of a field paths of at most `max_steps` reach; empty if it is enough.
 
@@ -21,14 +25,21 @@ def reach_note(grid: Grid, max_steps: int, enough: float = 1.0) -> str:
         The most steps of a path.
     enough : float
         Which part of the cells, from 0 to 1.
+    bases : sequence of int or None
+        Where robots start; None for the base of the grid.
 
     """
-    reached, joined = grid.in_reach(max_steps), grid.steps_to_base < grid.cells
+    fields = [grid.at(base) for base in dict.fromkeys(bases)]
+    steps = np.min([field.steps_to_base for field in fields], axis=0)
+    reached, joined = (
+        np.any([field.in_reach(max_steps) for field in fields], axis=0),
+        steps < grid.cells,
+    )
     if reached.sum() >= enough * joined.sum():
         return ''
     rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
     extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'
-    needed = 2 * int(grid.steps_to_base[joined].max())
+    needed = 2 * int(steps[joined].max())
     return (
         f'{max_steps} steps reach {extent}, {reached.sum()} of {joined.sum()}: '
         f'max_steps {needed} reaches them all'

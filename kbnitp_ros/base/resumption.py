@@ -47,7 +47,7 @@ class Resumption:
         self._log = log
         self._values = values
         self._agents = agents
-        robot_types = robot_types_of(values)
+        robot_types = robot_types_of(values, grid)
         self.deployments = read_deployments(log, grid, values['max_steps'], robot_types)
         for key in self.deployments:
             if key.agent not in agents:

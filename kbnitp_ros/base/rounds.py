@@ -127,8 +127,9 @@ class Rounds:
         """
 
         def robot_type(agent: str) -> RobotType:
-            return type_to_plan(self._values, agent, known.robot_types)
+            return type_to_plan(self._values, agent, self._grid, known.robot_types)
 
+        types = tuple(map(robot_type, agents))
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, self._knowledge.stop
         options = search_options(self._values)
@@ -142,11 +143,11 @@ class Rounds:
             self._grid,
             known.belief,
             known.model,
-            Team(len(agents), self._values['allocation'], tuple(map(robot_type, agents))),
+            Team(len(agents), self._values['allocation'], types),
             options,
             in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
             visited=self._visited - count_visits(self._grid, noted),
-            keepout=keepout_cells(self._grid, most_steps, len(agents), refused),
+            keepout=keepout_cells(self._grid, most_steps, [each.base for each in types], refused),
             bound=self._values['bound'],
         )
 
@@ -208,7 +209,8 @@ class Rounds:
 
 def describe_plan(grid: Grid, plan: Plan) -> str:
     """Return where a plan leads and what is expected of it."""
-    farthest = plan.path[np.argmax(grid.steps_to_base[plan.path])]
+    steps_to_base = grid.at(int(plan.path[0])).steps_to_base
+    farthest = plan.path[np.argmax(steps_to_base[plan.path])]
     ((x, y),) = grid.centers([farthest]).tolist()
     return (
         f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '

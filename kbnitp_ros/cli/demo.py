@@ -27,6 +27,7 @@ from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.configuration import (
     agents_of,
+    base_of,
     check_own,
     check_search,
     estimator_of,
@@ -154,14 +155,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         complain('demo', error)
         return 2
-    reach = reach_note(grid_of(parameters['planner']), most_steps(parameters['planner']))
+    planner = parameters['planner']
+    grid, most = grid_of(planner), most_steps(planner)
+    bases = [base_of(planner, agent, grid) for agent in planner['agents']]
+    reach = reach_note(grid, most, bases=bases)
     if reach:
         say(f'{reach}.')
-    elif parameters['planner']['map']:
-        grid, most = grid_of(parameters['planner']), most_steps(parameters['planner'])
-        say(
-            f'{most} steps reach all {grid.in_reach(most).sum()} cells that the base is joined to.'
-        )
+    elif planner['map']:
+        joined = int((grid.steps_to_base < grid.cells).sum())
+        say(f'{most} steps reach all {joined} cells that the base is joined to.')
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -318,7 +320,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         )
     grid = grid_of(simulated)
     agents_of(simulated, grid)
-    check_search(parameters['planner'], grid, robot_types_of(estimator))
+    check_search(parameters['planner'], grid, robot_types_of(estimator, grid))
     execution_of(simulated)
     if simulated['world.file']:
         read_world(simulated['world.file'], grid)

@@ -172,7 +172,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
     grid = grid_of(planner)
     if grid_of(estimator) != grid:
         raise ValueError('planner and estimator have different fields: give both the same')
-    believed = robot_types_of(estimator)
+    believed = robot_types_of(estimator, grid)
     return partial(
         forecast,
         grid,
@@ -231,7 +231,7 @@ def plan_of(
     """
     check_own(planner)
     check_search(planner, grid, believed)
-    types = [type_to_plan(planner, agent, believed) for agent in agents_of(planner, grid)]
+    types = [type_to_plan(planner, agent, grid, believed) for agent in agents_of(planner, grid)]
     return {
         'options': search_options(planner),
         'team': Team(len(types), planner['allocation'], tuple(types)),

@@ -3,6 +3,7 @@
 
 from kbnitp_ros.configuration.agents import (
     agents_of,
+    base_of,
     most_steps,
     robot_type_of,
     robot_types_of,
@@ -51,6 +52,7 @@ __all__ = [
     'TABLE',
     'Parameter',
     'agents_of',
+    'base_of',
     'check_goal',
     'check_known',
     'check_own',

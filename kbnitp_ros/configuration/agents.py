@@ -56,7 +56,31 @@ def most_steps(values: Mapping[str, Any]) -> int:
     return most
 
 
-def robot_type_of(values: Mapping[str, Any], agent: str) -> RobotType:
+def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
+    """
+    Return the base that an agent has of its own; None if it has that of all.
+
+    Raises
+    ------
+    ValueError
+        If it is off the map, or both a cell and a position are given.
+
+    """
+    name = f'robots.{agent}.base'
+    cell, position = values.get(name), values.get(f'{name}_position')
+    if cell is not None and position:
+        raise ValueError(f'parameters {name} and {name}_position name the same: give one of them')
+    if not position:
+        return cell
+    if len(position) != 2:
+        raise ValueError(f'parameter {name}_position is {list(position)}: it must be x and y')
+    try:
+        return int(grid.cells_at([position])[0])
+    except ValueError as error:
+        raise ValueError(f'parameter {name}_position: {error}') from error
+
+
+def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:
     """Return what an agent's robots have of their own."""
     given = {
         **{each.name: f'sensor.{each.name}' for each in fields(SensorModel)},
@@ -64,10 +88,11 @@ def robot_type_of(values: Mapping[str, Any], agent: str) -> RobotType:
         'loss_cost': 'loss_cost',
     }
     return RobotType(
-        **{each: values.get(f'robots.{agent}.{name}') for each, name in given.items()}
+        base=base_of(values, agent, grid),
+        **{each: values.get(f'robots.{agent}.{name}') for each, name in given.items()},
     )
 
 
-def robot_types_of(values: Mapping[str, Any]) -> dict[str, RobotType]:
-    """Return the types of the robots of all agents."""
-    return {agent: robot_type_of(values, agent) for agent in values['agents']}
+def robot_types_of(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
+    """Return the types of the robots of all agents, on the grid of these parameters."""
+    return {agent: robot_type_of(values, agent, grid) for agent in values['agents']}

@@ -31,7 +31,7 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
     for name in unknowns.priors:
         if all(
             getattr(robot_type, name, None) is not None
-            for robot_type in robot_types_of(values).values()
+            for robot_type in robot_types_of(values, grid).values()
         ):
             raise ValueError(
                 f'parameter learn has {name}: the robots of every agent have one of their own, '

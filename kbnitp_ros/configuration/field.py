@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.names import own_name
 from kbnitp_ros.configuration.table import LONGEST_SIDE
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import Map, read_map
@@ -55,7 +57,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
                 f'the map makes a grid of {grid.width} x {grid.height} cells: at most '
                 f'{LONGEST_SIDE} a side may be; set a coarser grid.resolution'
             )
-        return grid
+        return with_bases(grid, values)
     grid = Grid(
         width=values['grid.width'],
         height=values['grid.height'],
@@ -63,4 +65,34 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
         origin=values['grid.origin'],
     )
     base = int(grid.cells_at([position])[0]) if position else values['grid.base']
-    return replace(grid, base=base, blocked=values['grid.blocked'], **steps)
+    grid = replace(grid, base=base, blocked=values['grid.blocked'], **steps)
+    return with_bases(grid, values)
+
+
+def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
+    """
+    Return the grid with the bases that agents have of their own.
+
+    Raises
+    ------
+    ValueError
+        If one is off the map, on an obstacle, or where no way leads to from the base of all.
+
+    """
+    agents = dict.fromkeys(own[0] for name in values if (own := own_name(name)))
+    for agent in agents:
+        base = base_of(values, agent, grid)
+        if base is None:
+            continue
+        try:
+            grid = replace(grid, other_bases=(*grid.other_bases, base))
+        except ValueError as error:
+            raise ValueError(
+                f'parameter robots.{agent}.base: {error}; choose a free cell of the map'
+            ) from error
+        if grid.steps_to_base[base] == grid.cells:
+            raise ValueError(
+                f'parameter robots.{agent}.base: base is {base}, which obstacles cut off from the '
+                f'base {grid.base} of the mission: choose a cell that is joined to it'
+            )
+    return grid

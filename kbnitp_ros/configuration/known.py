@@ -26,8 +26,9 @@ def parameter_of(node: str, name: str) -> Parameter | None:
     own = own_name(name)
     if own is None:
         return known.get(name)
-    common = known.get(own[1])
-    return replace(common, name=name) if common and common.per_agent else None
+    of_agents = {each.of_agent: each for each in known.values() if each.per_agent}
+    common = of_agents.get(own[1])
+    return replace(common, name=name) if common else None
 
 
 def check_known(name: str, nodes: Sequence[str]) -> None:
@@ -51,8 +52,8 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     known = {parameter.name for parameter in table}
     if own := own_name(name):
         agent, meant = own
-        known = {f'robots.{agent}.{each.name}' for each in table if each.per_agent}
-        if meant in {parameter.name for parameter in table}:
+        known = {f'robots.{agent}.{each.of_agent}' for each in table if each.per_agent}
+        if meant in {parameter.name for parameter in table if not parameter.per_agent}:
             raise ValueError(f'parameter {name}: all agents have the same {meant}')
     raise ValueError(
         f'parameter {name} is unknown to {whose}: {nearest(name, known)}'

@@ -22,7 +22,7 @@ def reference_page() -> str:
         '',
         'Of these an agent may have others than the rest, as `robots.AGENT.NAME`; see',
         '[Maps](maps.md#robots-that-differ): '
-        f'{", ".join(dict.fromkeys(f"`{each.name}`" for each in TABLE if each.per_agent))}.',
+        f'{", ".join(dict.fromkeys(f"`{each.of_agent}`" for each in TABLE if each.per_agent))}.',
     ]
     for name in NODES:
         lines += [

@@ -46,7 +46,8 @@ class Parameter:
     read_only : bool
         Whether it is fixed once the node runs.
     per_agent : bool
-        Whether one agent may have another value than the others, as ``robots.AGENT.NAME``.
+        Whether one agent may have another value than the others, as ``robots.AGENT.NAME``; NAME
+        is `of_agent`.
 
     """
 
@@ -62,6 +63,11 @@ class Parameter:
     pattern: str = ''
     read_only: bool = True
     per_agent: bool = False
+
+    @property
+    def of_agent(self) -> str:
+        """Return its name as what one agent has: a base is of no grid then."""
+        return self.name.removeprefix('grid.')
 
     @property
     def kind(self) -> str:

@@ -42,12 +42,12 @@ def search_options(values: Mapping[str, Any]) -> SearchOptions:
 
 
 def type_to_plan(
-    values: Mapping[str, Any], agent: str, believed: Mapping[str, RobotType]
+    values: Mapping[str, Any], agent: str, grid: Grid, believed: Mapping[str, RobotType]
 ) -> RobotType:
-    """Return the type of an agent's robots: sensors as believed, limits as the parameters say."""
-    own = robot_type_of(values, agent)
+    """Return the type of an agent's robots: sensors as believed, the rest as parameters say."""
+    own = robot_type_of(values, agent, grid)
     sensors = believed.get(agent, ORDINARY)
-    return replace(sensors, max_steps=own.max_steps, loss_cost=own.loss_cost)
+    return replace(sensors, max_steps=own.max_steps, loss_cost=own.loss_cost, base=own.base)
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
@@ -71,9 +71,9 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
     """
     check_goal(values, grid)
-    types = [type_to_plan(values, agent, believed) for agent in agents_of(values, grid)]
+    types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
     options = search_options(values)
     check_team(PathFinder(grid, options), types)
     if values['bound'] or options.planner == 'exact':
         for each in types:
-            check_bounded(grid, options.of_type(each), len(types))
+            check_bounded(grid.at(each.base), options.of_type(each), len(types))

@@ -71,17 +71,20 @@ TABLE = (
     Parameter(
         'grid.base',
         0,
-        'Cell (row * width + column, row 0 at the bottom) that every path starts and ends in.',
+        'Cell (row * width + column, row 0 at the bottom) that paths start and end in; of one '
+        'agent as robots.AGENT.base.',
         GRID,
         limits=(0, MOST_CELLS - 1),
+        per_agent=True,
     ),
     Parameter(
         'grid.base_position',
         (),
-        'A point in the cell that every path starts and ends in, x and y in metres in the frame '
-        'map, in place of grid.base; empty for none.',
+        'A point in the cell that paths start and end in, x and y in metres in the frame map, in '
+        'place of grid.base; empty for none. Of one agent as robots.AGENT.base_position.',
         GRID,
         element=float,
+        per_agent=True,
     ),
     Parameter(
         'grid.resolution',
@@ -572,7 +575,7 @@ TABLE = (
     Parameter(
         'world.hazard_density',
         0.15,
-        'Probability of a hazard in each cell of a drawn world but the base.',
+        'Probability of a hazard in each cell of a drawn world but the bases.',
         ('agent',),
         limits=PROBABILITY,
     ),

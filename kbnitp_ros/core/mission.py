@@ -218,8 +218,8 @@ def run_mission(
     Raises
     ------
     ValueError
-        If the world or the belief does not fit the grid, an argument is out of range, the goal
-        cannot be reached, or the stops contradict each other.
+        If the world or the belief does not fit the grid, an argument is out of range, a robot's
+        base is none of the grid's, the goal cannot be reached, or the stops contradict each other.
 
     """
     truth, learning = truth or Truth(), learning or Learning()
@@ -315,7 +315,7 @@ def continue_mission(
         for plan, robot_type in zip(planned.plans, leaving.types):
             made = truth.execution.traverse(
                 world,
-                grid,
+                grid.at(robot_type.base),
                 plan.path,
                 robot_type.model(model),
                 rng.spawn(1)[0],

@@ -92,7 +92,7 @@ def read_deployments(
         If its beliefs are on another grid.
 
     """
-    belief, mission = check_same_field(log, grid), read_mission(log)
+    belief, mission = check_same_field(log, grid, robot_types), read_mission(log)
     evidence = Evidence(grid, max_steps, robot_types)
     if belief:
         evidence.allow(belief.max_steps, belief.robot_types)

@@ -150,21 +150,31 @@ def last_belief(log: str | Path) -> Snapshot | None:
     return last
 
 
-def check_same_field(log: str | Path, grid: Grid) -> Snapshot | None:
+def check_same_field(
+    log: str | Path, grid: Grid, robot_types: Mapping[str, RobotType]
+) -> Snapshot | None:
     """
-    Return the first belief on record, after a check that it is on this grid.
+    Return the first belief on record, after a check that it is on this grid, with these bases.
 
     Raises
     ------
     LogError
         If the log cannot be read.
     ValueError
-        If it is on another grid.
+        If it is on another grid, or an agent had another base.
 
     """
     belief = first_belief(log)
     if belief and belief.grid != grid:
         raise ValueError(f'{log} is of a mission on {belief.grid}: the parameters say {grid}')
+    for agent, robot_type in robot_types.items():
+        before = belief.base_of(agent) if belief else grid.at(robot_type.base).base
+        if before != (now := grid.at(robot_type.base).base):
+            raise ValueError(
+                f'{log} is of a mission in which the base of {agent} is {before}, and by the '
+                f'parameters it is {now}: a base is fixed for a mission; begin another one, with '
+                'prior.log'
+            )
     return belief
 
 

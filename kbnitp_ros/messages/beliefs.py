@@ -25,6 +25,7 @@ from kbnitp_ros.core import (
     HAZARDS,
     LEARNT_COUPLING,
     Ledger,
+    ORDINARY,
     RobotType,
     SensorModel,
     Unknowns,
@@ -125,6 +126,10 @@ class Snapshot:
     newest: DeploymentKey | None
     belief: Belief
     prior: Belief
+
+    def base_of(self, agent: str) -> int:
+        """Return the base that an agent's robots leave from and return to."""
+        return self.grid.at(self.robot_types.get(agent, ORDINARY).base).base
 
     def rules(self) -> dict[str, Any]:
         """Return what an estimator was started with, by name: the same in all its beliefs."""
@@ -300,9 +305,11 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f'dynamics is {shown(message.dynamics)}: it must be one of {", ".join(HAZARDS)}'
         )
+    robot_types = read_robot_types(message.own)
     grid = read_map_metadata(
         message.info,
         base=message.base,
+        other_bases=[each.base for each in robot_types.values() if each.base is not None],
         blocked=message.blocked,
         connectivity=message.connectivity,
         through_corners=message.through_corners,
@@ -317,7 +324,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         model=SensorModel(
             **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
         ),
-        robot_types=read_robot_types(message.own),
+        robot_types=robot_types,
         unknowns=read_unknowns(message.unknowns),
         method=message.method,
         version=message.method_version,

@@ -20,7 +20,7 @@ class AgentNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('agent')
         log = self.values['resume']
-        rules = self.grid, self.values['max_steps'], robot_types_of(self.values)
+        rules = self.grid, self.values['max_steps'], robot_types_of(self.values, self.grid)
         recorded = read_deployments(log, *rules) if log else {}
         mission = read_mission(log) if log else None
         self._simulation = simulation = Simulation(self, recorded)

@@ -52,7 +52,7 @@ class Decisions:
         self.knowledge = Knowledge(
             grid,
             node.values,
-            {agent: each for agent, each in robot_types_of(node.values).items() if each.own},
+            {agent: each for agent, each in robot_types_of(node.values, grid).items() if each.own},
         )
         self._node = node
         self._grid = grid

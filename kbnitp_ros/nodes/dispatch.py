@@ -13,7 +13,7 @@ from kbnitp_ros.base.late_returns import LateReturns
 from kbnitp_ros.base.refusals import Refusals
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
-from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration import base_of, value_for
 from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import (
@@ -205,7 +205,7 @@ class Dispatch:
 
     def _warn_of_stay(self, key: DeploymentKey, report: Report) -> None:
         """Say that a robot has used up an order without leaving the base."""
-        if all(cell == self._node.grid.base for cell, _ in report.readings):
+        if len({cell for cell, _ in report.readings}) == 1:
             self._node.get_logger().warning(
                 f'{key} is back without a step, which counts as a deployment: the console of '
                 'its robot tells why'
@@ -235,8 +235,10 @@ class Dispatch:
     def _on_path(self, agent: str, message: Path) -> None:
         """Take note of a path: the recorder may have that of another planner on disk."""
         try:
-            key, cells = read_path(self._node.grid, agent, message)
-            path = self._node.grid.check_path(cells, value_for(self._values, 'max_steps', agent))
+            grid = self._node.grid
+            key, cells = read_path(grid, agent, message)
+            own = grid.at(base_of(self._values, agent, grid))
+            path = own.check_path(cells, value_for(self._values, 'max_steps', agent))
             mission = mission_of_path(message)
             is_other = self.in_flight.hear(key, path, content_hash(message), mission)
         except ValueError as error:

@@ -56,7 +56,7 @@ class EstimatorNode(FieldNode):
         estimator = estimator_of(self.values, self.grid)
         robot_types = {
             agent: robot_type
-            for agent, robot_type in robot_types_of(self.values).items()
+            for agent, robot_type in robot_types_of(self.values, self.grid).items()
             if robot_type.own
         }
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
@@ -110,7 +110,7 @@ class EstimatorNode(FieldNode):
 
         Publishers keep so many messages only, and they may have died with what they said.
         """
-        check_same_field(log, self._ledger.grid)
+        check_same_field(log, self._ledger.grid, self._ledger.robot_types)
         self._mission = read_mission(log)
         self._departures = read_departures(log)
         agents = agents_of(self.values, self.grid)
@@ -144,7 +144,7 @@ class EstimatorNode(FieldNode):
 
     def _read_path(self, agent: str, message: Path) -> SentPath | None:
         key, cells = read_path(self._ledger.grid, agent, message)
-        self._ledger.grid.check_path(cells, self._ledger.most_steps(key))
+        self._ledger.check_path(key, cells)
         mission = mission_of_path(message)
         if not self._is_begun_by(mission):
             # The recorder never names one of another mission.

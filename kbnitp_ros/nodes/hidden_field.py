@@ -117,10 +117,11 @@ class HiddenField:
     def _leave(self, key: DeploymentKey) -> Traverse:
         robot = self._made[key.agent]
         is_first = not any(self._made.values())
+        path = self._waiting.pop(key)
         made = self._execution.traverse(
             self.world,
-            self._grid,
-            self._waiting.pop(key),
+            self._grid.at(int(path[0])),
+            path,
             self._models[key.agent],
             self._generator(key.agent, robot),
             self._dynamics,

@@ -9,7 +9,7 @@ from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacle_sentences import not_heard_again
-from kbnitp_ros.configuration import check_search, value_for
+from kbnitp_ros.configuration import base_of, check_search, value_for
 from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.log.evidence import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
@@ -124,6 +124,12 @@ class NewestBelief:
                 raise ValueError(
                     f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
                     'the estimator would refuse such paths'
+                )
+            base = grid.at(base_of(values, agent, grid)).base
+            if (other := snapshot.base_of(agent)) != base:
+                raise ValueError(
+                    f'the base of {agent} is {other}: the parameters say {base}, and the '
+                    'estimator would refuse such paths'
                 )
 
     def _known(self, mission: int) -> int:

@@ -12,8 +12,8 @@ import sys
 import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
-from kbnitp_ros.configuration import value_for
-from kbnitp_ros.core import DeploymentKey, LONGEST_WALK
+from kbnitp_ros.configuration import base_of, value_for
+from kbnitp_ros.core import DeploymentKey, Grid, LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import report_message
@@ -61,6 +61,12 @@ class RobotNode(FieldNode):
     it, so it can lose its power at any moment. Back in the field it goes home then. It says that
     it departs, and moves when that is on the base's disk.
     """
+
+    @property
+    def grid(self) -> Grid:
+        """Return the field, with the base of this robot."""
+        field = super().grid
+        return field.at(base_of(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
         self._links = Links()

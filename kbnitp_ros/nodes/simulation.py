@@ -9,6 +9,7 @@ from functools import partial
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import (
     agents_of,
+    base_of,
     dynamics_of,
     execution_of,
     robot_types_of,
@@ -48,7 +49,7 @@ class Simulation:
         self.node = node
         self.grid = node.grid
         common = sensor_model_of(node.values)
-        robot_types = robot_types_of(node.values)
+        robot_types = robot_types_of(node.values, self.grid)
         self.agents = agents_of(node.values, self.grid)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.field = HiddenField(
@@ -158,6 +159,7 @@ class AgentPaths:
         self._node = simulation.node
         self._mission = mission
         self._max_steps = value_for(self._node.values, 'max_steps', name)
+        self._base = base_of(self._node.values, name, simulation.grid)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._sent = RecordedPaths(self._node, name, prefix, self._read_path, self._take_path)
 
@@ -178,7 +180,7 @@ class AgentPaths:
     def _read_path(self, message: Path) -> tuple[DeploymentKey, NDArray[np.intp], int] | None:
         grid = self._simulation.grid
         key, cells = read_path(grid, self.name, message)
-        path = grid.check_path(cells, self._max_steps)
+        path = grid.at(self._base).check_path(cells, self._max_steps)
         mission = mission_of_path(message)
         check_mission(mission, self._mission)
         known = self._known.get(key)

@@ -164,7 +164,7 @@ class Mission:
     def assumed(self) -> dict[str, float]:
         """Mean of each map before the mission, over the cells that robots can enter."""
         inside = self.grid.free.copy()
-        inside[self.grid.base] = self.grid.cells == 1
+        inside[sorted(self.grid.bases)] = self.grid.cells == len(self.grid.bases)
         return {
             name: float(getattr(self.moments[0].belief, name)[inside].mean())
             for name in ('hazard', 'target', 'kappa')

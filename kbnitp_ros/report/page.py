@@ -300,7 +300,7 @@ def data_of(
             'resolution': grid.resolution,
             'x': grid.origin[0],
             'y': grid.origin[1],
-            'base': grid.base,
+            'bases': sorted(grid.bases),
             'blocked': sorted(grid.blocked),
         },
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),

@@ -95,10 +95,10 @@ def map_plot(
         'color': 'white',
         'line': {'color': 'black', 'width': 2},
     }
-    ((x, y),) = grid.centers([grid.base])
+    x, y = grid.centers(sorted(grid.bases)).T.tolist()
     traces += [
         blocked,
-        graph_objects.Scatter(x=[x], y=[y], mode='markers', marker=base, hoverinfo='skip'),
+        graph_objects.Scatter(x=x, y=y, mode='markers', marker=base, hoverinfo='skip'),
     ]
     figure = graph_objects.Figure(traces)
     axis = {'showgrid': False, 'zeroline': False, 'constrain': 'domain', 'ticks': 'outside'}

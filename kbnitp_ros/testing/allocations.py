@@ -139,7 +139,9 @@ def regions_are_a_partition(allocation: Allocation, given: RoundCase) -> None:
     require(isinstance(regions, Regions), f'It returns {regions!r}, which is no Regions')
     owner, cells = regions.owner, given.grid.cells
     require(owner.shape == (cells,), f'They are of {owner.size} cells, and the field has {cells}')
-    reach = np.stack([given.grid.in_reach(each.finder.options.max_steps) for each in given.robots])
+    reach = np.stack(
+        [each.finder.grid.in_reach(each.finder.options.max_steps) for each in given.robots]
+    )
     require_owners(owner, reach)
     held = regions.entropy
     require(held.shape == (len(reach),), f'They have the entropies of {held.size} robots')

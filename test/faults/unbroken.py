@@ -89,7 +89,9 @@ def core_mission(parameters):
         values['method'],
         search_options(values),
         team=Team(
-            len(values['agents']), values['allocation'], tuple(robot_types_of(values).values())
+            len(values['agents']),
+            values['allocation'],
+            tuple(robot_types_of(values, grid).values()),
         ),
         truth=Truth(execution=execution_of(values)),
         learning=Learning(unknowns_of(values), values['seed'], clustering_of(values, grid)),
@@ -118,5 +120,5 @@ def folded(parameters, evidence):
             walk = [grid.base, *steps]
         known, lost_at = report.steps_survived, report.lost_at or None
         observation = Observation(walk, report.survived, readings, known, lost_at)
-        estimator.assimilate(observation, robot_types_of(values)[key.agent])
+        estimator.assimilate(observation, robot_types_of(values, grid)[key.agent])
     return estimator.belief

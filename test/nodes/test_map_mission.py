@@ -116,7 +116,7 @@ def test_a_mission_on_a_map_goes_on_after_all_its_nodes_were_killed(field, param
     last = read_belief_maps(beliefs[-1])
     assert (last.grid.width, last.grid.height) == (60, 40)
     assert last.belief.joint.tobytes() == expected[-1].belief.joint.tobytes()
-    for agent, kind in robot_types_of(with_defaults(parameters)).items():
+    for agent, kind in robot_types_of(with_defaults(parameters), last.grid).items():
         assert last.robot_types[agent].sensors == kind.sensors
     report = replay(log)
     assert report.reproduced

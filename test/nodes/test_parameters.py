@@ -8,11 +8,14 @@ from pathlib import Path
 
 from kbnitp_ros.configuration import (
     agents_of,
+    base_of,
+    check_known,
     estimator_of,
     grid_of,
     LEARN,
     most_steps,
     NODES,
+    parameter_of,
     parameters_of,
     reference_page,
     robot_types_of,
@@ -196,7 +199,7 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert value_for(values, 'step_period', 'scout_2') == 3.0
     assert most_steps(values) == 12
     own = RobotType(max_steps=7, loss_cost=2.0)
-    assert robot_types_of(values) == {'scout_1': RobotType(), 'scout_2': own}
+    assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType(), 'scout_2': own}
     (fixed, free) = node.set_parameters(
         [
             Parameter('robots.scout_2.max_steps', value=9),
@@ -205,12 +208,12 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     )
     assert not fixed.successful
     assert free.successful
-    assert robot_types_of(values)['scout_2'].loss_cost == 0.5
+    assert robot_types_of(values, grid_of(values))['scout_2'].loss_cost == 0.5
 
 
 def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
     values = declare(make_node(**{'robots.scout_1.loss_cost': 2.0}), 'estimator')
-    assert robot_types_of(values) == {'scout_1': RobotType()}
+    assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType()}
     sensors = make_node(**{'sensor.lethality': 1, 'robots.scout_1.sensor.lethality': 0.5})
     assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
@@ -346,6 +349,58 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
 def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
         grid_of(write_map(tmp_path, ['.#..', '....']) | given)
+
+
+def test_each_agent_may_have_a_base_of_its_own(tmp_path):
+    own = {
+        'agents': ('scout_1', 'scout_2', 'scout_3'),
+        'robots.scout_2.base': 3,
+        'robots.scout_3.base_position': (2.2, 2.1),
+    }
+    values = write_map(tmp_path, ['....', '....']) | own
+    grid = grid_of(values)
+    bases = [base_of(values, agent, grid) for agent in own['agents']]
+    assert bases == [None, 3, int(grid.cells_at([(2.2, 2.1)])[0])]
+    assert grid.other_bases == set(bases[1:])
+    assert grid == replace(grid_of(write_map(tmp_path, ['....', '....'])), other_bases=bases[1:])
+    types = robot_types_of(values, grid)
+    assert [each.base for each in types.values()] == bases
+    assert with_base('planner') == with_base('robot') == with_base('agent') == 3
+    assert check_known('robots.scout_2.base_position', ['estimator']) is None
+    with pytest.raises(ValueError, match='did you mean robots.scout_2.base'):
+        check_known('robots.scout_2.grid.base', ['planner'])
+
+
+def with_base(node):
+    return parameter_of(node, 'robots.scout_2.base').check(3)
+
+
+@for_each(
+    'given, told',
+    [
+        (
+            {'robots.scout_2.base': 1},
+            'robots.scout_2.base: base is 1.*that one is blocked; choose',
+        ),
+        ({'robots.scout_2.base': 8}, 'robots.scout_2.base: base is 8.*from 0 to 7; choose a free'),
+        (
+            {'robots.scout_2.base': 2},
+            'scout_2.base: base is 2, which obstacles cut off.*base 0.*joi',
+        ),
+        ({'robots.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),
+        (
+            {'robots.scout_2.base_position': (9.0,)},
+            r'base_position is \[9.0\]: it must be x and y',
+        ),
+        (
+            {'robots.scout_2.base': 4, 'robots.scout_2.base_position': (0.0, 0.0)},
+            'robots.scout_2.base and robots.scout_2.base_position name the same',
+        ),
+    ],
+)
+def test_bases_that_cannot_be_are_refused_by_name(tmp_path, given, told):
+    with pytest.raises(ValueError, match=told):
+        grid_of(write_map(tmp_path, ['.#..', '.#..']) | given)
 
 
 def test_a_map_of_too_many_cells_is_refused(tmp_path):

@@ -8,18 +8,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from kbnitp_ros.core.decision.decision import check_confidence, Decision
-from kbnitp_ros.core.decision.flights import Flight, Situation
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
-from kbnitp_ros.core.decision.lane import there_and_back
-from kbnitp_ros.core.decision.lanes import cheapest_lanes, DECIMALS, LEAST, STEP_COST
-from kbnitp_ros.core.field import Belief, binary_entropy, Grid, SensorModel, whole_number
-from kbnitp_ros.core.planning import Objective, PathFinder
+from kbnitp_ros.core.decision.flights import Flight, flights_over, Situation
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws
+from kbnitp_ros.core.decision.lanes import DECIMALS
+from kbnitp_ros.core.field import binary_entropy, Grid, SensorModel, whole_number
 import numpy as np
-
-# To how many cells of the area, the most uncertain ones, ways there and back are compared.
-DIRECT = 16
-# How many paths of a search for information on all hazards are compared with these.
-SEARCHED = 48
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,7 @@ class Area:
 
     def check(self, grid: Grid, max_steps: int) -> None:
         """
-        Check that robots can come to all cells, and back.
+        Check that robots can come to all cells from some base, and back.
 
         Raises
         ------
@@ -68,7 +61,8 @@ class Area:
 
         """
         cells = cells_on(grid, list(self.cells), 'goal')
-        out = cells[~grid.in_reach(max_steps)[cells]]
+        in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
+        out = cells[~np.any(in_reach, axis=0)[cells]]
         if out.size:
             raise ValueError(
                 f'goal has cell {out[0]}, and {out.size - 1} more, that no robot comes back from '
@@ -83,7 +77,7 @@ class Area:
 
     def flight(self, situation: Situation) -> Flight | None:
         """Return the flight to make next; None if the robot may make none."""
-        paths = self._flights(situation)
+        paths = flights_over(situation, list(self.cells))
         survival = situation.draws.fates(paths, situation.model)
         allowed = situation.is_allowed(survival)
         if not allowed.any():
@@ -92,29 +86,6 @@ class Area:
         gain = expected_certainty(here, survival, situation.outcomes)
         best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
         return Flight(paths[best], max(0.0, float(gain[best])))
-
-    def _flights(self, situation: Situation) -> list[Path]:
-        """Return closed paths for information on all hazards, and to cells of the area."""
-        grid, draws, options = situation.grid, situation.draws, situation.options
-        hazard = draws.p_hazard()
-        none = np.zeros(grid.cells)
-        belief = Belief.from_maps(hazard, none, none)
-        objective = Objective.alone(grid, belief, situation.model, options)
-        searched = PathFinder(grid, options).candidates(objective)[:SEARCHED]
-        with np.errstate(divide='ignore'):
-            cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
-        cells = np.array(self.cells)
-        cells = cells[grid.in_reach(options.max_steps)[cells]]
-        open_first = cells[np.argsort(-binary_entropy(hazard[cells]), kind='stable')]
-        lanes = [
-            cheapest_lanes(grid, cost[None], grid.base, cell, options.max_steps // 2)[0]
-            for cell in open_first[:DIRECT].tolist()
-            if cell != grid.base
-        ]
-        direct = [there_and_back(lane, lane) for lane in lanes]
-        return [each.path for each in searched] + [
-            path for path in direct if np.bincount(path[1:]).max() <= options.max_visits
-        ]
 
 
 def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:

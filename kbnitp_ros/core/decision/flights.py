@@ -3,17 +3,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from kbnitp_ros.core.decision.hazard_draws import Bools, Floats, HazardDraws, Path
-from kbnitp_ros.core.field import binary_entropy, Grid, SensorModel
-from kbnitp_ros.core.planning import SearchOptions
+from kbnitp_ros.core.decision.lanes import cheapest_lanes, LEAST, STEP_COST, there_and_back
+from kbnitp_ros.core.field import Belief, binary_entropy, Grid, SensorModel
+from kbnitp_ros.core.planning import Objective, PathFinder, SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike
 
 # The most outcomes of robots that are out which are told apart: those of the last six.
 MOST_OUTCOMES = 64
+
+# To how many of some cells, the most uncertain ones, ways there and back are compared.
+DIRECT = 16
+# How many paths of a search for information on all hazards are compared with these.
+SEARCHED = 48
 
 
 class Flight(NamedTuple):
@@ -42,7 +49,9 @@ class Situation:
     Attributes
     ----------
     grid : Grid
-        The field.
+        The field, with the base of the robot.
+    start : int
+        The base of the mission, where lanes start.
     draws : HazardDraws
         What is known of the hazards.
     model : SensorModel
@@ -55,14 +64,15 @@ class Situation:
     """
 
     grid: Grid
+    start: int
     draws: HazardDraws
     model: SensorModel
     options: SearchOptions
     outcomes: Floats
 
-    def of_robot(self, model: SensorModel, options: SearchOptions) -> Situation:
-        """Return the situation of a robot with a model and limits of its own."""
-        return replace(self, model=model, options=options)
+    def of_robot(self, base: int | None, model: SensorModel, options: SearchOptions) -> Situation:
+        """Return the situation of a robot with a base, a model and limits of its own."""
+        return replace(self, grid=self.grid.at(base), model=model, options=options)
 
     def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
         """Return the situation once another robot, of some model, has left on a path."""
@@ -77,6 +87,30 @@ class Situation:
         """Return which paths, of these chances (paths, draws), the robot may be sent on."""
         allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
         return allowed
+
+
+def flights_over(situation: Situation, over: Sequence[int]) -> list[Path]:
+    """Return closed paths for information on all hazards, and to some cells and back."""
+    grid, draws, options = situation.grid, situation.draws, situation.options
+    hazard = draws.p_hazard()
+    none = np.zeros(grid.cells)
+    belief = Belief.from_maps(hazard, none, none)
+    objective = Objective.alone(grid, belief, situation.model, options)
+    searched = PathFinder(grid, options).candidates(objective)[:SEARCHED]
+    with np.errstate(divide='ignore'):
+        cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
+    cells = np.array(over)
+    cells = cells[grid.in_reach(options.max_steps)[cells]]
+    open_first = cells[np.argsort(-binary_entropy(hazard[cells]), kind='stable')]
+    lanes = [
+        cheapest_lanes(grid, cost[None], grid.base, cell, options.max_steps // 2)[0]
+        for cell in open_first[:DIRECT].tolist()
+        if cell != grid.base
+    ]
+    direct = [there_and_back(lane, lane) for lane in lanes]
+    return [each.path for each in searched] + [
+        path for path in direct if np.bincount(path[1:]).max() <= options.max_visits
+    ]
 
 
 def information(survival: Floats, outcomes: Floats) -> Floats:

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from kbnitp_ros.core.decision.decision import check_confidence, Decision
-from kbnitp_ros.core.decision.flights import Flight, information, Situation
+from kbnitp_ros.core.decision.flights import Flight, flights_over, information, Situation
 from kbnitp_ros.core.decision.hazard_draws import Floats, HazardDraws, Path
-from kbnitp_ros.core.decision.lanes import check_way, DECIMALS, lanes_between, safest_path
+from kbnitp_ros.core.decision.lanes import (
+    check_way,
+    DECIMALS,
+    lanes_between,
+    safest_path,
+    there_and_back,
+)
 from kbnitp_ros.core.field import Grid, SensorModel, whole_number
 import numpy as np
 
@@ -25,10 +31,11 @@ WORTH = 0.02
 @dataclass(frozen=True)
 class Lane:
     """
-    A lane from the base to a cell.
+    A lane from the base of the mission to a cell.
 
     A robot flies to the goal on one lane and back on the same or another one: those after which
-    the best lane is free with the highest probability, on average over its return and its loss.
+    the best lane is free with the highest probability, on average over its return and its loss. A
+    robot of another base flies to cells of such lanes and back.
 
     Parameters
     ----------
@@ -87,7 +94,7 @@ class Lane:
         paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
         survival = survival[allowed]
         grid, draws, most = situation.grid, situation.draws, situation.options.max_steps
-        lanes = lanes_between(grid, draws, grid.base, self.to, most)
+        lanes = lanes_between(grid, draws, situation.start, self.to, most)
         gain = expected_best(draws.are_free(lanes), survival, situation.outcomes)
         value = gain + WORTH * information(survival, situation.outcomes)
         best = int(np.argmax(np.round(value, DECIMALS)))
@@ -96,16 +103,20 @@ class Lane:
     def _flights(self, situation: Situation) -> list[Path]:
         """Return closed paths to the goal, or as far towards it as a robot comes back from."""
         grid, draws, options = situation.grid, situation.draws, situation.options
-        most, least = options.max_steps, int(grid.steps_from(grid.base, grid.free)[self.to])
+        start, most = situation.start, options.max_steps
+        least = int(grid.steps_from(start, grid.free)[self.to])
         if least >= grid.cells:
             return []
+        if start != grid.base:
+            lanes = lanes_between(grid, draws, start, self.to, max(least, most))
+            return flights_over(situation, np.unique(np.concatenate(lanes)).tolist())
         half = most // 2
         if least > half:
-            lanes = lanes_between(grid, draws, grid.base, self.to, max(least, most))
+            lanes = lanes_between(grid, draws, start, self.to, max(least, most))
             paths = [there_and_back(lane[: half + 1], lane[: half + 1]) for lane in lanes]
         else:
             far, near, nearest = (
-                best_lanes(draws, lanes_between(grid, draws, grid.base, self.to, limit), count)
+                best_lanes(draws, lanes_between(grid, draws, start, self.to, limit), count)
                 for limit, count in ((most - least, OUT), (half, BACK), (least, BACK))
             )
             # Whichever of two lanes is taken first, the fate of the robot tells the same.
@@ -128,11 +139,6 @@ def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Pa
     p_free = draws.are_free(lanes) @ draws.weight
     best = np.argsort(-np.round(p_free, DECIMALS), kind='stable')[:count]
     return [lanes[lane] for lane in best.tolist()]
-
-
-def there_and_back(out: Path, back: Path) -> Path:
-    """Return the path to the end of one lane, and from there along another one in reverse."""
-    return np.concatenate([out, back[-2::-1]])
 
 
 def expected_best(free: Floats, survival: Floats, outcomes: Floats) -> Floats:

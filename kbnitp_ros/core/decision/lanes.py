@@ -114,6 +114,11 @@ def lanes_between(
     return list(found.values())
 
 
+def there_and_back(out: Path, back: Path) -> Path:
+    """Return the path to the end of one lane, and from there along another one in reverse."""
+    return np.concatenate([out, back[-2::-1]])
+
+
 def safest_path(
     grid: Grid, draws: HazardDraws, model: SensorModel, start: int, to: int, max_steps: int
 ) -> SafestPath:

@@ -112,12 +112,14 @@ def plan_round(
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
-    situation = Situation(in_use, draws, model, options, draws.weight[None])
+    situation = Situation(in_use, grid.base, draws, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))
     plans, gains = [], []
     for robot_type in team.types:
-        own = situation.of_robot(robot_type.model(model), options.of_type(robot_type))
+        own = situation.of_robot(
+            robot_type.base, robot_type.model(model), options.of_type(robot_type)
+        )
         with GOALS.blamed(goal.name):
             flight = goal.flight(own)
         if flight is None and len(keepout):
@@ -129,7 +131,7 @@ def plan_round(
                 f'minimum_survival = {own.options.minimum_survival} within max_steps = '
                 f'{own.options.max_steps} and max_visits = {own.options.max_visits}'
             )
-        path = in_use.check_path(flight.path, own.options.max_steps)
+        path = own.grid.check_path(flight.path, own.options.max_steps)
         plans.append(Plan.along(path, belief, own.model))
         gains.append(flight.gain)
         situation = situation.with_sent(path, own.model)

@@ -108,13 +108,13 @@ class Belief(Value):
         Return a mission's belief before its first deployment.
 
         As `from_maps`, with numbers for maps that are the same everywhere, and with what is known
-        of the grid: the base has no hazard (its target is as likely as in any cell found free of
-        hazard), and blocked cells hold nothing to be looked for.
+        of the grid: its bases have no hazard (their targets are as likely as in any cell found
+        free of hazard), and blocked cells hold nothing to be looked for.
 
         Raises
         ------
         ValueError
-            As `from_maps`; also if the base is given as certainly hazardous.
+            As `from_maps`; also if a base is given as certainly hazardous.
 
         """
         maps = [
@@ -131,17 +131,18 @@ class Belief(Value):
         Raises
         ------
         ValueError
-            If the base is believed to be certainly hazardous.
+            If a base is believed to be certainly hazardous.
 
         """
         joint = self.joint.copy()
-        joint[grid.base, 1] = 0.0
-        safe = joint[grid.base].sum()
-        if safe == 0.0:
-            raise ValueError(
-                f'hazard of cell {grid.base} is 1: that is the base, which is free of hazard'
-            )
-        joint[grid.base] /= safe
+        for base in sorted(grid.bases):
+            joint[base, 1] = 0.0
+            safe = joint[base].sum()
+            if safe == 0.0:
+                raise ValueError(
+                    f'hazard of cell {base} is 1: that is a base, which is free of hazard'
+                )
+            joint[base] /= safe
         joint[~grid.free] = [[1.0, 0.0], [0.0, 0.0]]
         return Belief(joint)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 
@@ -35,7 +35,7 @@ class Grid:
     width, height : int
         Cells along x and y, at least 1 each.
     base : int
-        The cell every path starts and ends in; free, and free of hazard.
+        The cell that paths start and end in; free, and free of hazard.
     resolution : float
         Side of a cell in metres, positive.
     origin : tuple of float
@@ -47,11 +47,14 @@ class Grid:
     through_corners : bool
         Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. Without, both
         cells beside the step must be free.
+    other_bases : iterable of int
+        The bases of robots that have one of their own (`at`), as free as `base` and as free of
+        hazard.
 
     Raises
     ------
     ValueError
-        If a size, the base, the resolution, the origin, a blocked cell or the connectivity is not
+        If a size, a base, the resolution, the origin, a blocked cell or the connectivity is not
         as above.
 
     """
@@ -64,15 +67,21 @@ class Grid:
     blocked: Iterable[int] = ()
     connectivity: int = 8
     through_corners: bool = True
+    other_bases: Iterable[int] = ()
 
     def __post_init__(self) -> None:
         width = whole_number('grid width', self.width, 1)
         height = whole_number('grid height', self.height, 1)
         last = width * height - 1
         blocked = frozenset(whole_number('blocked cell', cell, 0, last) for cell in self.blocked)
-        base = whole_number('base', self.base, 0, last)
-        if base in blocked:
-            raise ValueError(f'base is {base}: it must be a free cell, and that one is blocked')
+        base, *others = (
+            whole_number('base', cell, 0, last) for cell in (self.base, *self.other_bases)
+        )
+        for cell in (base, *others):
+            if cell in blocked:
+                raise ValueError(
+                    f'base is {cell}: it must be a free cell, and that one is blocked'
+                )
         if not (isfinite(self.resolution) and self.resolution > 0):
             raise ValueError(f'resolution is {self.resolution}: it must be positive, in metres')
         origin = tuple(float(coordinate) for coordinate in self.origin)
@@ -93,6 +102,7 @@ class Grid:
             ('resolution', float(self.resolution)),
             ('origin', origin),
             ('blocked', blocked),
+            ('other_bases', frozenset(others) - {base}),
         ):
             object.__setattr__(self, name, value)
 
@@ -102,7 +112,8 @@ class Grid:
         first = ', '.join(map(str, blocked[:SHOWN]))
         more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''
         rest = ', '.join(f'{name}={getattr(self, name)}' for name in TOLD)
-        return f'Grid({rest}, blocked=[{first}{more}])'
+        others = f', other_bases={sorted(self.other_bases)}' if self.other_bases else ''
+        return f'Grid({rest}, blocked=[{first}{more}]{others})'
 
     @property
     def cells(self) -> int:
@@ -119,11 +130,47 @@ class Grid:
 
     @cached_property
     def may_be_hazardous(self) -> NDArray[np.bool_]:
-        """Which cells may have a hazard, shape (cells,): all that are free but the base."""
+        """Which cells may have a hazard, shape (cells,): all that are free but the bases."""
         may_be = self.free.copy()
-        may_be[self.base] = False
+        may_be[list(self.bases)] = False
         may_be.flags.writeable = False
         return may_be
+
+    @property
+    def bases(self) -> frozenset[int]:
+        """Return the cells that robots leave from and return to."""
+        return frozenset(self.other_bases) | {self.base}
+
+    def at(self, base: int | None) -> Grid:
+        """
+        Return the same field for robots of one of its bases, which is `base` there.
+
+        Parameters
+        ----------
+        base : int or None
+            None for that of robots that have none of their own.
+
+        Raises
+        ------
+        ValueError
+            If it is none of the bases.
+
+        """
+        if base is None or base == self.base:
+            return self
+        if base not in self.bases:
+            raise ValueError(
+                f'base {base} is none of the grid, which has {sorted(self.bases)}: name it in '
+                'other_bases, so that the cell is taken for free of hazard'
+            )
+        if base not in self._at:
+            self._at[base] = replace(self, base=base, other_bases=self.bases)
+        return self._at[base]
+
+    @cached_property
+    def _at(self) -> dict[int, Grid]:
+        # Each knows its distances, which take long in a large field.
+        return {}
 
     @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:

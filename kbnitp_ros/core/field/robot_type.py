@@ -12,6 +12,9 @@ from kbnitp_ros.core.field.sensor import SensorModel
 
 SENSORS = tuple(field.name for field in fields(SensorModel))
 
+# The whole numbers, and the least that each may be.
+LEAST = {'max_steps': 1, 'base': 0}
+
 
 @dataclass(frozen=True)
 class RobotType:
@@ -26,6 +29,8 @@ class RobotType:
         The most steps of their paths, at least 1.
     loss_cost : float, optional
         What a lost one is worth, nats, at least 0.
+    base : int, optional
+        The cell that they leave from and return to, one of the grid's bases.
 
     Raises
     ------
@@ -41,12 +46,13 @@ class RobotType:
     false_positive: float | None = None
     max_steps: int | None = None
     loss_cost: float | None = None
+    base: int | None = None
 
     def __post_init__(self) -> None:
         for name, value in self.own.items():
             checked: float
-            if name == 'max_steps':
-                checked = whole_number(name, value, 1)
+            if name in LEAST:
+                checked = whole_number(name, value, LEAST[name])
             else:
                 checked = cost(name, value) if name == 'loss_cost' else probability(name, value)
             object.__setattr__(self, name, checked)

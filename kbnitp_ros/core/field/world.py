@@ -68,7 +68,7 @@ class World(Value):
         Parameters
         ----------
         grid : Grid
-            Its base gets no hazard, its blocked cells get nothing.
+            Its bases get no hazard, its blocked cells get nothing.
         rng : int or numpy.random.Generator
             The only source of randomness.
         hazard_density : float
@@ -86,8 +86,7 @@ class World(Value):
         """
         drawn = np.random.default_rng(rng).random((2, grid.cells))
         hazard = drawn[0] < probability('hazard_density', hazard_density)
-        hazard &= grid.free
-        hazard[grid.base] = False
+        hazard &= grid.may_be_hazardous
         chance = np.where(
             hazard,
             probability('kappa', kappa),
@@ -102,15 +101,16 @@ class World(Value):
         Raises
         ------
         ValueError
-            If the number of cells differs, the base has a hazard or a blocked cell is not empty.
+            If the number of cells differs, a base has a hazard or a blocked cell is not empty.
 
         """
         if self.hazard.size != grid.cells:
             raise ValueError(
                 f'world has {self.hazard.size} cells: the grid has {grid.width} x {grid.height}'
             )
-        if self.hazard[grid.base]:
-            raise ValueError(f'world has a hazard at the base {grid.base}: the base is free of it')
+        for base in sorted(grid.bases):
+            if self.hazard[base]:
+                raise ValueError(f'world has a hazard at the base {base}: a base is free of it')
         filled = np.flatnonzero((self.hazard | self.target) & ~grid.free)
         if filled.size:
             raise ValueError(

@@ -159,7 +159,7 @@ class Deployments:
     max_steps : int
         The most steps a path may have.
     robot_types : mapping of str to RobotType
-        Of the robots of each agent whose robots are not like all others.
+        Of the robots of each agent whose robots are not like all others, with their bases.
 
     Attributes
     ----------
@@ -219,6 +219,19 @@ class Deployments:
         own = self.robot_type(key).max_steps
         return self.max_steps if own is None else own
 
+    def check_path(self, key: DeploymentKey, path: ArrayLike) -> NDArray[np.intp]:
+        """
+        Return the path of a deployment as an array of cells, shape (steps + 1,).
+
+        Raises
+        ------
+        ValueError
+            If none of its agent's robots could take it, from their base and back.
+
+        """
+        grid = self.grid.at(self.robot_type(key).base)
+        return grid.check_path(path, self.most_steps(key))
+
     def ending(self, key: DeploymentKey) -> Ending:
         """Return how a deployment ended that was reported."""
         return self._outcomes[key].ending
@@ -270,7 +283,7 @@ class Deployments:
             the pending reports can be assimilated; those are then dropped.
 
         """
-        cells = self.grid.check_path(path, self.most_steps(key)).astype(self._cell_type).tobytes()
+        cells = self.check_path(key, path).astype(self._cell_type).tobytes()
         if key in self._paths:
             if cells != self._paths[key]:
                 raise ValueError(f'path of deployment {key} is known and differs: the first holds')
@@ -460,7 +473,8 @@ def observation_of(
                 f'{LONGEST_WALK} * max_steps = {LONGEST_WALK * max_steps} may be'
             )
         try:
-            walk = grid.check_path([grid.base, *(cell for cell, _ in report.readings)])
+            base = int(path[0])
+            walk = grid.at(base).check_path([base, *(cell for cell, _ in report.readings)])
         except ValueError as error:
             raise ValueError(
                 f'readings of deployment {key} has {len(read)} values: there must be one for each '

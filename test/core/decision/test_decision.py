@@ -112,9 +112,9 @@ def test_numbers_are_those_of_all_states(seed):
     lanes = [random_path(rng, width, height, 0, 3) for _ in range(3)]
     free = np.array([~states[:, lane].any(axis=1) for lane in lanes], dtype=float)
     chances = draws.fates(flights, model)
-    sent = Situation(Grid(width, height), draws, model, SearchOptions(), weight[None]).with_sent(
-        path, model
-    )
+    sent = Situation(
+        Grid(width, height), 0, draws, model, SearchOptions(), weight[None]
+    ).with_sent(path, model)
     best = expected_best(free, chances, sent.outcomes)
     certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
     told = information(chances, sent.outcomes)

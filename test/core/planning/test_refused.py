@@ -55,7 +55,7 @@ def test_the_near_half_stays_open(data):
 
 
 def plans(refused, prior=FAR, agents=1, **options):
-    cells = keepout_cells(GRID, 18, agents, refused)
+    cells = keepout_cells(GRID, 18, [None] * agents, refused)
     return plan_round(GRID, prior, MODEL, 18, agents, keepout=cells, **options).plans, cells
 
 
@@ -91,8 +91,8 @@ def test_when_all_regions_are_refused_the_earlier_ones_are_forgotten():
 def test_each_robot_of_a_round_has_a_cell_to_go_to():
     grid = Grid(2, 2)
     paths = [[0, 1, 0], [0, 2, 0], [0, 3, 0]]
-    assert keepout_cells(grid, 4, 3, [paths]).tolist() == []
-    assert keepout_cells(grid, 4, 1, [paths[:1]]).tolist() == [1]
+    assert keepout_cells(grid, 4, [None] * 3, [paths]).tolist() == []
+    assert keepout_cells(grid, 4, [None], [paths[:1]]).tolist() == [1]
 
 
 @for_each('size, max_steps', [(5, 8), (7, 10), (8, 12)])
@@ -100,7 +100,7 @@ def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
     grid = Grid(size, size)
     prior, refused = Belief.prior(grid, 0.1, 0.45, 0.8), []
     for _ in range(4):
-        cells = keepout_cells(grid, max_steps, 2, refused)
+        cells = keepout_cells(grid, max_steps, [None] * 2, refused)
         team = plan_round(grid, prior, MODEL, max_steps, 2, keepout=cells).plans
         refused.append([plan.path for plan in team])
     ways = [[path.tolist() for path in paths] for paths in refused]

@@ -25,18 +25,18 @@ def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
     Returns
     -------
     list of ndarray of int
-        Its far half, those cells of it that are more than half as many steps from the base as its
+        Its far half, those cells of it that are more than half as many steps from its base as its
         farthest one, with the cells around them that are so, too; its far half alone; its farthest
-        cell with those around it; that cell alone. Each ascending.
+        cell with those around it; that cell alone. Each ascending, without the bases of others.
 
     """
-    steps = grid.steps_to_base
     cells = np.unique(np.asarray(path, dtype=np.intp))
+    steps = grid.at(int(np.asarray(path)[0])).steps_to_base
     farthest = cells[[np.argmax(steps[cells])]]
 
     def far(cells: NDArray[np.intp]) -> NDArray[np.intp]:
         kept: NDArray[np.intp] = cells[2 * steps[cells] > steps[farthest]]
-        return kept
+        return kept[~np.isin(kept, list(grid.bases))]
 
     def around(cells: NDArray[np.intp]) -> NDArray[np.intp]:
         neighbors: list[NDArray[np.intp]] = [grid.neighbors(cell) for cell in cells]
@@ -53,7 +53,10 @@ def without(grid: Grid, cells: Iterable[int]) -> Grid:
 
 
 def keepout_cells(
-    grid: Grid, max_steps: int, robots: int, rounds: Sequence[Sequence[ArrayLike]]
+    grid: Grid,
+    max_steps: int,
+    bases: Sequence[int | None],
+    rounds: Sequence[Sequence[ArrayLike]],
 ) -> NDArray[np.intp]:
     """
     Return the cells that the next robots keep off after rounds of plans were refused.
@@ -64,8 +67,8 @@ def keepout_cells(
         The field.
     max_steps : int
         The most steps of a path.
-    robots : int
-        How many leave next.
+    bases : sequence of int or None
+        Where each robot starts that leaves next; None for the base of the grid.
     rounds : sequence of sequence of array_like of int
         The paths that were refused, one round after another.
 
@@ -77,7 +80,16 @@ def keepout_cells(
         does not help, the earlier rounds are forgotten.
 
     """
-    in_reach = grid.in_reach(max_steps).sum()
+
+    def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return how many cells are left in reach of each base and, last, of any."""
+        open_grid = without(grid, cells)
+        in_reach = [open_grid.at(base).in_reach(max_steps) for base in dict.fromkeys(bases)]
+        in_reach.append(np.any(in_reach, axis=0))
+        sizes: NDArray[np.intp] = np.sum(in_reach, axis=1)
+        return sizes
+
+    in_reach = left(np.empty(0, dtype=np.intp))[-1]
     kept: NDArray[np.intp] = np.empty(0, dtype=np.intp)
     for paths in rounds:
         sizes = [
@@ -85,9 +97,10 @@ def keepout_cells(
             for each in zip(*(regions_of(grid, path) for path in paths))
         ]
         for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
-            left = without(grid, cells).in_reach(max_steps).sum()
-            # The base is always in reach.
-            if left > robots and 2 * left > in_reach - cells.size:
+            *of_each, of_all = left(cells).tolist()
+            # A base is always in reach from itself.
+            is_enough = of_all > len(bases) and min(of_each) > 1
+            if is_enough and 2 * of_all > in_reach - cells.size:
                 break
         kept = cells
     return kept

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.field import frozen, Grid, Value
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 # More sweeps over the regions change next to nothing.
 SWEEPS = 50
 
-# By how much the sites are turned about the base, radians: no border then runs along a row or a
+# By how much the sites are turned about their base, radians: no border then runs along a row or a
 # diagonal, and cells cross it one by one.
 TURN = 0.05
 
@@ -46,7 +47,7 @@ class Regions(Value):
 
 
 def divide(
-    grid: Grid,
+    grids: Sequence[Grid],
     cells: NDArray[np.intp],
     entropy: NDArray[np.float64],
     reach: NDArray[np.bool_],
@@ -57,14 +58,15 @@ def divide(
     Equation :eq:`power-diagram`.
 
     A cell belongs to the site r of least |cell - site r|^2 - weight r, of those that reach it.
-    All robots come from the base, so the sites are the centres of sectors around it; one after the
-    other gets the weight at which its region holds an even share, until none changes, and the
-    evenest of the divisions on the way is returned.
+    Robots come from their bases, so the sites are the centres of sectors around each base, of the
+    cells that are fewer steps from it than from the others; one after the other gets the weight at
+    which its region holds an even share, until none changes, and the evenest of the divisions on
+    the way is returned.
 
     Parameters
     ----------
-    grid : Grid
-        The field.
+    grids : sequence of Grid
+        The field, for each region with the base of its robot.
     cells : ndarray of int, shape (n,)
         What to divide, ascending.
     entropy : ndarray, shape (n,)
@@ -78,11 +80,18 @@ def divide(
         The same arguments give the same regions.
 
     """
-    row, col = np.divmod(cells, grid.width)
-    base_row, base_col = divmod(grid.base, grid.width)
-    place = (col - base_col) + 1j * (row - base_row)
-    parts = reach.shape[1]
-    sites = _sector_centres(place, entropy, parts) * np.exp(1j * TURN)
+    width, parts = grids[0].width, reach.shape[1]
+    row, col = np.divmod(cells, width)
+    base_row, base_col = np.divmod([grid.base for grid in grids], width)
+    start = (base_col - base_col[0]) + 1j * (base_row - base_row[0])
+    place = (col - base_col[0]) + 1j * (row - base_row[0])
+    sites = np.empty(parts, dtype=np.complex128)
+    steps = np.array([grid.steps_to_base[cells] for grid in grids])
+    nearest = start[np.where(reach.T, steps, grids[0].cells).argmin(axis=0)]
+    for at in dict.fromkeys(start.tolist()):
+        own, near = start == at, nearest == at
+        centres = _sector_centres(place[near] - at, entropy[near], own.sum())
+        sites[own] = at + centres * np.exp(1j * TURN)
     distance = np.where(reach, np.abs(place[:, None] - sites) ** 2, np.inf)
     weight = np.zeros(parts)
     share = entropy.sum() / parts
@@ -97,7 +106,7 @@ def divide(
             best = found
         if np.array_equal(weight, before):
             break
-    owner = np.full(grid.cells, -1)
+    owner = np.full(grids[0].cells, -1)
     owner[cells] = best.owner
     return Regions(owner, best.entropy)
 

@@ -129,7 +129,8 @@ def plan_team(
     ------
     ValueError
         As of `plan`; if the allocation is unknown, there are more robots than free cells, a robot
-        in flight could not have left that way, or they have too many different cameras.
+        in flight could not have left that way, a base is none of the grid's, or the robots have
+        too many different cameras.
 
     """
     ALLOCATIONS.find(team.allocation)
@@ -140,10 +141,12 @@ def plan_team(
     finder = PathFinder(in_use, options, np.asarray(visited))
     has_bound = bound or options.planner == 'exact'
     if has_bound:
-        check_bounded(in_use, options, len(team.types) + len(in_flight))
+        for robot_type in team.types:
+            check_bounded(in_use.at(robot_type.base), options, len(team.types) + len(in_flight))
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
-        outcomes = after_deployment(outcomes, robot_type.model(model), grid.check_path(path))
+        cells = grid.at(robot_type.base).check_path(path)
+        outcomes = after_deployment(outcomes, robot_type.model(model), cells)
     members = {
         robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
         for robot_type in team.types
@@ -179,13 +182,16 @@ def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
     Raises
     ------
     ValueError
-        With an estimate, if it takes more; or if they have too many different cameras.
+        With an estimate, if it takes more; if a base is none of the grid's; or if they have too
+        many different cameras.
 
     """
     longest = max((finder.options.of_type(each) for each in types), key=lambda o: o.max_steps)
     # Of those that have no camera of their own the model is all the same.
     cameras = {(each.true_positive, each.false_positive) for each in types}
-    replace(finder, options=longest).check_memory(len(types), len(cameras))
+    for base in {each.base for each in types}:
+        from_there = replace(finder, grid=finder.grid.at(base), options=longest)
+        from_there.check_memory(len(types), len(cameras))
 
 
 def team_size(grid: Grid, agents: int) -> int:

@@ -18,7 +18,7 @@ class TeamMember:
     Attributes
     ----------
     finder : PathFinder
-        With the limits of its path.
+        With the limits of its path, from its own base.
     objective : Objective
         Of its path, given the robots that have left before the round.
 
@@ -32,7 +32,11 @@ class TeamMember:
         cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
     ) -> TeamMember:
         """Return a robot of a type that goes alone, from what those like all others have."""
-        own = replace(finder, options=finder.options.of_type(robot_type))
+        own = replace(
+            finder,
+            grid=finder.grid.at(robot_type.base),
+            options=finder.options.of_type(robot_type),
+        )
         own_model = robot_type.model(model)
         return cls(own, Objective.alone(own.grid, belief, own_model, own.options))
 

@@ -24,14 +24,15 @@ def allocate(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], Regi
     from, each among the robots that can. Readings elsewhere count little; where its path leads a
     robot is free, and its return counts for all hazards on the way.
     """
-    grid, belief = robots[0].finder.grid, robots[0].objective.belief
+    belief = robots[0].objective.belief
     in_reach = {
-        robot: grid.in_reach(robot.finder.options.max_steps) for robot in dict.fromkeys(robots)
+        robot: robot.finder.grid.in_reach(robot.finder.options.max_steps)
+        for robot in dict.fromkeys(robots)
     }
     reach = np.stack([in_reach[robot] for robot in robots], axis=1)
     cells = np.flatnonzero(reach.any(axis=1))
     entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
-    regions = divide(grid, cells, entropy, reach[cells])
+    regions = divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
     paths = []
     for number, robot in enumerate(robots):
         interest = np.where(regions.owner == number, 1.0, ELSEWHERE)

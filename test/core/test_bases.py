@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots of several bases, against all closed paths from each of them."""
+
+from functools import cache
+from itertools import pairwise
+
+import brute_force
+from kbnitp_ros.core import (
+    ALLOCATIONS,
+    Area,
+    Belief,
+    DeploymentKey,
+    Deployments,
+    Execution,
+    Grid,
+    keepout_cells,
+    Lane,
+    Observation,
+    plan_team,
+    Report,
+    RobotType,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Team,
+    Truth,
+    update,
+    World,
+)
+from laws import for_each
+import numpy as np
+import pytest
+from rounds import plan_round
+
+MODEL = SensorModel(0.5)
+CASES, PER_CHUNK = 300, 25
+CORNERS = Grid(6, 5, base=0, blocked=(9, 27), other_bases=(29,))
+HERE, THERE = RobotType(), RobotType(base=29)
+
+
+@cache
+def every_path(width, height, base, most_steps, blocked=()):
+    return brute_force.all_visit_counts(width, height, base, most_steps, blocked)
+
+
+def random_problem(seed):
+    """Draw a field of 3x3 or 4x3 cells with three bases, a belief and the sensors of a robot."""
+    rng = np.random.default_rng(seed)
+    width = 3 + seed % 2
+    drawn = rng.permutation(width * 3).tolist()
+    bases, rest = drawn[:3], drawn[3:]
+    blocked = tuple(sorted(rest[: int(rng.integers(0, 3))]))
+    grid = Grid(width, 3, base=bases[0], blocked=blocked, other_bases=bases[1:])
+    joint = brute_force.random_joint(rng, grid.cells, bases[0])
+    sensors = SensorModel(**brute_force.random_sensors(rng))
+    return grid, Belief(joint).on(grid), sensors, RobotType(base=bases[int(rng.integers(3))])
+
+
+@for_each('chunk', range(CASES // PER_CHUNK), every=12)
+def test_plans_from_any_base_are_the_best_of_all_paths(chunk):
+    for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
+        grid, belief, model, robot_type = random_problem(seed)
+        steps = 5 + seed % 2
+        visits = every_path(grid.width, 3, robot_type.base, steps, tuple(sorted(grid.blocked)))
+        best = brute_force.information_of_visits(belief.joint, model, visits).max()
+        team = Team(types=(robot_type,))
+        found = {
+            planner: plan_team(
+                grid, belief, model, team, SearchOptions(planner, steps, 16, max_visits=steps)
+            ).plans[0]
+            for planner in ('beam', 'exact')
+        }
+        around = brute_force.adjacent(grid.width, 3, grid.blocked)
+        for planned in found.values():
+            path = planned.path.tolist()
+            assert path[0] == path[-1] == robot_type.base, seed
+            assert all(after in around[before] for before, after in pairwise(path))
+            assert len(path) - 1 <= steps
+            assert planned.information <= best + 1e-9, seed
+        assert found['beam'].information >= 0.97 * best, seed
+        assert found['exact'].information >= best - found['exact'].gap - 1e-9, seed
+        assert found['exact'].upper_bound >= best - 1e-9, seed
+
+
+@pytest.mark.slow
+@for_each('steps', [4, 5])
+def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
+    shares = []
+    for seed in range(30):
+        grid, belief, model, _ = random_problem(seed)
+        first, second = sorted(grid.bases)[:2]
+        blocked = tuple(sorted(grid.blocked))
+        types = RobotType(base=first), RobotType(base=second)
+        visits = [every_path(grid.width, 3, base, steps, blocked) for base in (first, second)]
+        # The pairs of one from each base, of a search over all paths together.
+        together = brute_force.information_of_pairs(belief.joint, model, np.vstack(visits))
+        of_first = len(visits[0])
+        best = together[:of_first, of_first:].max()
+        plans = plan_round(grid, belief, model, steps, 2, types=types, max_visits=steps).plans
+        assert [each.path[0] for each in plans] == [first, second]
+        taken = np.array([np.bincount(each.path[1:], minlength=grid.cells) for each in plans])
+        share = brute_force.information_of_pairs(belief.joint, model, taken)[0, 1] / best
+        assert share <= 1.0 + 1e-9
+        shares.append(share)
+    print(
+        f'{steps} steps: at least {min(shares):.3f} of the best pair, mean {np.mean(shares):.3f}'
+    )
+    assert min(shares) >= 0.96
+
+
+# The field
+
+
+def test_a_grid_at_another_base_is_the_same_field():
+    grid = Grid(5, 4, base=7, blocked=(3,), other_bases=(0, 19, 7))
+    assert grid.other_bases == {0, 19}
+    assert grid.bases == {0, 7, 19}
+    there = grid.at(19)
+    assert (there.base, there.bases, there.blocked) == (19, grid.bases, grid.blocked)
+    assert there.at(7) == grid.at(None) == grid.at(7) == grid
+    assert grid.at(19) is there
+    assert there.steps_to_base.tolist() == Grid(5, 4, base=19, blocked=(3,)).steps_to_base.tolist()
+    assert np.flatnonzero(~there.may_be_hazardous).tolist() == [0, 3, 7, 19]
+    assert 'other_bases=[0, 19]' in str(grid)
+    assert 'other' not in str(Grid(5, 4))
+
+
+@for_each(
+    'others, message',
+    [
+        ((3,), 'base is 3: it must be a free cell, and that one is blocked'),
+        ((20,), 'base is 20.*from 0 to 19'),
+        ((-1,), 'base is -1.*from 0 to 19'),
+        ((1.5,), 'base is 1.5.*whole number'),
+    ],
+)
+def test_bases_that_cannot_be_are_refused(others, message):
+    with pytest.raises(ValueError, match=message):
+        Grid(5, 4, blocked=(3,), other_bases=others)
+
+
+def test_a_base_that_is_none_of_the_grid_is_refused():
+    with pytest.raises(
+        ValueError, match=r'base 4 is none of the grid, which has \[0, 29\].*other'
+    ):
+        CORNERS.at(4)
+    belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
+    with pytest.raises(ValueError, match='base 4 is none of the grid'):
+        plan_round(CORNERS, belief, MODEL, 6, 1, types=(RobotType(base=4),))
+
+
+def test_no_base_has_a_hazard():
+    """In worlds and in the prior alike; the rest of both is as with one base."""
+    plain = Grid(6, 5, base=0, blocked=(9, 27))
+    for seed in range(50):
+        world, as_before = (World.random(g, seed, 0.9, 0.8, 0.1) for g in (CORNERS, plain))
+        assert not world.hazard[[0, 29]].any()
+        assert world.hazard[1:29].tolist() == as_before.hazard[1:29].tolist()
+        assert world.target[:29].tolist() == as_before.target[:29].tolist()
+    prior, as_before = (Belief.prior(g, 0.9, 0.8, 0.8) for g in (CORNERS, plain))
+    assert prior.hazard[29] == prior.hazard[0] == 0.0
+    assert prior.target[29] == prior.target[0]
+    assert prior.joint[:29].tolist() == as_before.joint[:29].tolist()
+    hazard = np.zeros(30, dtype=bool)
+    hazard[29] = True
+    with pytest.raises(ValueError, match='hazard at the base 29'):
+        World(hazard, hazard).check(CORNERS)
+    with pytest.raises(ValueError, match='hazard of cell 29 is 1'):
+        Belief.prior(CORNERS, hazard.astype(float), 0.5, 0.5)
+
+
+# Several robots
+
+
+@for_each('allocation', ALLOCATIONS)
+def test_each_robot_of_a_mission_leaves_from_and_returns_to_its_own_base(allocation):
+    belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
+    types = (HERE, THERE, RobotType(base=29, max_steps=6, true_positive=0.99))
+    execution = Execution(detour=0.2, early_return=0.2, contact=0.3, camera_failure=0.1)
+    for seed in range(3):
+        mission = run_mission(
+            CORNERS,
+            belief,
+            MODEL,
+            World.random(CORNERS, seed, 0.2, 0.8, 0.1),
+            7,
+            seed,
+            options=SearchOptions('beam', 9, 8),
+            team=Team(3, allocation, types),
+            truth=Truth(execution=execution),
+        )
+        bases = [0, 29, 29, 0, 29, 29, 0]
+        for base, each in zip(bases, mission, strict=True):
+            for path in (each.plan.path, each.observation.path):
+                assert path[0] == path[-1] == base
+                CORNERS.at(base).check_path(path)
+        assert {0.0} == {*mission[-1].belief.hazard[[0, 29]].tolist()}
+
+
+@for_each('seed', range(20))
+def test_a_deployment_from_another_base_is_evidence_as_any_other(seed):
+    """Exactly, against the sum over all states, for a return and for a loss."""
+    rng = np.random.default_rng(seed)
+    grid = Grid(2, 3, base=0, other_bases=(5,))
+    belief = Belief(brute_force.random_joint(rng, 6, 0)).on(grid)
+    model = SensorModel(**brute_force.random_sensors(rng))
+    path = brute_force.random_path(rng, 2, 3, 5, 4)
+    survived = bool(seed % 2)
+    readings = rng.random(4) < 0.5 if survived else None
+    expected = brute_force.posterior(belief.joint, model, (path, readings))
+    seen = update(belief, model, Observation(path, survived, readings))
+    np.testing.assert_allclose(seen.joint, expected, rtol=0, atol=1e-9)
+
+
+def test_the_field_is_shared_by_where_robots_start():
+    """All alike, and the bases at the two ends: each has the half that is nearer to it."""
+    grid = Grid(12, 3, base=12, other_bases=(23,))
+    belief = Belief.prior(grid, 0.2, 0.3, 0.8)
+    for types, first in (((HERE, RobotType(base=23)), 0), ((RobotType(base=23), HERE), 1)):
+        team = plan_round(grid, belief, MODEL, 24, 2, 'voronoi', 'relaxed', types=types)
+        owner = team.regions.owner.reshape(3, 12)
+        assert (owner[:, :6] == first).all()
+        assert (owner[:, 6:] == 1 - first).all()
+    four = (HERE, RobotType(base=23), HERE, RobotType(base=23))
+    owner = plan_round(grid, belief, MODEL, 24, 4, 'voronoi', 'relaxed', types=four).regions.owner
+    left, right = owner.reshape(3, 12)[:, :6], owner.reshape(3, 12)[:, 6:]
+    assert set(left.ravel()) == {0, 2}
+    assert set(right.ravel()) == {1, 3}
+
+
+@for_each('seed', range(10))
+def test_regions_hold_only_what_their_robots_reach(seed):
+    rng = np.random.default_rng(seed)
+    grid = Grid(15, 4, base=0, blocked=(7, 37), other_bases=(59, 30))
+    belief = Belief(brute_force.random_joint(rng, 60, 0)).on(grid)
+    types = tuple(
+        RobotType(base=int(base), max_steps=int(rng.integers(4, 20)))
+        for base in rng.choice([0, 59, 30], 4)
+    )
+    regions = plan_round(grid, belief, MODEL, 9, 4, 'voronoi', 'relaxed', types=types).regions
+    reach = [grid.at(each.base).in_reach(each.max_steps) for each in types]
+    assert ((regions.owner >= 0) == np.any(reach, axis=0)).all()
+    for robot, within in enumerate(reach):
+        assert within[regions.owner == robot].all()
+
+
+def test_robots_in_flight_from_another_base_are_planned_around():
+    belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
+    (alone,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,)).plans
+    out = [(alone.path, THERE)]
+    (other,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,), in_flight=out).plans
+    assert sorted(other.path) != sorted(alone.path)
+    with pytest.raises(ValueError, match='start at the base 0, not at cell 29'):
+        plan_round(CORNERS, belief, MODEL, 12, 1, in_flight=[(alone.path, HERE)])
+
+
+def test_no_base_is_kept_off():
+    belief, refused = Belief.prior(CORNERS, 0.2, 0.3, 0.8), []
+    types, bases = (HERE, THERE), [None, 29]
+    for _ in range(12):
+        kept = keepout_cells(CORNERS, 12, bases, refused)
+        assert not {0, 29} & set(kept.tolist())
+        plans = plan_round(CORNERS, belief, MODEL, 12, 2, types=types, keepout=kept).plans
+        assert [each.path[0] for each in plans] == [0, 29]
+        assert all(len(set(each.path.tolist())) > 1 for each in plans)
+        refused.append([each.path for each in plans])
+    assert len(kept)
+
+
+# Evidence
+
+
+def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
+    register = Deployments(CORNERS, 6, {'far': THERE})
+    near, far = DeploymentKey('near', 1), DeploymentKey('far', 2)
+    register.record_path(near, [0, 1, 0])
+    with pytest.raises(ValueError, match='path must start at the base 29, not at cell 0'):
+        register.record_path(far, [0, 1, 0])
+    register.record_path(far, [29, 28, 29])
+    with pytest.raises(ValueError, match='walk from the base back to it.*end at the base 29'):
+        register.record_report(far, Report(True, ((28, 1), (22, 0))))
+    assert register.record_report(far, Report(True, ((28, 1), (22, 0), (29, 0))))
+    assert register.observation(far).path.tolist() == [29, 28, 22, 29]
+
+
+# Goals
+
+
+@for_each('goal', [Lane(17), Area((2, 3, 20, 26))])
+def test_robots_of_another_base_fly_for_the_goal(goal):
+    belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
+    mission = run_mission(
+        CORNERS,
+        belief,
+        MODEL,
+        World.random(CORNERS, 1, 0.2, 0.8, 0.1),
+        6,
+        1,
+        options=SearchOptions('beam', 12, 8),
+        team=Team(2, types=(HERE, THERE)),
+        goal=goal,
+    )
+    assert [each.plan.path[0] for each in mission] == [0, 29] * 3
+    if goal.name == 'lane':
+        assert all(each.decision.path[0] == 0 for each in mission)
+    # What is flown for is looked at: both come by cells of the goal.
+    sought = {*mission[-1].decision.cells.tolist()}
+    assert all(sought & {*each.plan.path.tolist()} for each in mission)
+
+
+def test_an_area_that_only_another_base_reaches_is_sought():
+    line = Grid(20, 1, base=0, other_bases=(19,))
+    Area((16,)).check(line, 6)
+    with pytest.raises(ValueError, match='goal has cell 10'):
+        Area((10,)).check(line, 6)
