@@ -21,9 +21,11 @@ from kbnitp_ros.study.scenario import (
     LEARNING,
     Scenario,
     Strategy,
+    team_labels,
 )
 from kbnitp_ros.study.summary import (
     after_robots,
+    as_json,
     differences,
     json_row,
     lethality_cell,
@@ -172,6 +174,11 @@ def differ_in_objective(scenario: Scenario) -> bool:
     return len(objectives) > 1 and differ_only_in(scenario, 'objective', 'alpha', 'loss_cost')
 
 
+def differ_in_hazards(scenario: Scenario) -> bool:
+    """Return whether the strategies differ in what is believed of hazards, and in that alone."""
+    return differ_only_in(scenario, 'dynamics', 'clustering', 'paths')
+
+
 def learns(scenario: Scenario) -> bool:
     """Return whether one of the methods learns numbers."""
     return LEARNING in scenario.methods
@@ -207,6 +214,25 @@ def planner_of(team: Strategy, scenario: Scenario) -> str:
 def objective_of(team: Strategy, _: Scenario) -> str:
     """Return what a strategy seeks."""
     return f'{team.sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else team.sought
+
+
+def believed_by(team: Strategy, scenario: Scenario) -> str:
+    """Return what a strategy believes of hazards."""
+    return team_labels(scenario)[team]
+
+
+def hazard_rows(results: Results) -> Iterable[Row]:
+    """Yield how far hazards are from what is believed of them, a row for each contender."""
+    scenario = results.scenario
+    robots = after_robots((25, 50, 100), scenario.robots)
+    for lethality, (method, team) in product(scenario.lethalities, scenario.contenders):
+        series = results.series(lethality, method, 'hazard_log_loss', team=team)
+        yield {
+            'lethality': lethality,
+            'method': method,
+            'believed': believed_by(team, scenario),
+            'hazard_log_loss': [as_json(mean_of(series[:, after])) for after in robots],
+        }
 
 
 LOST = {'lost': lost, 'lost_more': lost_more}
@@ -337,6 +363,36 @@ BY_MAP = Comparison(
     ),
 )
 
+OF_HAZARDS = Comparison(
+    name='hazards',
+    applies=differ_in_hazards,
+    caption='Log loss of the hazards that are there, in nats, after so many robots.',
+    columns={**METHOD, 'believed': ('believed', '{}'), 'hazard_log_loss': ('', 1)},
+    head=lambda scenario: {'robots': after_robots((25, 50, 100), scenario.robots)},
+    rows=hazard_rows,
+)
+
+BY_KIND = Comparison(
+    name='kinds',
+    applies=differ_in_hazards,
+    caption=(
+        'Log loss of hazards and targets less that of `{first}`, trial by trial, in nats, after '
+        'so many robots; and the robots lost at the end, and how many more than with `{first}`.'
+    ),
+    columns={
+        **METHOD,
+        'believed': ('believed', '{}'),
+        'difference': ('', 1),
+        **LOST_COLUMNS,
+    },
+    **with_first(
+        {'believed': believed_by},
+        robots=(25, 50, 100),
+        first=('first', believed_by),
+        further=LOST,
+    ),
+)
+
 OF_NUMBERS = Comparison(
     name='numbers',
     applies=learns,
@@ -375,6 +431,8 @@ COMPARISONS = (
     BY_PLANNER,
     BY_OBJECTIVE,
     BY_MAP,
+    OF_HAZARDS,
+    BY_KIND,
     OF_NUMBERS,
     OF_LEARNING,
 )

@@ -103,11 +103,12 @@ class Folder:
     def _file(self, trial: Trial) -> Path:
         strategy = vars(trial.team).items()
         # Without these the names are those of studies that had none.
-        later = ('last_contact', 'planner', 'survey', 'trusted', 'objective', 'alpha')
+        earlier = ('agents', 'allocation', 'loss_cost')
+        unnamed = (*earlier, 'last_contact', 'planner')
         team = '-'.join(
-            f'{name if name in later[2:] else ""}{value}'
+            f'{"" if name in unnamed else name}{value}'
             for name, value in strategy
-            if name not in later or value != getattr(ALONE, name)
+            if name in earlier or value != getattr(ALONE, name)
         )
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
 

@@ -14,7 +14,11 @@ from kbnitp_ros.core import (
     ALPHAS,
     Belief,
     Beta,
+    Clustering,
+    Dynamics,
+    Estimator,
     Grid,
+    HAZARDS,
     METHODS,
     OBJECTIVES,
     PathFinder,
@@ -38,11 +42,17 @@ NUMBERS = tuple(field.name for field in fields(Unknowns))
 # The options of a search.
 OPTIONS = tuple(field.name for field in fields(SearchOptions))
 
+# How the hazards of worlds lie, as of `laid_out`.
+LAYOUTS = ('independent', 'blobs', 'rows')
+
+# On whose belief paths are planned.
+PATHS = ('own', 'static')
+
 # Keys of the generators of numbers that are drawn, which no world has.
 DRAWN = 0x4452574E
 
-# A value's type, and what is allowed: the lowest and the highest number, or a registry and names
-# besides.
+# A value's type, and what is allowed: the lowest and the highest number, or names, as of a
+# registry, and further ones.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
@@ -104,6 +114,14 @@ class Strategy:
         Of `OBJECTIVES`.
     alpha : float
         Of the objective 'behavioral', 0.2 to 5.
+    dynamics : str
+        The kind of hazards that are believed in, of `HAZARDS`; empty for that of the worlds.
+    clustering : str
+        'learn': hazards are believed to cluster, with a coupling that is learnt; empty: they are
+        believed to lie independently.
+    paths : str
+        'own': they are planned on what is believed. 'static': on what `kappa_bnitp` believes of
+        static hazards, so that all who have these paths have the same evidence.
 
     """
 
@@ -116,6 +134,9 @@ class Strategy:
     trusted: Probability = 0.0
     objective: Annotated[str, OBJECTIVES] = 'information'
     alpha: Annotated[float, ALPHAS] = 1.0
+    dynamics: Annotated[str, HAZARDS, ''] = ''
+    clustering: Annotated[str, ('learn',), ''] = ''
+    paths: Annotated[str, PATHS] = 'own'
 
     @property
     def sought(self) -> str:
@@ -188,6 +209,37 @@ class Densities:
 
 
 @dataclass(frozen=True)
+class Hazards:
+    """
+    How the hazards of the worlds lie and change.
+
+    Attributes
+    ----------
+    dynamics : str
+        Their kind, of `HAZARDS`.
+    appear, vanish : float
+        Rates of changing hazards, those of the worlds and those that are believed in.
+    layout : str
+        Of `LAYOUTS`.
+
+    """
+
+    dynamics: Annotated[str, HAZARDS] = 'static'
+    appear: Probability = 0.0
+    vanish: Probability = 0.0
+    layout: Annotated[str, LAYOUTS] = 'independent'
+
+    def of_kind(self, kind: str) -> Dynamics:
+        """Return how hazards of a kind change; empty: as they do."""
+        rates = {'appear': self.appear, 'vanish': self.vanish}
+        kind = kind or self.dynamics
+        return Dynamics(kind, **(rates if kind == 'changing' else {}))
+
+
+INDEPENDENT = Hazards()
+
+
+@dataclass(frozen=True)
 class Sensor:
     """
     The robots and their sensors but for the lethality, as for `SensorModel`.
@@ -236,6 +288,8 @@ class Scenario:
         Without them robots go one by one.
     learn : NumberPriors
         What the method that learns is not told, and what numbers that are None are drawn from.
+    hazards : Hazards
+        Without them they are static and lie independently.
 
     """
 
@@ -252,6 +306,7 @@ class Scenario:
     believed_lethality: Probability | None = None
     teams: tuple[Strategy, ...] = (ALONE,)
     learn: NumberPriors = TELL_ALL
+    hazards: Hazards = INDEPENDENT
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
@@ -299,6 +354,35 @@ class Scenario:
     def check_belief(self) -> None:
         """Refuse a prior that is none."""
         self.belief(self.truth(self.lethalities[0], 0))
+
+    def check_hazards(self) -> None:
+        """Refuse rates that no hazards have, and methods that do not take those believed in."""
+        hazards, truth = self.hazards, self.truth(self.lethalities[0], 0)
+        kinds = {hazards.dynamics, *(team.dynamics for team in self.teams)}
+        rates = {name: getattr(hazards, name) for name in ('appear', 'vanish')}
+        for name, rate in rates.items():
+            if rate and 'changing' not in kinds:
+                raise ValueError(f'{name} is {rate}: no hazards are changing or believed to be')
+        if 'changing' in kinds and not any(rates.values()):
+            raise ValueError('changing ones need a rate: appear, vanish or both')
+        for method, team in self.contenders:
+            if hazards.of_kind(team.dynamics).effect != 'static' or team.clustering:
+                self.estimator(method, team, self.belief(truth), self.model(truth))
+
+    def estimator(
+        self, method: str, team: Strategy, prior: Belief, model: SensorModel, seed: int = 0
+    ) -> Estimator:
+        """Return what a contender knows before the first robot."""
+        learns = method == LEARNING
+        return Estimator(
+            prior,
+            model,
+            SAMPLED if learns else method,
+            self.learn.unknowns() if learns else Unknowns(),
+            seed,
+            dynamics=self.hazards.of_kind(team.dynamics),
+            clustering=Clustering(self.field(), team.clustering) if team.clustering else None,
+        )
 
     def _given(self, lethality: float | None) -> dict[str, float | None]:
         return {'lethality': lethality, **vars(self.world), **vars(self.sensor)}
@@ -361,6 +445,12 @@ def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator
         yield team.planner or scenario.planning.planner
     if differ & {'objective', 'alpha'}:
         yield team.sought
+    if 'dynamics' in differ:
+        yield (team.dynamics or scenario.hazards.dynamics).replace('_', ' ')
+    if 'clustering' in differ:
+        yield 'clustered' if team.clustering else 'independent'
+    if 'paths' in differ:
+        yield f'{team.paths} paths'
     if differ & {'survey', 'trusted'}:
         trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
         yield f'map {team.survey:.4g}{trusted}' if team.survey else 'no map'
@@ -411,6 +501,7 @@ def scenario_of(content: Any) -> Scenario:
         ('learn', scenario.check_learning),
         ('prior', scenario.check_belief),
         ('teams', scenario.check_teams),
+        ('hazards', scenario.check_hazards),
         ('planning', scenario.check_search),
     ):
         try:
@@ -436,9 +527,12 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
     wanted, allowed, *besides = get_args(annotation)
     if wanted is str:
         if value not in allowed and value not in besides:
-            raise ValueError(
-                f'{key} is {value!r}: {allowed.why_not(value, *filter(None, besides))}'
-            )
+            named = tuple(filter(None, besides))
+            if isinstance(allowed, tuple):
+                why = f'it must be one of {", ".join(allowed + named)}'
+            else:
+                why = allowed.why_not(value, *named)
+            raise ValueError(f'{key} is {value!r}: {why}')
         return value
     lowest, highest = allowed
     of_kind = type(value) is wanted or (wanted is float and type(value) is int)

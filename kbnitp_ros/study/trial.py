@@ -3,23 +3,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from kbnitp_ros.core import (
+    Belief,
     binary_entropy,
     brier_score,
+    continue_mission,
     Estimator,
     Execution,
-    Learning,
     Learnt,
     log_loss,
-    run_mission,
+    SimulatedMission,
     Team,
     Truth,
-    Unknowns,
-    World,
 )
-from kbnitp_ros.study.scenario import ALONE, LEARNING, NUMBERS, SAMPLED, Scenario, Strategy
+from kbnitp_ros.study.layout import world_of
+from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario, Strategy
 from kbnitp_ros.study.survey import surveyed
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ class Outcome(NamedTuple):
     believed : ndarray, shape (2, cells)
         The hazard and the target map after the last robot.
     truth : ndarray of bool, shape (2, cells)
-        The hazards and the targets.
+        The hazards and the targets after the last robot.
     learnt : ndarray, shape (robots + 1, numbers, learnt)
         Of each of `NUMBERS` what was known, as `LEARNT` says; NaN if it was told.
     numbers : ndarray, shape (numbers,)
@@ -120,31 +121,29 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
-    world = World.random(grid, rng, **{name: truth[name] for name in vars(scenario.world)})
+    world = world_of(scenario, grid, truth, rng, trial.number)
     believed = dict(truth)
     if scenario.believed_lethality is not None:
         believed['lethality'] = scenario.believed_lethality
-    learns = trial.method == LEARNING
-    method = SAMPLED if learns else trial.method
-    unknowns = scenario.learn.unknowns() if learns else Unknowns()
     prior, model = scenario.belief(truth), scenario.model(believed)
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
-    mission = run_mission(
+    start = scenario.estimator(trial.method, trial.team, prior, model, trial.number)
+    mission = continue_mission(
         grid,
-        prior,
-        model,
+        start if trial.team.paths == 'own' else Estimator(prior, model),
         world,
         scenario.robots,
         rng,
-        method,
         scenario.options(trial.team),
         team=Team(trial.team.agents, trial.team.allocation),
-        truth=Truth(scenario.model(truth), Execution(contact=trial.team.last_contact)),
-        learning=Learning(unknowns, trial.number),
+        truth=Truth(
+            scenario.model(truth),
+            Execution(contact=trial.team.last_contact),
+            scenario.hazards.of_kind(scenario.hazards.dynamics),
+        ),
     )
-    start = Estimator(prior, model, method, unknowns, trial.number)
-    beliefs = [start.belief, *(deployment.belief for deployment in mission)]
-    known = [start.parameters, *(deployment.parameters for deployment in mission)]
+    beliefs, known = zip(*knowledge(start, mission, trial.team.paths == 'own'))
+    worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
     joint_entropy = [belief.joint_entropy() for belief in beliefs]
     measured = {
@@ -152,10 +151,10 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         'entropy_target': [binary_entropy(belief.target).sum() for belief in beliefs],
         'entropy': [belief.entropy() for belief in beliefs],
         'joint_entropy': joint_entropy,
-        'hazard_log_loss': [log_loss(belief.hazard, world.hazard) for belief in beliefs],
-        'target_log_loss': [log_loss(belief.target, world.target) for belief in beliefs],
-        'hazard_brier': [brier_score(belief.hazard, world.hazard) for belief in beliefs],
-        'target_brier': [brier_score(belief.target, world.target) for belief in beliefs],
+        'hazard_log_loss': [log_loss(b.hazard, w.hazard) for b, w in zip(beliefs, worlds)],
+        'target_log_loss': [log_loss(b.target, w.target) for b, w in zip(beliefs, worlds)],
+        'hazard_brier': [brier_score(b.hazard, w.hazard) for b, w in zip(beliefs, worlds)],
+        'target_brier': [brier_score(b.target, w.target) for b, w in zip(beliefs, worlds)],
         'robots_lost': np.cumsum([0, *lost]),
         'planned_information': [np.nan, *(deployment.plan.information for deployment in mission)],
         'realised_information': -np.diff(joint_entropy, prepend=np.nan),
@@ -163,10 +162,36 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     return Outcome(
         np.array([measured[name] for name in MEASURES], dtype=np.float64).T,
         np.stack([beliefs[-1].hazard, beliefs[-1].target]),
-        np.stack([world.hazard, world.target]),
+        np.stack([worlds[-1].hazard, worlds[-1].target]),
         np.array([[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known]),
         np.array([truth[name] for name in NUMBERS]),
     )
+
+
+def knowledge(
+    start: Estimator, mission: SimulatedMission, is_own: bool
+) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
+    """
+    Yield what is believed, and known of numbers, before the first robot and after each.
+
+    Parameters
+    ----------
+    start : Estimator
+        What is known before the first; it stays as it is.
+    mission : SimulatedMission
+        What came of the robots.
+    is_own : bool
+        Whether the mission was planned on what is believed, and so has it.
+
+    """
+    yield start.belief, start.parameters
+    estimator = start.copy()
+    for deployment in mission:
+        if is_own:
+            yield deployment.belief, deployment.parameters
+        else:
+            estimator.assimilate(deployment.observation)
+            yield estimator.belief, estimator.parameters
 
 
 def as_learnt(number: Learnt | None) -> tuple[float, ...]:

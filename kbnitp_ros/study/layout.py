@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Worlds whose hazards lie independently, in blobs or in rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kbnitp_ros.core import Grid, World
+from kbnitp_ros.study.scenario import Scenario
+import numpy as np
+from numpy.typing import NDArray
+
+# Key of the generators of layouts, which no world and no robot has.
+LAID_OUT = 0x4C41594F
+
+# How far neighbours of a blob reach, in cells: the standard deviation of a Gaussian kernel.
+REACH = 1.0
+# Hazards of a row, as far as the field has room for them.
+ROW = 5
+
+
+def world_of(
+    scenario: Scenario,
+    grid: Grid,
+    truth: Mapping[str, float],
+    rng: np.random.Generator,
+    trial: int,
+) -> World:
+    """
+    Draw the world of a trial.
+
+    As many numbers are drawn from `rng` whatever the layout.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The study.
+    grid : Grid
+        The field.
+    truth : mapping of str to float
+        The numbers of the world.
+    rng : numpy.random.Generator
+        Of the trial.
+    trial : int
+        Its number.
+
+    """
+    densities = {name: truth[name] for name in vars(scenario.world)}
+    if scenario.hazards.layout == 'independent':
+        return World.random(grid, rng, **densities)
+    own = np.random.default_rng([LAID_OUT, scenario.seed, trial])
+    lay_out = {'blobs': blobs, 'rows': rows}[scenario.hazards.layout]
+    hazard = lay_out(grid, densities['hazard_density'], own) & grid.may_be_hazardous
+    chance = np.where(hazard, densities['kappa'], densities['target_background'])
+    return World(hazard, (rng.random((2, grid.cells))[1] < chance) & grid.free)
+
+
+def blobs(grid: Grid, density: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return the cells where a smooth Gaussian random field is highest, as many as asked for."""
+    row, column = np.divmod(np.arange(grid.cells), grid.width)
+    squares = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
+    height = np.exp(-squares / (2.0 * REACH**2)) @ rng.standard_normal(grid.cells)
+    highest: NDArray[np.bool_] = height >= np.quantile(height, 1.0 - density)
+    return highest
+
+
+def rows(grid: Grid, density: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return straight rows of cells, along x, y or a diagonal, until there are as many."""
+    hazard = np.zeros((grid.height, grid.width), np.bool_)
+    while hazard.mean() < density:
+        up, along = rng.choice([(0, 1), (1, 0), (1, 1), (1, -1)])
+        row, column = rng.integers(grid.height), rng.integers(grid.width)
+        for _ in range(ROW):
+            if 0 <= row < grid.height and 0 <= column < grid.width:
+                hazard[row, column] = True
+            row, column = row + up, column + along
+    return hazard.ravel()
