@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from kbnitp_ros.core import Observation, targets
+from kbnitp_ros.core import hazards_used_up, Observation, targets
 from kbnitp_ros.report.mission import counted, Mission
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +126,43 @@ def losses_of(mission: Mission) -> NDArray[np.float64]:
         survival = moment.model_of(sortie.key.agent).survival(moment.belief.hazard[cells])
         np.add.at(expected, cells, shares(seen, survival))
     return expected
+
+
+def used_up_of(mission: Mission) -> NDArray[np.float64]:
+    """
+    Return how many hazards are believed to have been used up in each cell, shape (cells,).
+
+    Those of each deployment are added, as `used_up_at` has them.
+    """
+    used_up = np.zeros(mission.grid.cells)
+    for sortie in mission.sorties:
+        if sortie.moment:
+            used_up += used_up_at(mission, sortie.moment)
+    return used_up
+
+
+def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
+    """
+    Return how many hazards a deployment used up in each cell, by the belief before its report.
+
+    Parameters
+    ----------
+    mission : Mission
+        In whose field hazards that strike are gone.
+    place : int
+        Of the moment that took the report in, from 1.
+
+    Returns
+    -------
+    ndarray, shape (cells,)
+        Expected numbers, each in [0, 1]; 0 everywhere if the report is not on record.
+
+    """
+    moment, before = mission.moments[place], mission.moments[place - 1].belief
+    if moment.outcome is None or moment.sortie is None:
+        return np.zeros(mission.grid.cells)
+    model = moment.model_of(mission.sorties[moment.sortie].key.agent)
+    return hazards_used_up(before, model, moment.outcome)
 
 
 def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float64]:

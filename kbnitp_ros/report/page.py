@@ -16,7 +16,7 @@ from typing import Any
 from kbnitp_ros.core import Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.log.log_path import NAME
-from kbnitp_ros.report.answers import findings_of, losses_of
+from kbnitp_ros.report.answers import findings_of, losses_of, used_up_at, used_up_of
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
 from kbnitp_ros.report.mission import counted, Mission
@@ -221,10 +221,17 @@ def map_figures(mission: Mission) -> Iterator[str]:
     for name in MAPS:
         yield map_place(name, f'{name}, believed')
     yield map_place('losses', 'robots lost, expected in each cell after the last report')
+    if is_used_up(mission):
+        yield map_place('used-up', 'hazards used up, expected in each cell after the last report')
     if mission.world:
         yield map_place('true-hazard', 'hazard, true')
         yield map_place('true-target', 'target, true')
         yield map_place('true-kappa', 'target where a hazard is, true')
+
+
+def is_used_up(mission: Mission) -> bool:
+    """Return whether hazards that strike are believed to be gone."""
+    return bool(mission.rules['dynamics'] == 'used_up')
 
 
 def map_place(name: str, caption: str) -> str:
@@ -259,6 +266,8 @@ def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
     plots = {name: map_plot(mission.grid, lane=lane) for name in MAPS}
     losses = losses_of(mission)
     plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())))
+    if is_used_up(mission):
+        plots['used-up'] = map_plot(mission.grid, used_up_of(mission))
     if mission.world:
         hazard, target = (each.astype(np.float64) for each in vars(mission.world).values())
         truth = {'hazard': hazard, 'target': target}
@@ -279,7 +288,7 @@ def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
     }
     counts = {theme: list(zip((0.0, 0.5, 1.0), colours)) for theme, colours in COUNTS.items()}
     truths = {f'true-{name}': scale for name, scale in scales.items()}
-    return {**scales, **truths, 'losses': counts}
+    return {**scales, **truths, 'losses': counts, 'used-up': counts}
 
 
 def data_of(
@@ -411,6 +420,8 @@ def facts_of(
                 yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
             if heard := heard_on(seen):
                 yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
+        if is_used_up(mission) and place:
+            yield 'hazards used up', f'{used_up_at(mission, place).sum():.2f} expected'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):
         if np.isfinite(values[place]):
             yield f'information {name}', f'{values[place]:.3f} nats'

@@ -20,6 +20,7 @@ from kbnitp_ros.core import (
     run_mission,
     SearchOptions,
     SensorModel,
+    STATIC,
     Truth,
     Unknowns,
     World,
@@ -81,6 +82,7 @@ class Mission:
         grid=GRID,
         unknowns=KNOWN,
         method_seed=0,
+        dynamics=STATIC,
     ):
         self.sent = []
         self.grid = grid
@@ -88,6 +90,7 @@ class Mission:
         self.method = method
         self.unknowns = unknowns
         self.method_seed = method_seed
+        self.dynamics = dynamics
         self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
@@ -95,7 +98,14 @@ class Mission:
     def start_estimator(self):
         """Publish the prior, as an estimator does when it is started."""
         self.new = NewEvidence()
-        estimator = Estimator(self.prior, MODEL, self.method, self.unknowns, self.method_seed)
+        estimator = Estimator(
+            self.prior,
+            MODEL,
+            self.method,
+            self.unknowns,
+            self.method_seed,
+            dynamics=self.dynamics,
+        )
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
         self.started = self.now
         self.publish_belief()

@@ -4,7 +4,7 @@
 from itertools import product
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.core import Decision, HazardDraws, Observation
+from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, update
 from kbnitp_ros.messages.decisions import decision_message, read_decision
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.answers import (
@@ -14,11 +14,13 @@ from kbnitp_ros.report.answers import (
     losses_of,
     shares,
     undecided,
+    used_up_at,
+    used_up_of,
 )
 from kbnitp_ros.report.tiles import tiles_of
 from laws import for_each
-from mission_log import GRID, record
-from missions import sent_by_single
+from mission_log import GRID, MODEL, record
+from missions import sent_by_single, Shown
 import numpy as np
 import pytest
 
@@ -90,6 +92,25 @@ def test_losses_add_up_to_the_robots_lost(told):
     assert losses.sum() == pytest.approx(lost)
     assert not losses[~cells_of(mission).entered].any()
     assert tiles['What did it cost?'].answer == f'{lost} of 20 robots lost'
+
+
+def test_used_up_is_what_was_there_and_is_no_more(tmp_path):
+    whole = Shown(dynamics=Dynamics('used_up'))
+    # No cell twice: what was there is then what stays as well.
+    path = [2, 7, 12, 11, 6, 1, 2]
+    lost_at = [0.0, 0.2, 1.0, 0.5, 0.1, 0.1]
+    for ending in ({}, {'steps_survived': 2}, {'lost_at': lost_at}):
+        whole.deploy(Observation(path, False, **ending))
+        whole.deploy(Observation(path, True, [True, False, False, True, False, False]))
+    mission, _ = answered(whole, tmp_path)
+    moments, total = mission.moments, np.zeros(GRID.cells)
+    for place in range(1, len(moments)):
+        was_there = update(moments[place - 1].belief, MODEL, moments[place].outcome).hazard
+        used_up = used_up_at(mission, place)
+        assert used_up == pytest.approx(was_there - moments[place].belief.hazard, abs=1e-12)
+        assert used_up.sum() > 0.0
+        total += used_up
+    assert used_up_of(mission) == pytest.approx(total)
 
 
 def test_robots_in_flight_are_waited_for(tmp_path):

@@ -9,12 +9,12 @@ import shutil
 import subprocess
 import sys
 
-from kbnitp_ros.core import Observation
+from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.report import curves_of, read_mission
-from kbnitp_ros.report.answers import findings_of
+from kbnitp_ros.report.answers import findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.page import page_of
 from mission_log import GRID, record
-from missions import sent_by_single, single, team
+from missions import sent_by_single, Shown, single, team
 import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
@@ -168,6 +168,23 @@ def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
     assert 'in steps 3 to 5' in facts
     move(page, 1)
     assert page.evaluate(drawn)[0] == []
+
+
+def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
+    whole = Shown(dynamics=Dynamics('used_up'))
+    for _ in range(6):
+        whole.deploy(whole.walk())
+    mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    file = tmp_path / 'report.html'
+    file.write_text(page_of(mission, curves_of(mission))[0])
+    page = opened(file=file)
+    drawn = page.evaluate('document.getElementById("used-up").data[0].z')
+    used_up = np.where(mission.grid.free, used_up_of(mission), np.nan)
+    assert np.array(drawn, dtype=float).ravel() == pytest.approx(used_up, abs=1e-3, nan_ok=True)
+    move(page, 3)
+    facts = page.locator('#deployment').inner_text()
+    assert f'{used_up_at(mission, 3).sum():.2f} expected' in facts
+    assert not opened().locator('#used-up').count()
 
 
 def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, shown):

@@ -12,7 +12,13 @@ from kbnitp_ros.core.inference.deployments import (
     Report,
 )
 from kbnitp_ros.core.inference.estimator import Estimator
-from kbnitp_ros.core.inference.filtering import condition, KnownModel, lost_likelihood, OnePass
+from kbnitp_ros.core.inference.filtering import (
+    condition,
+    hazards_used_up,
+    KnownModel,
+    lost_likelihood,
+    OnePass,
+)
 from kbnitp_ros.core.inference.ledger import Ledger
 from kbnitp_ros.core.inference.methods import Inference, Method, METHODS, update
 
@@ -32,6 +38,7 @@ __all__ = [
     'Report',
     'condition',
     'deployment_order',
+    'hazards_used_up',
     'lost_likelihood',
     'observation_of',
     'update',

@@ -15,7 +15,7 @@ async function start() {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
-  const STILL = ['losses', ...NAMES.map((name) => `true-${name}`)].filter((id) => plots[id]);
+  const STILL = ['losses', 'used-up', ...NAMES.map((name) => `true-${name}`)].filter((id) => plots[id]);
   const ALL = [...NAMES, ...STILL];
   const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
   const { width, height } = mission.grid;
@@ -138,8 +138,8 @@ async function start() {
   function coloured(id) {
     const [cells] = plots[id].data;
     cells.colorscale = mission.scales[id][isDark() ? 'dark' : 'light'];
-    if (id === 'losses') return;
     const assumed = mission.assumed[id.replace('true-', '')];
+    if (assumed === undefined) return;
     const ticks = [0, 1, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])];
     cells.colorbar = { ...cells.colorbar, tickvals: ticks, ticktext: ticks.map((each) => Number(each.toFixed(2))) };
   }

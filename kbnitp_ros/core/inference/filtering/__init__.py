@@ -22,6 +22,7 @@ from kbnitp_ros.core.inference.filtering.one_pass import (
     OnePassEstimate,
     UsedUpEstimate,
 )
+from kbnitp_ros.core.inference.filtering.used_up import hazards_used_up
 
 __all__ = [
     'IMPOSSIBLE',
@@ -32,6 +33,7 @@ __all__ = [
     'can_be_lost',
     'check_cells',
     'condition',
+    'hazards_used_up',
     'loss_weights',
     'lost_likelihood',
     'multi_universe_likelihood',

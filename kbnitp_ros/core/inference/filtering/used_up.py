@@ -37,25 +37,78 @@ def update_used_up(belief: Belief, model: SensorModel, observation: Observation)
         If the path leaves the belief's cells or the outcome is impossible.
 
     """
-    check_cells(belief, observation)
-    visits = Visits.of(observation.path)
-    before = belief.joint[visits.cells]
-    if observation.readings is None:
-        move = lost_transition(
-            belief.hazard[visits.cells], model, visits, loss_weights(observation)
-        )
-    else:
-        read = read_log_likelihood(model, visits, observation.readings)
-        before = condition(before, read[:, None, :])
-        endures = float(model.malfunction < 1.0)
-        move = endures * survived_transition(model, visits.counts)
+    cells, before, move = moves(belief, model, observation)
     after = np.einsum('czx,czy->cyx', before, move)
     total = after.sum(axis=(1, 2), keepdims=True)
     if not (total > 0.0).all():
         raise ValueError(IMPOSSIBLE)
     joint = belief.joint.copy()
-    joint[visits.cells] = after / total
+    joint[cells] = after / total
     return Belief(joint)
+
+
+def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation) -> Floats:
+    """
+    Return how probably a deployment used up the hazard of each cell, shape (cells,).
+
+    Equations :eq:`used-up-returned` and :eq:`used-up-lost`: what moves from a hazard before the
+    deployment to none after it.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the deployment; hazards of different cells are taken for independent.
+    model : SensorModel
+        What the robot is believed to be like.
+    observation : Observation
+        What came of it.
+
+    Raises
+    ------
+    ValueError
+        If the path leaves the belief's cells or the outcome is impossible.
+
+    """
+    cells, before, move = moves(belief, model, observation)
+    moved = before.sum(axis=2)[:, :, None] * move
+    total = moved.sum(axis=(1, 2))
+    if not (total > 0.0).all():
+        raise ValueError(IMPOSSIBLE)
+    used_up = np.zeros(belief.cells)
+    used_up[cells] = moved[:, 1, 0] / total
+    return used_up
+
+
+def moves(
+    belief: Belief, model: SensorModel, observation: Observation
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """
+    Return how the hazards on a path move in a deployment.
+
+    Returns
+    -------
+    cells : ndarray of int, shape (n,)
+        The visited ones.
+    before : ndarray, shape (n, 2, 2)
+        P(Z before, X), given what was read of the targets.
+    move : ndarray, shape (n, 2, 2)
+        P(outcome, Z after | Z before), indexed [cell, before, after], up to a factor.
+
+    """
+    check_cells(belief, observation)
+    visits = Visits.of(observation.path)
+    before = belief.joint[visits.cells]
+    if observation.readings is None:
+        weights = loss_weights(observation)
+        return (
+            visits.cells,
+            before,
+            lost_transition(belief.hazard[visits.cells], model, visits, weights),
+        )
+    read = read_log_likelihood(model, visits, observation.readings)
+    endures = float(model.malfunction < 1.0)
+    move = endures * survived_transition(model, visits.counts)
+    return visits.cells, condition(before, read[:, None, :]), move
 
 
 def survived_transition(model: SensorModel, counts: NDArray[np.intp]) -> Floats:
