@@ -11,6 +11,7 @@ import sys
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.bag import read_log, same_types
+from kbnitp_ros.base.clustered_density import density_note
 from kbnitp_ros.configuration import (
     agents_of,
     estimator_of,
@@ -18,7 +19,7 @@ from kbnitp_ros.configuration import (
     robot_types_of,
     value_for,
 )
-from kbnitp_ros.core import DeploymentKey, Estimator, Ledger
+from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.log.departures import Departures, read_departures
 from kbnitp_ros.log.deployments import is_of_mission, read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
@@ -102,6 +103,7 @@ class EstimatorNode(FieldNode):
             )
         self._started = 0
         self._unconverged = ''
+        self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
 
     def _restore(self, log: str) -> None:
@@ -274,10 +276,14 @@ class EstimatorNode(FieldNode):
         if self._model is not None:
             self._model.publish(model_belief(ledger, stamp))
         self._views.show(ledger, stamp)
-        self._say_how_sure(ledger.estimator)
+        self._say_how_sure(ledger)
 
-    def _say_how_sure(self, estimator: Estimator) -> None:
-        """Tell how far chance takes the belief, and warn if that is further than aimed at."""
+    def _say_how_sure(self, ledger: Ledger) -> None:
+        """Tell how far chance takes the belief, and warn where it is not to be relied on."""
+        estimator, was_weak = ledger.estimator, self._weak_density
+        self._weak_density = density_note(ledger)
+        if self._weak_density and not was_weak:
+            self.get_logger().warning(self._weak_density)
         error = f'{estimator.sampling_error:.2g}'
         self.diagnostics.values['sampling_error'] = error
         self._unconverged = (
@@ -293,7 +299,9 @@ class EstimatorNode(FieldNode):
         unknown = ''
         if pending > MOST_AGENTS:
             unknown = f'{pending} reports are of deployments whose paths are not known'
-        self.diagnostics.warning = '; '.join(filter(None, (self._unconverged, unknown)))
+        self.diagnostics.warning = '; '.join(
+            filter(None, (self._unconverged, self._weak_density, unknown))
+        )
 
     def _say_what_is_held(self) -> None:
         self.diagnostics.state = working(

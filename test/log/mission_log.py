@@ -83,6 +83,7 @@ class Mission:
         unknowns=KNOWN,
         method_seed=0,
         dynamics=STATIC,
+        clustering=None,
     ):
         self.sent = []
         self.grid = grid
@@ -91,6 +92,7 @@ class Mission:
         self.unknowns = unknowns
         self.method_seed = method_seed
         self.dynamics = dynamics
+        self.clustering = clustering
         self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
@@ -105,6 +107,7 @@ class Mission:
             self.unknowns,
             self.method_seed,
             dynamics=self.dynamics,
+            clustering=self.clustering,
         )
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
         self.started = self.now
@@ -171,6 +174,8 @@ def observations(
     unknowns=KNOWN,
     method_seed=0,
     conduct=AS_ORDERED,
+    dynamics=STATIC,
+    clustering=None,
 ):
     """Return the deployments of a mission in the core."""
     rng = np.random.default_rng(seed)
@@ -185,16 +190,17 @@ def observations(
         method,
         SearchOptions(max_steps=MAX_STEPS),
         truth=Truth(execution=conduct),
-        learning=Learning(unknowns, method_seed),
+        learning=Learning(unknowns, method_seed, clustering),
+        dynamics=dynamics,
     )
 
 
-def mission(robots=8, conduct=AS_ORDERED, **options):
+def mission(robots=8, seed=1, conduct=AS_ORDERED, **options):
     """Return a whole mission, one robot after another."""
     whole = Mission(**options)
-    known = ('method', 'grid', 'unknowns', 'method_seed')
+    known = ('method', 'grid', 'unknowns', 'method_seed', 'dynamics', 'clustering')
     chosen = {name: options[name] for name in known if name in options}
-    for deployment in observations(robots, conduct=conduct, **chosen):
+    for deployment in observations(robots, seed, conduct=conduct, **chosen):
         whole.deploy(deployment.observation, orders=deployment.plan.path)
         assert whole.ledger.belief.joint.tobytes() == deployment.belief.joint.tobytes()
     return whole

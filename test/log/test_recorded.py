@@ -4,8 +4,9 @@ Logs that replay for ever.
 
 Those named after a method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3 --method
 METHOD` by the first version with these messages; that of `kappa_bnitp_sampled` learns two numbers.
-`late_return` is by `late_return.py`. Whoever changes what a method computes gives it a new version
-and keeps the one that these are replayed by.
+Those of kinds of hazards are by `kinds_of_hazards.py`, `late_return` is by `late_return.py`.
+Whoever changes what a method computes gives it a new version and keeps the one that these are
+replayed by.
 """
 
 from collections import Counter
@@ -20,6 +21,7 @@ from kbnitp_ros.log.deployments import read_deployments
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
+from kinds_of_hazards import KINDS
 from laws import for_each
 import numpy as np
 import pytest
@@ -63,8 +65,8 @@ for log in sys.argv[1:]:
 """
 
 
-def test_there_is_one_of_each_method():
-    assert {*METHODS, 'late_return'} == set(NAMES)
+def test_there_is_one_of_each_method_and_kind_of_hazards():
+    assert {*METHODS, *KINDS, 'late_return'} == set(NAMES)
 
 
 def log(name, folder):
@@ -126,7 +128,7 @@ def test_it_is_read_where_ros_is_not_installed(tmp_path):
     assert all(line.startswith(('IDENTICAL', 'EQUAL')) for line in lines), lines
     # That which shows all there is.
     shown = [path for path in paths if path.with_name('report').joinpath('report.html').exists()]
-    assert [path.parent.name for path in shown] == ['kappa_bnitp_sampled']
+    assert [path.parent.name for path in shown] == ['clustered', 'kappa_bnitp_sampled']
 
 
 @pytest.mark.processes

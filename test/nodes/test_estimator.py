@@ -248,6 +248,27 @@ def test_a_model_is_told_only_if_something_is_learnt(field):
     assert beliefs[0].seed == 7
 
 
+def test_a_weakly_known_density_of_clustered_hazards_is_told(field):
+    learnt = {'learn': ['hazard_density'], 'prior.clustering': 'learn'}
+    parameters = {**PARAMETERS, **SAMPLED, **learnt}
+    beliefs = field.listen(BeliefMaps, '/belief')
+    field.start('estimator', parameters)
+    paths = field.talk(Path, '/scout_1/path')
+    reports = field.talk(DeploymentReport, '/scout_1/report')
+    field.until(lambda: beliefs, 'prior')
+    told = 'hazards cluster and their density is only known as '
+    field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
+    assert field.diagnosed('/estimator').level == DiagnosticStatus.WARN
+    assert field.said('/estimator').count(told) == 1
+    # Until most cells were entered.
+    tours = ([0, 4, 8, 9, 4, 0], [0, 1, 2, 3, 2, 1, 0])
+    for number, cells in enumerate(tours, 1):
+        paths.publish(path(number, cells=cells))
+        reports.publish(returned(number, cells=cells))
+    field.until(lambda: beliefs[-1].deployments == len(tours), 'belief in all')
+    field.until(lambda: told not in field.diagnosed('/estimator').message, 'no warning')
+
+
 def test_sampling_that_does_not_settle_is_told(field):
     """All numbers may be anything: readings that tell nothing leave most of it open."""
     intervals = {f'learn.{name}': [0.0, 1.0] for name in LEARN}
