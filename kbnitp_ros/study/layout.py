@@ -50,28 +50,30 @@ def world_of(
         return World.random(grid, rng, **densities)
     own = np.random.default_rng([LAID_OUT, scenario.seed, trial])
     lay_out = {'blobs': blobs, 'rows': rows}[scenario.hazards.layout]
-    hazard = lay_out(grid, densities['hazard_density'], own) & grid.may_be_hazardous
+    count = round(densities['hazard_density'] * grid.cells)
+    hazard = lay_out(grid, count, own) & grid.may_be_hazardous
     chance = np.where(hazard, densities['kappa'], densities['target_background'])
     return World(hazard, (rng.random((2, grid.cells))[1] < chance) & grid.free)
 
 
-def blobs(grid: Grid, density: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return the cells where a smooth Gaussian random field is highest, as many as asked for."""
+def blobs(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return so many cells where a smooth Gaussian random field is highest."""
     row, column = np.divmod(np.arange(grid.cells), grid.width)
     squares = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     height = np.exp(-squares / (2.0 * REACH**2)) @ rng.standard_normal(grid.cells)
-    highest: NDArray[np.bool_] = height >= np.quantile(height, 1.0 - density)
-    return highest
+    hazard = np.zeros(grid.cells, np.bool_)
+    hazard[np.argsort(height)[grid.cells - count :]] = True
+    return hazard
 
 
-def rows(grid: Grid, density: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return straight rows of cells, along x, y or a diagonal, until there are as many."""
+def rows(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return so many cells in straight rows along x, y or a diagonal."""
     hazard = np.zeros((grid.height, grid.width), np.bool_)
-    while hazard.mean() < density:
+    while hazard.sum() < count:
         up, along = rng.choice([(0, 1), (1, 0), (1, 1), (1, -1)])
         row, column = rng.integers(grid.height), rng.integers(grid.width)
         for _ in range(ROW):
-            if 0 <= row < grid.height and 0 <= column < grid.width:
+            if hazard.sum() < count and 0 <= row < grid.height and 0 <= column < grid.width:
                 hazard[row, column] = True
             row, column = row + up, column + along
     return hazard.ravel()

@@ -295,7 +295,7 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2
     assert re.fullmatch(
-        'study: scenario magic is no file.*calibrated, last_contact, loss_cost, .*teams.*\n',
+        'study: scenario magic is no file.*calibrated, .*last_contact, loss_cost, .*teams.*\n',
         done.stderr,
     )
 

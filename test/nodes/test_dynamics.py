@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Missions in fields that change, or are clustered, are killed, go on, and are those of core."""
+"""Missions with each kind of hazards, and heard losses, are killed, go on, and are of core."""
 
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.log.replay import replay
@@ -27,11 +27,17 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 @pytest.mark.parametrize(
     'hazards',
     [
+        {'contact_probability': 0.5, 'method': 'kappa_bnitp_smoothed'},
         {'hazards.dynamics': 'used_up'},
+        {
+            'hazards.dynamics': 'used_up',
+            'method': 'kappa_bnitp_sampled',
+            'contact_probability': 0.5,
+        },
         {'hazards.dynamics': 'changing', 'hazards.appear': 0.05, 'hazards.vanish': 0.2},
         {'prior.clustering': 'learn', 'method': 'kappa_bnitp_sampled', 'learn': ['lethality']},
     ],
-    ids=['used_up', 'changing', 'clustered'],
+    ids=['heard', 'used_up', 'used_up_sampled', 'changing', 'clustered'],
 )
 def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     log = field.folder / 'mission.mcap'
@@ -59,6 +65,8 @@ def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     assert {each.observation.survived for each in expected} == {True, False}
     changes = any((each.world.hazard != expected[0].world.hazard).any() for each in expected)
     assert changes == ('hazards.dynamics' in hazards)
+    heard = any(each.observation.lost_at is not None for each in expected)
+    assert heard == ('contact_probability' in hazards)
     believed = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
     assert believed == expected[-1].belief.joint.tobytes()
     assert set(field.processes.stop().values()) == {0}

@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.core import run_mission
+from kbnitp_ros.core import continue_mission
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import CONTACT
 from kbnitp_ros.study.report import write_report
@@ -31,12 +31,12 @@ def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
     def noting(*arguments, truth, **options):
         contact = truth.execution.contact
         heard.append(contact)
-        mission = run_mission(*arguments, truth=truth, **options)
+        mission = continue_mission(*arguments, truth=truth, **options)
         known = [d.observation.steps_survived for d in mission if not d.observation.survived]
         assert any(known) == (contact > 0.0)
         return mission
 
-    monkeypatch.setattr(running, 'run_mission', noting)
+    monkeypatch.setattr(running, 'continue_mission', noting)
     # Robots whose first step is their last have nothing to be heard of.
     scenario = replace(scenario, teams=TEAMS[:2], robots=30, trials=1, lethalities=(0.5,))
     for trial in trials_of(replace(scenario, methods=('kappa_bnitp',))):

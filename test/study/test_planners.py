@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.core import run_mission, SearchOptions
+from kbnitp_ros.core import continue_mission, SearchOptions
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import BY_PLANNER
 from kbnitp_ros.study.report import write_report
@@ -30,9 +30,9 @@ def test_each_team_has_its_planner(scenario, monkeypatch):
 
     def noting(*arguments, **options):
         used.extend(each.planner for each in arguments if isinstance(each, SearchOptions))
-        return run_mission(*arguments, **options)
+        return continue_mission(*arguments, **options)
 
-    monkeypatch.setattr(running, 'run_mission', noting)
+    monkeypatch.setattr(running, 'continue_mission', noting)
     scenario = replace(scenario, teams=TEAMS, trials=1, lethalities=(0.5,))
     for trial in trials_of(replace(scenario, methods=('kappa_bnitp',))):
         run_trial(scenario, trial)
