@@ -62,7 +62,7 @@ def blobs(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]
     squares = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     height = np.exp(-squares / (2.0 * REACH**2)) @ rng.standard_normal(grid.cells)
     hazard = np.zeros(grid.cells, np.bool_)
-    hazard[np.argsort(height)[grid.cells - count :]] = True
+    hazard[np.argsort(-height)[:count]] = True
     return hazard
 
 
