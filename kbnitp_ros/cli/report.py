@@ -11,7 +11,19 @@ from kbnitp_ros.bag import log_size, LogError
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report import check_is_free, curves_of, Mission, PARTS, read_mission, write_report
+from kbnitp_ros.report import (
+    check_is_free,
+    check_one_field,
+    comparison_of,
+    Curves,
+    curves_of,
+    Mission,
+    Pair,
+    PARTS,
+    read_mission,
+    write_comparison,
+    write_report,
+)
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -19,12 +31,15 @@ Show a mission's log: report.html, a page that works without a network; maps and
 and SVG; deployments.parquet and .csv, one row a deployment; belief.npz; and the last beliefs as
 maps of map_server (hazard.yaml, target.yaml, kappa.yaml), which a mission can begin with.
 
+With the log of a second mission in the same field: comparison.html, one page with both.
+
 The exit code is 0 if all is written, and 2 if the log cannot be used or nothing can be written.
 """
 
 EXAMPLES = (
     'python3 -m kbnitp_ros report runs/small --out runs/small/report',
     'python3 -m kbnitp_ros report runs/small/mission.mcap --out shown',
+    'python3 -m kbnitp_ros report runs/small runs/other --out runs/compared',
 )
 
 
@@ -42,6 +57,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser('report', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     parser.add_argument(
+        'other',
+        metavar='OTHER',
+        type=Path,
+        nargs='?',
+        help='the log of a second mission in the same field, to show beside the first',
+    )
+    parser.add_argument(
         '--out',
         metavar='DIR',
         type=Path,
@@ -51,7 +73,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         check_is_free(options.out)
-        report(options.log, options.out)
+        if options.other is None:
+            report(options.log, options.out)
+        else:
+            compare(options.log, options.other, options.out)
     except (LogError, ValueError, OSError) as error:
         complain('report', error)
         return 2
@@ -70,8 +95,8 @@ def report(log: Path, folder: Path, note: str = '') -> Mission:
         If the report cannot be written.
 
     """
-    mission = read_mission(log, partial(with_progress, log_size(log)))
-    curves = curves_of(mission, partial(tqdm, unit='belief', desc='curves', disable=None))
+    mission = read(log)
+    curves = curves_with_progress(mission)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
     say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
@@ -79,3 +104,32 @@ def report(log: Path, folder: Path, note: str = '') -> Mission:
         if each:
             say(each)
     return mission
+
+
+def compare(first: Path, second: Path, folder: Path) -> None:
+    """
+    Write the page of two missions and say so, with progress bars on a terminal.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be used.
+    OSError, ValueError
+        If the page cannot be written, or the fields are different.
+
+    """
+    missions = read(first), read(second)
+    check_one_field(*missions)
+    page = comparison_of(*(Pair(each, curves_with_progress(each)) for each in missions))
+    write_comparison(folder, page)
+    say(f'wrote {folder / "comparison.html"}')
+
+
+def read(log: Path) -> Mission:
+    """Return the mission of a log, with a progress bar on a terminal."""
+    return read_mission(log, partial(with_progress, log_size(log)))
+
+
+def curves_with_progress(mission: Mission) -> Curves:
+    """Return how a mission went, with a progress bar on a terminal."""
+    return curves_of(mission, partial(tqdm, unit='belief', desc='curves', disable=None))

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a mission's log comes to, for people and for other programs."""
 
+from kbnitp_ros.report.comparison import check_one_field, Pair
+from kbnitp_ros.report.comparison_page import comparison_of
 from kbnitp_ros.report.curves import Curves, curves_of
-from kbnitp_ros.report.folder import check_is_free, PARTS, write_report
+from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
 from kbnitp_ros.report.mission import Mission, Moment, read_mission, Sortie
 
 __all__ = [
@@ -10,9 +12,13 @@ __all__ = [
     'Curves',
     'Mission',
     'Moment',
+    'Pair',
     'Sortie',
     'check_is_free',
+    'check_one_field',
+    'comparison_of',
     'curves_of',
     'read_mission',
+    'write_comparison',
     'write_report',
 ]

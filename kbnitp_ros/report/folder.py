@@ -87,6 +87,13 @@ def write_report(
     return left_out
 
 
+def write_comparison(folder: Path, page: str) -> None:
+    """Write the page of two missions to a folder of its own; raises OSError if impossible."""
+    check_is_free(folder)
+    with whole_folder(folder) as new:
+        new.joinpath('comparison.html').write_text(page, encoding='utf-8')
+
+
 # The parts that `write_report` tells of.
 PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from kbnitp_ros.core import Observation
+from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.log.log_path import NAME
 from kbnitp_ros.report.answers import findings_of, losses_of, used_up_at, used_up_of
@@ -171,7 +171,7 @@ def filled(
         frames=packed_frames(frames),
         plots=plots_of(mission, panels),
         plotly=get_plotlyjs().replace('</script', '<\\/script'),
-        script=assets['js'],
+        script=asset('drawing.js') + assets['js'],
     )
 
 
@@ -303,15 +303,7 @@ def data_of(
     out = out_at(mission)
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
     return {
-        'grid': {
-            'width': grid.width,
-            'height': grid.height,
-            'resolution': grid.resolution,
-            'x': grid.origin[0],
-            'y': grid.origin[1],
-            'bases': sorted(grid.bases),
-            'blocked': sorted(grid.blocked),
-        },
+        'grid': field_of(grid),
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
         'scales': scales_of(mission),
         'assumed': mission.assumed,
@@ -325,6 +317,19 @@ def data_of(
             each: {'path': mission.sorties[each].path.tolist()} for each in sorted(needed)
         },
         'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
+    }
+
+
+def field_of(grid: Grid) -> dict[str, Any]:
+    """Return what a page is to know of the field."""
+    return {
+        'width': grid.width,
+        'height': grid.height,
+        'resolution': grid.resolution,
+        'x': grid.origin[0],
+        'y': grid.origin[1],
+        'bases': sorted(grid.bases),
+        'blocked': sorted(grid.blocked),
     }
 
 

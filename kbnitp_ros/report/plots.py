@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from html import escape
 from math import isnan
 
@@ -36,6 +36,7 @@ def map_plot(
     grid: Grid,
     values: NDArray[np.float64] | None = None,
     most: float = 1.0,
+    least: float = 0.0,
     lane: NDArray[np.intp] | None = None,
 ) -> str:
     """
@@ -47,8 +48,8 @@ def map_plot(
         The field.
     values : ndarray, shape (cells,), optional
         What is drawn, NaN for nothing; without them there is room for what the page puts in.
-    most : float
-        The largest value that there can be.
+    most, least : float
+        The largest value that there can be, and the smallest.
     lane : ndarray of int, shape (steps + 1,), optional
         A way to draw.
 
@@ -57,7 +58,7 @@ def map_plot(
     image = np.full(grid.cells, np.nan) if values is None else np.where(grid.free, values, np.nan)
     cells = heatmap(grid, image)
     cells.update(
-        zmin=0,
+        zmin=least,
         zmax=most,
         colorbar={'thickness': 10, 'len': 0.9},
         hovertemplate='x %{x:.4g} m, y %{y:.4g} m: %{z:.3f}<extra></extra>',
@@ -144,17 +145,8 @@ def curve_plots(
 ) -> Iterator[tuple[str, str]]:
     """Yield what each panel of curves is of, and the panel as Plotly's JSON."""
     for panel in panels_of(curves):
-        figure = graph_objects.Figure()
-        for (name, values), style in zip(panel.lines.items(), SERIES):
-            figure.add_scatter(
-                x=kept,
-                y=values[kept],
-                name=name,
-                mode='lines',
-                line={'color': style.colour, 'dash': style.plotly_dash},
-                hovertemplate='%{y:.4g}',
-            )
-        yield panel.label, finished(figure, panel.label)
+        lines = {name: (kept, values[kept]) for name, values in panel.lines.items()}
+        yield panel.label, lines_plot(panel.label, lines)
     for name in mission.moments[-1].learnt:
         low, _, middle, _, high = quantiles_of(mission, name)[kept].T
         known = {'x': kept, 'mode': 'lines', 'hovertemplate': '%{y:.3f}'}
@@ -177,6 +169,24 @@ def curve_plots(
         label = name.replace('_', ' ')
         figure.update_yaxes(range=[0, 1])
         yield label, finished(figure, escape(label))
+
+
+def lines_plot(
+    label: str,
+    lines: Mapping[str, tuple[NDArray[np.intp], NDArray[np.float64]]],
+) -> str:
+    """Return a panel of lines, each of which has moments and values, as Plotly's JSON."""
+    figure = graph_objects.Figure()
+    for (name, (moments, values)), style in zip(lines.items(), SERIES):
+        figure.add_scatter(
+            x=moments,
+            y=values,
+            name=name,
+            mode='lines',
+            line={'color': style.colour, 'dash': style.plotly_dash},
+            hovertemplate='%{y:.4g}',
+        )
+    return finished(figure, escape(label))
 
 
 def finished(figure: graph_objects.Figure, label: str) -> str:

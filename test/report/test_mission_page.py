@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.core import Dynamics, Observation
-from kbnitp_ros.report import curves_of, read_mission
+from kbnitp_ros.report import comparison_of, curves_of, Pair, read_mission
 from kbnitp_ros.report.answers import findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.page import page_of
 from mission_log import GRID, record
@@ -374,17 +374,19 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
 
 @pytest.mark.parametrize('scheme', ['light', 'dark'])
 def test_everybody_can_use_it(opened, scheme):
+    assert serious_violations(opened(scheme=scheme)) == []
+
+
+def serious_violations(page):
+    """Return what axe finds on a page that keeps people out."""
     if not AXE.exists():
         pytest.skip(f'axe-core is not installed: npm ci --prefix {AXE.parents[2]}')
-    page = opened(scheme=scheme)
     page.add_script_tag(content=AXE.read_text())
-    found = page.evaluate('axe.run()')['violations']
-    serious = [
+    return [
         (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
-        for each in found
+        for each in page.evaluate('axe.run()')['violations']
         if each['impact'] in ('serious', 'critical')
     ]
-    assert serious == []
 
 
 @pytest.mark.processes
@@ -418,3 +420,58 @@ def test_a_team_shows_who_is_out(opened, tmp_path):
     late = next(place for place, each in enumerate(mission.moments) if each.is_late)
     move(page, late)
     assert 'returned after it had been given up' in page.locator('#told').inner_text()
+
+
+@pytest.fixture(scope='module')
+def two(shown, tmp_path_factory):
+    """Return two missions of one field and the file of their page."""
+    folder = tmp_path_factory.mktemp('two')
+    missions = shown[0], read_mission(single(folder / 'mission.mcap', 12))
+    page = folder / 'comparison.html'
+    page.write_text(comparison_of(*(Pair(each, curves_of(each)) for each in missions)))
+    return missions, page
+
+
+def test_two_missions_are_drawn_as_on_record(opened, two):
+    missions, file = two
+    page = opened(file=file)
+    for name in NAMES:
+        values = [getattr(each.moments[-1].belief, name) for each in missions]
+        free = missions[0].grid.free
+        for drawn_as, wanted in zip(('A', 'B', 'change'), (*values, values[1] - values[0])):
+            assert drawn(page, f'{drawn_as}-{name}')[free] == pytest.approx(wanted[free])
+    lines = page.evaluate(
+        'document.getElementById("curve-0")._fullData.map(each => each.y.length)'
+    )
+    assert lines == [31, 13]
+    heads = page.locator('#answers h3').all_inner_texts()
+    assert heads == asked_in('docs/reading.md')[: len(heads)]
+
+
+@pytest.mark.parametrize('width', [390, 800, 1400])
+def test_two_missions_fit_the_page(opened, two, width):
+    assert opened(width, file=two[1]).evaluate('document.documentElement.scrollWidth') == width
+
+
+def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
+    missions, file = two
+    page = opened(file=file, is_strict=True)
+    page.locator('#findings th button').last.click()
+    with page.expect_download() as download:
+        page.get_by_role('button', name='CSV').click()
+    with Path(download.value.path()).open(newline='') as table:
+        rows = list(csv.DictReader(table))
+    found = {(each.kind, each.x, each.y) for mission in missions for each in findings_of(mission)}
+    assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in rows} == found
+    changes = [float(row['B less A']) for row in rows]
+    assert changes == sorted(changes)
+    for row in rows:
+        change = float(row['in B']) - float(row['probability in A'])
+        assert float(row['B less A']) == pytest.approx(change)
+    page.get_by_role('button', name='Dark').click()
+    assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
+
+
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
+def test_everybody_can_use_the_page_of_two(opened, two, scheme):
+    assert serious_violations(opened(scheme=scheme, file=two[1])) == []

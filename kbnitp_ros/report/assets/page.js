@@ -1,5 +1,3 @@
-'use strict';
-
 // What Python packed: see frames.py.
 async function unpacked(id) {
   const text = document.getElementById(id).textContent.trim();
@@ -9,7 +7,6 @@ async function unpacked(id) {
 }
 
 const NAMES = ['hazard', 'target', 'kappa'];
-const page = (id) => document.getElementById(id);
 
 async function start() {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
@@ -65,46 +62,6 @@ async function start() {
     return { x, y };
   }
 
-  // Plotly has no hatching for maps, so cells that nobody was sent into are drawn over as a picture.
-  const side = Math.max(3, Math.floor(900 / Math.max(width, height)));
-  const canvas = document.createElement('canvas');
-  canvas.width = width * side;
-  canvas.height = height * side;
-  function hatching(moment) {
-    const context = canvas.getContext('2d');
-    context.clearRect(0, 0, canvas.width, canvas.height);
-    context.save();
-    context.beginPath();
-    let unvisited = 0;
-    mission.visited.forEach((first, each) => {
-      if ((first < 0 || first > moment) && !blocked.has(each)) {
-        context.rect((each % width) * side, (height - 1 - Math.floor(each / width)) * side, side, side);
-        unvisited += 1;
-      }
-    });
-    context.clip();
-    context.beginPath();
-    const reach = canvas.width + canvas.height;
-    // The picture is about 300 pixels wide in the page.
-    const pixel = Math.max(canvas.width, canvas.height) / 300;
-    for (let begin = 0; begin < reach; begin += 14 * pixel) {
-      context.moveTo(begin, 0);
-      context.lineTo(begin - canvas.height, canvas.height);
-    }
-    // Dark lines within light ones show on light maps and on dark ones.
-    for (const [style, wide] of [['rgba(255, 255, 255, 0.5)', 2.5], ['#505050', 1]]) {
-      context.strokeStyle = style;
-      context.lineWidth = wide * pixel;
-      context.stroke();
-    }
-    context.restore();
-    return unvisited ? [{
-      source: canvas.toDataURL(), xref: 'x', yref: 'y', sizing: 'stretch', layer: 'above',
-      x: mission.grid.x, y: mission.grid.y + height * mission.grid.resolution,
-      sizex: width * mission.grid.resolution, sizey: height * mission.grid.resolution,
-    }] : [];
-  }
-
   function overlays(moment) {
     const { sortie, survived, known, out } = mission.moments[moment];
     if (!isAsked) return {};
@@ -129,32 +86,10 @@ async function start() {
     return traces;
   }
 
-  function colours() {
-    const style = getComputedStyle(document.documentElement);
-    const of = (name) => style.getPropertyValue(`--${name}`).trim();
-    return { text: of('text'), paper: of('paper'), line: of('line') };
-  }
-
   function coloured(id) {
-    const [cells] = plots[id].data;
-    cells.colorscale = mission.scales[id][isDark() ? 'dark' : 'light'];
-    const assumed = mission.assumed[id.replace('true-', '')];
-    if (assumed === undefined) return;
-    const ticks = [0, 1, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])];
-    cells.colorbar = { ...cells.colorbar, tickvals: ticks, ticktext: ticks.map((each) => Number(each.toFixed(2))) };
+    colour(plots[id], mission.scales[id], mission.assumed[id.replace('true-', '')]);
   }
 
-  function themed(layout) {
-    const { text, paper, line: grid } = colours();
-    const axes = Object.keys(layout).filter((name) => /^[xy]axis/.test(name));
-    const changed = { ...layout, font: { color: text }, hoverlabel: { bgcolor: paper, font: { color: text } } };
-    axes.forEach((name) => {
-      changed[name] = { ...layout[name], gridcolor: grid, linecolor: text, tickcolor: text, zerolinecolor: grid };
-    });
-    return changed;
-  }
-
-  const config = { displayModeBar: false, responsive: true };
   const shape = (moment) => [{
     type: 'line', xref: 'x', yref: 'paper', x0: mission.moments[moment].place, x1: mission.moments[moment].place,
     y0: 0, y1: 1, line: { color: colours().text, width: 1 },
@@ -172,7 +107,7 @@ async function start() {
   }
 
   function drawMaps() {
-    const images = hatching(now);
+    const images = hatching(mission.grid, mission.visited.map((first) => first >= 0 && first <= now));
     const traces = overlays(now);
     NAMES.forEach((name) => {
       const { data, layout } = plots[name];
@@ -291,41 +226,6 @@ async function start() {
     look(row * width + column);
   }
 
-  function sort(heading) {
-    const head = heading.closest('th');
-    const place = [...head.parentNode.children].indexOf(head);
-    const ascending = head.getAttribute('aria-sort') !== 'ascending';
-    [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
-    head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
-    const body = head.closest('table').tBodies[0];
-    const key = (row) => row.children[place].dataset.value;
-    const sign = ascending ? 1 : -1;
-    const rows = [...body.rows].sort((one, other) => {
-      const [a, b] = [key(one), key(other)];
-      // What is not known comes last.
-      if (a === '' || b === '') return (a === '') - (b === '');
-      const order = head.classList.contains('text') ? a.localeCompare(b) : Number(a) - Number(b);
-      return sign * order;
-    });
-    body.append(...rows);
-  }
-
-  function keep(name, type, text) {
-    const link = Object.assign(document.createElement('a'), {
-      href: URL.createObjectURL(new Blob([text], { type })), download: `${mission.name}_${name}`,
-    });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-  }
-
-  // The table as it is sorted, in full precision.
-  function csv(table) {
-    const quoted = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-    const heads = [...table.tHead.rows[0].cells].map((each) => each.textContent);
-    const rows = [...table.tBodies[0].rows].map((row) => [...row.cells].map((each) => each.dataset.value));
-    return [heads, ...rows].map((row) => `${row.map(quoted).join(',')}\r\n`).join('');
-  }
-
   // Points in metres in the frame of the map, as its readers have to be told: there is no geodetic datum.
   function geojson() {
     const [heads, ...rows] = [...page('findings').rows].map((row) => [...row.cells]);
@@ -340,9 +240,9 @@ async function start() {
   }
 
   const TAKES = {
-    'findings.csv': () => keep('findings.csv', 'text/csv', csv(page('findings'))),
-    'findings.geojson': () => keep('findings.geojson', 'application/geo+json', geojson()),
-    'deployments.csv': () => keep('deployments.csv', 'text/csv', csv(page('deployments'))),
+    'findings.csv': () => keep(`${mission.name}_findings.csv`, 'text/csv', csv(page('findings'))),
+    'findings.geojson': () => keep(`${mission.name}_findings.geojson`, 'application/geo+json', geojson()),
+    'deployments.csv': () => keep(`${mission.name}_deployments.csv`, 'text/csv', csv(page('deployments'))),
   };
 
   function pressed(event) {
@@ -356,13 +256,7 @@ async function start() {
     ask(to);
   }
 
-  function isDark() {
-    const chosen = document.documentElement.dataset.theme;
-    return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
-  }
-
   function paint() {
-    page('theme').textContent = isDark() ? 'Light' : 'Dark';
     STILL.forEach((id) => {
       coloured(id);
       Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), shapes: frame() }, config);
@@ -375,7 +269,7 @@ async function start() {
   page('column').max = width - 1;
   page('row').max = height - 1;
   now = last;
-  paint();
+  changeTheme(paint);
   ALL.forEach((id) => page(id).on('plotly_hover', pointed).on('plotly_click', pointed));
   CURVES.forEach((id) => page(id).on('plotly_click', (event) => {
     const place = event.points[0].x;
@@ -388,25 +282,11 @@ async function start() {
   document.querySelectorAll('.take').forEach((button) => {
     button.addEventListener('click', () => TAKES[button.dataset.take]());
   });
-  document.querySelectorAll('.save').forEach((button) => {
-    const { plot } = button.dataset;
-    button.addEventListener('click', () => Plotly.downloadImage(page(plot), {
-      format: 'png', scale: 3, filename: `${mission.name}_${plot}`,
-    }));
-  });
+  saveFigures(mission.name);
   page('play').addEventListener('click', play);
   page('column').addEventListener('change', named);
   page('row').addEventListener('change', named);
-  page('theme').addEventListener('click', () => {
-    document.documentElement.dataset.theme = isDark() ? 'light' : 'dark';
-    paint();
-  });
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', paint);
-  for (const id of ['deployments', 'findings']) {
-    page(id).tHead.addEventListener('click', (event) => {
-      if (event.target.tagName === 'BUTTON') sort(event.target);
-    });
-  }
+  ['deployments', 'findings'].forEach((id) => sortable(page(id)));
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
     if (row.dataset.moment !== '') ask(Number(row.dataset.moment));

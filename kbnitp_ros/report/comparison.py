@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two missions in one field, A and B: what differs between them, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from kbnitp_ros.report.answers import cells_of, findings_of, FOUND, losses_of, SUSPECTED
+from kbnitp_ros.report.curves import Curves
+from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.report.tiles import places
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Pair(NamedTuple):
+    """A mission and how it went."""
+
+    mission: Mission
+    curves: Curves
+
+
+def check_one_field(first: Mission, second: Mission) -> None:
+    """
+    Check that the cells of two missions are the same places.
+
+    Raises
+    ------
+    ValueError
+        If the fields differ in size, resolution or origin.
+
+    """
+    fields = [
+        f'{grid.width}x{grid.height} cells of {grid.resolution:g} m from '
+        f'({grid.origin[0]:g}, {grid.origin[1]:g})'
+        for grid in (first.grid, second.grid)
+    ]
+    if fields[0] != fields[1]:
+        raise ValueError(
+            f'{first.log} has {fields[0]}, {second.log} has {fields[1]}: only missions in the '
+            'same field can stand side by side; report each of them alone'
+        )
+
+
+def reservations(first: Mission, second: Mission) -> Iterator[str]:
+    """Yield what makes two missions in one field less alike than they look."""
+    if first.grid.bases != second.grid.bases:
+        yield 'The bases are different cells.'
+    blocked = int((first.grid.free != second.grid.free).sum())
+    if blocked:
+        yield f'Blocked in one of the two alone: {counted(blocked, "cell")}.'
+    if first.world and second.world:
+        hazards, targets = true_differences(first, second)
+        if hazards or targets:
+            yield (
+                f'The true fields differ: in {counted(hazards, "cell")} in the hazard, in '
+                f'{counted(targets, "cell")} in the target. Differences may be due to that.'
+            )
+    elif first.world or second.world:
+        known = 'A' if first.world else 'B'
+        yield f'The truth is on record in {known} alone.'
+    for name, assumed in first.assumed.items():
+        other = second.assumed[name]
+        if abs(assumed - other) >= 0.005:
+            yield (
+                f'{name.capitalize()} was assumed to be {assumed:.2f} in A and {other:.2f} in B; '
+                'both maps have the colours of A.'
+            )
+
+
+def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
+    """Return in how many cells the true hazards and targets differ; 0 if a truth is unknown."""
+    if not (first.world and second.world):
+        return 0, 0
+    hazards = first.world.hazard != second.world.hazard
+    targets = first.world.target != second.world.target
+    return int(hazards.sum()), int(targets.sum())
+
+
+def differences(first: Pair, second: Pair) -> Iterator[str]:
+    """Yield for each tile of two missions how they differ; empty where nothing is to be said."""
+    one, other = (cells_of(each.mission) for each in (first, second))
+    yield alone(one.free, other.free, 'free')
+    yield found_alone(first.mission, second.mission, 'target', FOUND)
+    yield found_alone(first.mission, second.mission, 'hazard', SUSPECTED)
+    yield alone(one.entered, other.entered, 'entered')
+    yield lanes(first.mission, second.mission)
+    yield uncertainty(first.curves, second.curves)
+    yield cost(first.mission, second.mission)
+    yield where(first.mission, second.mission)
+    # What to do next follows from each mission by itself.
+    yield ''
+
+
+def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str:
+    """Return in how many cells something holds in one of two missions alone."""
+    return (
+        f'{counted(int((first & ~second).sum()), "cell")} {what} in A alone, '
+        f'{(second & ~first).sum()} in B alone.'
+    )
+
+
+def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
+    """Return what was found with at least a probability in both, and in one alone."""
+    one, other = (
+        {
+            each.cell: each
+            for each in findings_of(mission)
+            if each.kind == kind and each.probability >= least
+        }
+        for mission in (first, second)
+    )
+    only_one = [each for cell, each in one.items() if cell not in other]
+    only_other = [each for cell, each in other.items() if cell not in one]
+    both = len(one) - len(only_one)
+    return f'{both} in both; in A alone: {places(only_one)}; in B alone: {places(only_other)}.'
+
+
+def lanes(first: Mission, second: Mission) -> str:
+    """Return how the probabilities of one goal differ; empty if the goals do."""
+    one, other = first.decision, second.decision
+    if one is None or other is None:
+        return '' if one is other else 'Only one of the two had a goal.'
+    if one.goal != other.goal:
+        return 'The goals are different.'
+    points = 100.0 * (other.p_free - one.p_free)
+    return f'{more(points, "points", ".1f")} in B.'
+
+
+def uncertainty(first: Curves, second: Curves) -> str:
+    """Return how the entropies differ that are left, and the log losses if both are known."""
+    entropies, losses = (
+        [float(values[-1]) for values in of]
+        for of in (
+            [each.hazard_entropy + each.target_entropy for each in (first, second)],
+            [each.hazard_loss + each.target_loss for each in (first, second)],
+        )
+    )
+    said = f'{more(entropies[1] - entropies[0], "nats", ".1f")} left in B.'
+    if not np.isnan(losses).any():
+        said += f' Log loss: {losses[0]:.1f} nats in A, {losses[1]:.1f} in B.'
+    return said
+
+
+def cost(first: Mission, second: Mission) -> str:
+    """Return how the numbers of robots differ that were sent and lost."""
+    sent = [len(each.sorties) for each in (first, second)]
+    lost = [sum(not seen.survived for seen in each.ended) for each in (first, second)]
+    return f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
+
+
+def where(first: Mission, second: Mission) -> str:
+    """Return where the expected losses differ most."""
+    one, other = losses_of(first), losses_of(second)
+    most = int(np.argmax(np.abs(other - one)))
+    if one[most] == other[most]:
+        return 'No difference.'
+    x, y = first.grid.centers([most])[0]
+    return f'Most different at ({x:g}, {y:g}): {one[most]:.1f} in A, {other[most]:.1f} in B.'
+
+
+def more(difference: float, unit: str = '', form: str = 'd') -> str:
+    """Return how much more or fewer there are, in words."""
+    if format(abs(difference), form) == format(type(difference)(0), form):
+        return f'as many {unit}'.strip()
+    word = 'more' if difference > 0 else 'fewer' if unit != 'nats' else 'less'
+    return ' '.join(filter(None, (format(abs(difference), form), unit, word)))
+
+
+def given_differently(
+    first: Mission, second: Mission
+) -> Iterator[tuple[str, str, object, object]]:
+    """Yield of versions and parameters what differs: whose, its name, in A and in B."""
+    tables = [{'versions': each.run, **each.parameters} for each in (first, second)]
+    for node in dict.fromkeys([*tables[0], *tables[1]]):
+        one, other = (each.get(node, {}) for each in tables)
+        for name in dict.fromkeys([*one, *other]):
+            values = one.get(name), other.get(name)
+            if values[0] != values[1]:
+                yield node, name, *values

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of two missions side by side, of the same parts as the page of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+import json
+from string import Template
+from typing import Any
+
+from kbnitp_ros.figures import DARK_MAPS, MAPS
+from kbnitp_ros.report.answers import findings_of, losses_of
+from kbnitp_ros.report.comparison import (
+    differences,
+    given_differently,
+    Pair,
+    reservations,
+    true_differences,
+)
+from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.page import (
+    asset,
+    cell,
+    Column,
+    field_of,
+    heading,
+    map_place,
+    panel_place,
+    scales_of,
+    summary,
+    title_of,
+    value_text,
+)
+from kbnitp_ros.report.plots import lines_plot, map_plot, OBSTACLE
+from kbnitp_ros.report.progress_figure import quantiles_of
+from kbnitp_ros.report.tiles import Tile, tiles_of
+import numpy as np
+from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
+
+FINDINGS = (
+    Column('what', 'kind', is_text=True),
+    Column('x (m)', 'x', 2),
+    Column('y (m)', 'y', 2),
+    Column('probability in A', 'a', 3),
+    Column('in B', 'b', 3),
+    Column('B less A', 'change', 3),
+)
+
+SIDES = ('A', 'B')
+
+
+def comparison_of(first: Pair, second: Pair) -> str:
+    """
+    Return the page of two missions in one field.
+
+    Parameters
+    ----------
+    first, second : Pair
+        A and B; `check_one_field` has found their cells to be the same places.
+
+    """
+    missions = first.mission, second.mission
+    titles = [title_of(each.log) for each in missions]
+    maps = list(maps_of(*missions))
+    panels = dict(panels_of(first, second))
+    plots = {name: plot for name, _, _, plot in maps}
+    plots |= {f'curve-{number}': plot for number, plot in enumerate(panels.values())}
+    inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
+    told = zip(*(tiles_of(*each) for each in (first, second)), differences(first, second))
+    return Template(asset('comparison.html')).substitute(
+        title=escape(f'{titles[0]} and {titles[1]}'),
+        summaries='\n'.join(
+            f'<p class="summary"><b>{side}</b> {escape(str(pair.mission.log))}: '
+            f'{escape(summary(*pair))}</p>'
+            for side, pair in zip(SIDES, (first, second))
+        ),
+        notes='\n'.join(f'<p class="note">{escape(each)}</p>' for each in notes_of(*missions)),
+        style=asset('page.css'),
+        tiles='\n'.join(tile(*each) for each in told),
+        maps='\n'.join(map_place(name, caption) for name, caption, _, _ in maps),
+        obstacle=OBSTACLE,
+        finding_headings=''.join(map(heading, FINDINGS)),
+        findings='\n'.join(finding_rows(*missions)),
+        panels='\n'.join(panel_place(*each) for each in enumerate(panels)),
+        given='\n'.join(given_row(*each) for each in given_differently(*missions))
+        or '<tr><td class=text colspan=4>nothing</td></tr>',
+        data=json.dumps(data_of(*missions, maps)).replace('<', '\\u003c'),
+        plots=f'{{{inside}}}'.replace('<', '\\u003c'),
+        plotly=get_plotlyjs().replace('</script', '<\\/script'),
+        script=asset('drawing.js') + asset('comparison.js'),
+    )
+
+
+def given_row(*values: object) -> str:
+    """Return a row of what was given differently; None where it was not given."""
+    texts = ('' if each is None else escape(value_text(each)) for each in values)
+    return f'<tr>{"".join(f"<td class=text>{each}</td>" for each in texts)}</tr>'
+
+
+def notes_of(first: Mission, second: Mission) -> Iterator[str]:
+    """Yield what else is to be known of both, and of each."""
+    yield from reservations(first, second)
+    for side, mission in zip(SIDES, (first, second)):
+        yield from (f'{side}: {note}' for note in mission.notes)
+
+
+def tile(first: Tile, second: Tile, difference: str) -> str:
+    """Return the answers of both missions to a question, and how they differ."""
+    question = first.question if first.question == second.question else 'Is the goal safe?'
+    sides = ''.join(
+        f'<div><p>{side}: {escape(each.answer)}</p><p>{escape(each.detail)}</p></div>'
+        for side, each in zip(SIDES, (first, second))
+    )
+    return (
+        f'<article><h3>{escape(question)}</h3><div class="sides">{sides}</div>'
+        f'<p class="difference">{escape(difference)}</p></article>'
+    )
+
+
+def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, str]]:
+    """Yield the maps in rows of A, B and B less A: id, caption, colours, and Plotly's JSON."""
+    grid = first.grid
+    beliefs = [each.moments[-1].belief for each in (first, second)]
+    for name in MAPS:
+        values = [getattr(each, name) for each in beliefs]
+        for side, mission, each in zip(SIDES, (first, second), values):
+            lane = None if mission.decision is None else mission.decision.path
+            plot = map_plot(mission.grid, each, lane=lane)
+            yield f'{side}-{name}', f'{name}, believed in {side}', name, plot
+        change = map_plot(grid, values[1] - values[0], least=-1.0)
+        yield f'change-{name}', f'{name}, B less A', f'change-{name}', change
+    losses = [losses_of(each) for each in (first, second)]
+    most = max(1.0, *(float(each.max()) for each in losses))
+    for side, mission, each in zip(SIDES, (first, second), losses):
+        plot = map_plot(mission.grid, each, most)
+        yield f'{side}-losses', f'robots lost, expected in {side}', 'losses', plot
+    change = map_plot(grid, losses[1] - losses[0], most, least=-most)
+    yield 'change-losses', 'robots lost, B less A', 'change-hazard', change
+    truths = {side: each.world for side, each in zip(SIDES, (first, second)) if each.world}
+    if len(truths) == 2 and not any(true_differences(first, second)):
+        truths = {'both': truths['A']}
+    for side, world in truths.items():
+        for name, values in vars(world).items():
+            plot = map_plot(grid, values.astype(float))
+            yield f'{side}-true-{name}', f'{name}, true in {side}', name, plot
+
+
+def data_of(
+    first: Mission, second: Mission, maps: list[tuple[str, str, str, str]]
+) -> dict[str, Any]:
+    """Return what the page is to know to draw the maps, as JSON can hold it."""
+    scales: dict[str, Any] = scales_of(first)
+    for name in MAPS:
+        # No change has the colour of the paper, half way between -1 and 1.
+        scales[f'change-{name}'] = {
+            'light': MAPS[name].stops(0.5),
+            'dark': DARK_MAPS[name].stops(0.5),
+        }
+    entered = {side: each.visited().tolist() for side, each in zip(SIDES, (first, second))}
+    believed = {f'{side}-{name}' for side in SIDES for name in MAPS}
+    return {
+        'name': f'{title_of(first.log)}_{title_of(second.log)}',
+        'grid': field_of(first.grid),
+        'scales': scales,
+        'assumed': first.assumed,
+        'maps': {
+            name: {'colours': colours, 'entered': entered[name[0]] if name in believed else None}
+            for name, _, colours, _ in maps
+        },
+    }
+
+
+def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
+    """Yield what each panel of curves is of, and the panel as Plotly's JSON."""
+    panels: dict[str, dict[str, NDArray[np.float64]]] = {}
+    for side, (_, curves) in zip(SIDES, (first, second)):
+        for label, values in {
+            'entropy H(Z) + H(X) (nats)': curves.hazard_entropy + curves.target_entropy,
+            'log loss (nats)': curves.hazard_loss + curves.target_loss,
+            'information gained so far (nats)': np.nancumsum(curves.gained),
+            'robots lost': curves.lost.astype(np.float64),
+        }.items():
+            panels.setdefault(label, {})[side] = values
+    for name in first.mission.moments[-1].learnt | second.mission.moments[-1].learnt:
+        panels[f'{name.replace("_", " ")} (median)'] = {
+            side: quantiles_of(pair.mission, name)[:, 2]
+            for side, pair in zip(SIDES, (first, second))
+        }
+    for label, lines in panels.items():
+        known = {side: values for side, values in lines.items() if not np.isnan(values).all()}
+        if known:
+            drawn = {side: (np.arange(each.size), each) for side, each in known.items()}
+            yield label, lines_plot(label, drawn)
+
+
+def finding_rows(first: Mission, second: Mission) -> Iterator[str]:
+    """Yield the rows of what was found in one of two missions, or in both."""
+    beliefs = [each.moments[-1].belief for each in (first, second)]
+    found = {
+        (each.kind, each.cell): each
+        for mission in (first, second)
+        for each in findings_of(mission)
+    }
+    for (kind, place), each in sorted(found.items()):
+        a, b = (float(getattr(belief, kind)[place]) for belief in beliefs)
+        values = {**vars(each), 'a': a, 'b': b, 'change': b - a}
+        yield f'<tr>{"".join(cell(column, values[column.name]) for column in FINDINGS)}</tr>'
