@@ -3,8 +3,8 @@
 Bring the figures and tables of studies into the documentation.
 
 ``python3 -m kbnitp_ros.study.page RUNS DOCS`` takes them from RUNS/<scenario>/, puts the tables
-between their marks in DOCS/results.md, and of the figures those that the page shows into
-DOCS/images/, as <scenario>_<figure>.png.
+between their marks in DOCS/tables/<scenario>.md, and of the figures those that DOCS/results.md
+shows into DOCS/images/, as <scenario>_<figure>.png.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 
 from PIL import Image
 
-TABLE = re.compile(r'(<!-- table (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
+TABLE = re.compile(r'(?<=<!-- table -->\n)(.*?)(?=<!-- end -->)', re.DOTALL)
 # Of a figure in the page, in pixels, and how many colours it has there.
 WIDTH, COLOURS = 1600, 128
 
@@ -23,23 +23,18 @@ FIGURE = re.compile(r'\(images/(\w+\.png)\)')
 
 
 def main(runs: Path, docs: Path) -> None:
-    """Bring every study that the page has a table of."""
-    page = docs / 'results.md'
-    text = page.read_text()
-    scenarios = [scenario for _, scenario, _ in TABLE.findall(text)]
-    for figure in FIGURE.findall(text):
+    """Bring every study that has a page of tables."""
+    pages = sorted((docs / 'tables').glob('*.md'))
+    for figure in FIGURE.findall((docs / 'results.md').read_text()):
         # The name of a scenario may begin with another's.
-        of = [each for each in scenarios if figure.startswith(f'{each}_')]
+        of = [each.stem for each in pages if figure.startswith(f'{each.stem}_')]
         if of:
             scenario = max(of, key=len)
             drawn = runs / scenario / figure.removeprefix(f'{scenario}_')
             bring(drawn, docs / 'images' / figure)
-
-    def table(match: re.Match[str]) -> str:
-        begin, scenario, end = match.groups()
-        return begin + (runs / scenario / 'summary.md').read_text() + end
-
-    page.write_text(TABLE.sub(table, text))
+    for page in pages:
+        begin, _, end = TABLE.split(page.read_text())
+        page.write_text(begin + (runs / page.stem / 'summary.md').read_text() + end)
 
 
 def bring(drawn: Path, shown: Path) -> None:

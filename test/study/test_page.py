@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/results.md says follows from its tables, and its example from arithmetic."""
+"""What docs/results.md says follows from the tables, and its example from arithmetic."""
 
 from itertools import product
 from math import prod
@@ -25,11 +25,16 @@ def cells_of(line):
     return [cell.strip() for cell in line.strip('|\n ').split('|')]
 
 
+def text_of(scenario):
+    """Return what stands between the marks of a scenario's page of tables."""
+    text = (DOCS / f'tables/{scenario}.md').read_text()
+    (block,) = re.findall('<!-- table -->\n(.*?)<!-- end -->', text, re.DOTALL)
+    return block
+
+
 def rows_of(scenario, place=0):
     """Return the rows of a scenario's first or second table, [{column: text}]."""
-    text = (DOCS / 'results.md').read_text()
-    (block,) = re.findall(f'<!-- table {scenario} -->\n(.*?)<!-- end -->', text, re.DOTALL)
-    tables = re.findall(r'(?:^\|.*\n)+', block, re.MULTILINE)
+    tables = re.findall(r'(?:^\|.*\n)+', text_of(scenario), re.MULTILINE)
     header, _, *lines = map(cells_of, tables[place].splitlines())
     return [dict(zip(header, line)) for line in lines]
 
@@ -62,10 +67,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert len(rows) == len(scenario.lethalities) * len(scenario.contenders)
     least = name != 'teams'  # has no row: the others are compared with it
     assert len(compared) == len(rows) - least * len(scenario.lethalities)
-    text = (DOCS / 'results.md').read_text()
-    (said,) = re.findall(
-        rf'<!-- table {name} -->\nAfter (\d+) robots: means of (\d+) trials', text
-    )
+    (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', text_of(name))
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
@@ -225,10 +227,7 @@ def test_the_page_shows_full_studies_of_what_is_learnt(name):
     assert set(final) == set(product(lethalities, scenario.methods))
     assert set(known) == set(product(lethalities, scenario.learn.priors()))
     assert set(costs) == set(product(lethalities, (SAMPLED,)))
-    text = (DOCS / 'results.md').read_text()
-    (said,) = re.findall(
-        rf'<!-- table {name} -->\nAfter (\d+) robots: means of (\d+) trials', text
-    )
+    (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', text_of(name))
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
@@ -477,13 +476,17 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
     for figure, colour in colours.items():
         Image.new('RGB', (3200, 1000), colour).save(runs / 'paper' / f'{figure}.png')
     (runs / 'paper' / 'summary.md').write_text('new\n')
-    before = (
+    shown = (
         '![Words](images/paper_entropy.png)\n![Words](images/other_log_loss.png)\n'
-        '<!-- table paper -->\nold\nold\n<!-- end -->\n![Words](images/paper_log_loss.png)\n'
+        '![Words](images/paper_log_loss.png)\n'
     )
-    (docs / 'results.md').write_text(before)
+    (docs / 'results.md').write_text(shown)
+    (docs / 'tables').mkdir()
+    before = 'Words\n<!-- table -->\nold\nold\n<!-- end -->\nWords\n'
+    (docs / 'tables/paper.md').write_text(before)
     page.main(runs, docs)
-    assert (docs / 'results.md').read_text() == before.replace('old\nold\n', 'new\n')
+    assert (docs / 'results.md').read_text() == shown
+    assert (docs / 'tables/paper.md').read_text() == before.replace('old\nold\n', 'new\n')
     brought = {path.name: Image.open(path) for path in (docs / 'images').iterdir()}
     assert brought.keys() == {'paper_entropy.png', 'paper_log_loss.png'}
     for name, colour in (('paper_entropy.png', (255, 0, 0)), ('paper_log_loss.png', (0, 0, 255))):
@@ -609,3 +612,10 @@ def test_what_maps_cost_that_are_trusted_too_much():
     ):
         assert (worth[key]['0'][0], worth[key]['100'][0]) == (first, last)
         assert worth[key]['100'][2] < 0
+
+
+def test_every_study_of_the_page_has_a_page_of_tables():
+    linked = re.findall(r'\]\(tables/(\w+)\.md\)', (DOCS / 'results.md').read_text())
+    assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
+    for scenario in linked:
+        assert '../results.md#' in (DOCS / f'tables/{scenario}.md').read_text()
