@@ -131,9 +131,8 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
         axes.set_xticks([0.0, 0.5, 1.0])
         axes.set_yticks([0.0, 0.5, 1.0])
         axes.grid(alpha=0.3)
-    # Of many lethalities as many as can be told apart beside the diagonal, spread evenly.
-    most = len(SERIES) - 1
-    few = np.unique(np.linspace(0, len(lethalities) - 1, most).round().astype(int))
+    # Of many lethalities as many as can be told apart, spread evenly.
+    few = np.unique(np.linspace(0, len(lethalities) - 1, len(SERIES)).round().astype(int))
     for lethality, style in zip([lethalities[place] for place in few], SERIES):
         believed, truth = results.final_maps(lethality, *contender)
         for axes, *cells in zip(panels, believed.swapaxes(0, 1), truth.swapaxes(0, 1)):

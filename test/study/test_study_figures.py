@@ -62,6 +62,8 @@ def test_figures_are_legible(scenario, name):
     for figure in figures.values():
         check_texts(figure)
         check_lines(figure)
+    _, lines = figures['reliability'].axes[0].get_legend_handles_labels()
+    assert len(lines) == len(scenario.lethalities)
 
 
 @for_each('name', STUDIES)
