@@ -41,6 +41,7 @@ BELOW = {
     'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
     'core': {'core.decision', 'core.field', 'core.inference', 'core.planning', 'plugins'},
     'testing': {
+        'plugins',
         'core',
         'core.inference',
         'core.planning',

@@ -45,7 +45,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     Attributes
     ----------
-    kind : str
+    kind, check
         As given.
     own : tuple of str
         The names of the package's own.
@@ -56,7 +56,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self, kind: str, check: Callable[[object], Entry], own: Mapping[str, object]
     ) -> None:
         self.kind = kind
-        self._check = check
+        self.check = check
         self._entries: dict[str, Entry] = {}
         self._sources: dict[str, str] = {}
         self._refused: dict[str, str] = {}
@@ -136,7 +136,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """
         if callable(given):
             try:
-                return self._check(given)
+                return self.check(given)
             except TypeError as error:
                 raise TypeError(f'{self.kind} {name_of(given)}: {error}') from error
         if given not in self:
@@ -207,7 +207,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             raise ValueError('its name must be letters, digits and _, and begin with a letter')
         if name in self._entries:
             raise ValueError(f'{self._sources[name]} has a {self.kind} of this name')
-        self._entries[name] = self._check(given)
+        self._entries[name] = self.check(given)
         self._sources[name] = source
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
 from kbnitp_ros.core.planning import Regions, TeamMember
-from kbnitp_ros.core.planning.teams.allocations import Allocation, as_allocation
+from kbnitp_ros.core.planning.teams.allocations import Allocation
 from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require, require_close
 import numpy as np
@@ -79,15 +79,7 @@ def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0
         If no allocation of that name is registered.
 
     """
-    name = f'allocation {allocation!r}'
-    if isinstance(allocation, str):
-        subject = ALLOCATIONS.find(allocation)
-    else:
-        try:
-            subject = as_allocation(allocation)
-        except TypeError as error:
-            raise AssertionError(f'{name} is none: {error}') from error
-    hold(name, subject, LAWS, draw_round, cases, seed)
+    hold(ALLOCATIONS, allocation, LAWS, draw_round, cases, seed)
 
 
 def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:

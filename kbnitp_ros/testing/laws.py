@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from kbnitp_ros.core import Belief
+from kbnitp_ros.plugins import Registry
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +19,8 @@ ROUNDING = 1e-9
 
 
 def hold(
-    name: str,
-    subject: Subject,
+    registry: Registry[Subject],
+    given: object,
     laws: Mapping[str, Callable[[Subject, Case], None]],
     draw: Callable[[int], Case],
     cases: int,
@@ -30,10 +31,10 @@ def hold(
 
     Parameters
     ----------
-    name : str
-        What the subject is called in an error.
-    subject : object
-        What the laws are about.
+    registry : Registry
+        Of what the laws are about.
+    given : object
+        What is tried, or its name.
     laws : mapping of str to callable
         Each law in words, and what takes the subject and a case and raises where it is broken.
     draw : callable
@@ -46,9 +47,19 @@ def hold(
     Raises
     ------
     AssertionError
-        That names the law, the case and what is wrong.
+        That names the law, the case and what is wrong; or if what is given is no such thing.
+    ValueError
+        If nothing of that name is registered.
 
     """
+    name = f'{registry.kind} {given!r}'
+    if isinstance(given, str):
+        subject = registry.find(given)
+    else:
+        try:
+            subject = registry.check(given)
+        except (TypeError, ValueError) as error:
+            raise AssertionError(f'{name} is none: {error}') from error
     for number in range(seed, seed + cases):
         case = draw(number)
         for law, check in laws.items():

@@ -21,7 +21,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.inference import Inference, Method
-from kbnitp_ros.core.inference.methods import as_method, CALLED, KNOWN
+from kbnitp_ros.core.inference.methods import CALLED, KNOWN
 from kbnitp_ros.testing.cases import draw_mission, draw_walk, MissionCase
 from kbnitp_ros.testing.laws import (
     hold,
@@ -62,15 +62,7 @@ def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> Non
         If no method of that name is registered.
 
     """
-    if isinstance(method, str):
-        name, tried = f'method {method!r}', METHODS.find(method)
-    else:
-        name = f'method {method!r}'
-        try:
-            tried = as_method(method)
-        except (TypeError, ValueError) as error:
-            raise AssertionError(f'{name} is none: {error}') from error
-    hold(name, tried, LAWS, draw_mission, cases, seed)
+    hold(METHODS, method, LAWS, draw_mission, cases, seed)
 
 
 def start(method: Method, mission: MissionCase, model: SensorModel | None = None) -> Inference:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from kbnitp_ros.core import Belief, Grid, PathFinder, Plan, PLANNERS, SearchOptions
 from kbnitp_ros.core.planning import Candidate, Objective
-from kbnitp_ros.core.planning.search.planners import as_planner, Planner
+from kbnitp_ros.core.planning.search.planners import Planner
 from kbnitp_ros.testing.cases import draw_field, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require
 import numpy as np
@@ -83,15 +83,7 @@ def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> N
         If no planner of that name is registered.
 
     """
-    name = f'planner {planner!r}'
-    if isinstance(planner, str):
-        subject = PLANNERS.find(planner)
-    else:
-        try:
-            subject = as_planner(planner)
-        except TypeError as error:
-            raise AssertionError(f'{name} is none: {error}') from error
-    hold(name, subject, LAWS, draw_search, cases, seed)
+    hold(PLANNERS, planner, LAWS, draw_search, cases, seed)
 
 
 def finds_paths(planner: Planner, search: SearchCase) -> None:

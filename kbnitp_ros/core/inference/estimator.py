@@ -24,8 +24,7 @@ from kbnitp_ros.core.field import (
 )
 from kbnitp_ros.core.inference.methods import (
     CALLED,
-    check_clusters,
-    check_takes_lost_at,
+    check_able,
     dynamics_of,
     Inference,
     KNOWN,
@@ -86,21 +85,30 @@ class Estimator:
         dynamics: Dynamics = STATIC,
         clustering: Clustering | None = None,
     ) -> None:
-        start = METHODS.find(method)
-        if unknowns.priors and not start.learns:
-            learners = [name for name, each in METHODS.items() if each.learns]
-            raise ValueError(
-                f'{" and ".join(unknowns.priors)} cannot be unknown to {name_of(method)}, which '
-                f'takes all numbers for right: use {" or ".join(learners)}'
+        start, name = METHODS.find(method), name_of(method)
+        if unknowns.priors:
+            check_able(
+                method,
+                lambda each: each.learns,
+                f'{" and ".join(unknowns.priors)} cannot be unknown to {name}, which takes all '
+                'numbers for right',
             )
-        if dynamics.effect != 'static' and dynamics.effect not in dynamics_of(start):
-            able = [name for name, each in METHODS.items() if dynamics.effect in dynamics_of(each)]
-            raise ValueError(
-                f'{name_of(method)} does not take hazards that are {dynamics.effect}: '
-                f'use {", ".join(able)}'
+        if dynamics.effect != 'static':
+            check_able(
+                method,
+                lambda each: dynamics.effect in dynamics_of(each),
+                f'{name} does not take hazards that are {dynamics.effect}',
             )
         if clustering is not None:
-            check_clusters(start, method, dynamics)
+            check_able(
+                method,
+                lambda each: getattr(each, 'clusters', False),
+                f'{name} does not take clustered hazards',
+            )
+            if dynamics.effect != 'static':
+                raise ValueError(
+                    f'hazards are {dynamics.effect} and clustered: only static hazards may cluster'
+                )
         self.prior = belief
         self.method = method
         self.unknowns = unknowns
@@ -179,7 +187,11 @@ class Estimator:
 
         """
         if observation.lost_at is not None:
-            check_takes_lost_at(METHODS.find(self.method), name_of(self.method))
+            check_able(
+                self.method,
+                lambda each: getattr(each, 'takes_lost_at', False),
+                f'lost_at is given, and {name_of(self.method)} does not use it',
+            )
         inference = self._inference.copy()
         with METHODS.blamed(self.method):
             inference.assimilate(observation, robot_type)

@@ -29,7 +29,7 @@ from kbnitp_ros.core.inference.filtering import (
 )
 from kbnitp_ros.core.inference.sampling import Sampled
 from kbnitp_ros.core.inference.smoothing import Smoother
-from kbnitp_ros.plugins import name_of, Registry, takes
+from kbnitp_ros.plugins import Registry, takes
 
 # What an inference can do, and what it knows.
 CALLED = ('assimilate', 'copy')
@@ -141,42 +141,30 @@ def dynamics_of(method: object) -> tuple[str, ...]:
     return tuple(getattr(method, 'dynamics', ()))
 
 
-def check_takes_lost_at(method: Method, name: str) -> None:
+def check_able(
+    given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
+) -> None:
     """
-    Check that a method uses what is known of where robots were lost.
+    Check that a method can do what it is asked for.
+
+    Parameters
+    ----------
+    given : str or callable
+        The method, or its name.
+    is_able : callable
+        Returns whether a method can.
+    lack : str
+        What is wrong if this one cannot.
 
     Raises
     ------
     ValueError
-        If it does not; names those that do.
+        If it cannot; names those that can.
 
     """
-    if not getattr(method, 'takes_lost_at', False):
-        able = [each for each in METHODS if getattr(METHODS[each], 'takes_lost_at', False)]
-        raise ValueError(
-            f'lost_at is given, and {name} does not use it: use {", ".join(able)}, or leave it out'
-        )
-
-
-def check_clusters(method: Method, given: str | Callable[..., object], dynamics: Dynamics) -> None:
-    """
-    Check that a method takes clustered hazards of these dynamics.
-
-    Raises
-    ------
-    ValueError
-        If not; names those that do.
-
-    """
-    if not getattr(method, 'clusters', False):
-        able = [name for name, each in METHODS.items() if getattr(each, 'clusters', False)]
-        raise ValueError(
-            f'{name_of(given)} does not take clustered hazards: use {" or ".join(able)}'
-        )
-    if dynamics.effect != 'static':
-        raise ValueError(
-            f'hazards are {dynamics.effect} and clustered: only static hazards may cluster'
-        )
+    if not is_able(METHODS.find(given)):
+        able = [name for name, each in METHODS.items() if is_able(each)]
+        raise ValueError(f'{lack}: use {" or ".join(able)}')
 
 
 METHODS = Registry(
