@@ -281,7 +281,7 @@ def test_an_impossible_loss_is_refused_and_changes_nothing(method):
 def test_a_method_that_does_not_say_so_is_given_no_such_loss(monkeypatch):
     monkeypatch.setattr(OnePass, 'takes_lost_at', False)
     estimator = Estimator(Belief.from_maps([0.0, 0.5], [0.4] * 2, [0.8] * 2), SensorModel(0.5))
-    with pytest.raises(ValueError, match='kappa_bnitp does not .* kappa_bnitp_smoothed or kappa_b'):
+    with pytest.raises(ValueError, match='kappa_bnitp does not .* kappa_bnitp_smoothed or k'):
         estimator.assimilate(Observation([0, 1, 1, 0], False, lost_at=[1, 2, 3]))
     estimator.assimilate(Observation([0, 1, 1, 0], False, lost_at=[2, 2, 2]))
 

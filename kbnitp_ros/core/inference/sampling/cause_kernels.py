@@ -75,27 +75,76 @@ class Change(NamedTuple):
     after_strike: int
 
 
+class Events(NamedTuple):
+    """
+    What happened in each entry by the causes of one chain; kernels change it.
+
+    Attributes
+    ----------
+    made : ndarray of int, shape (entries,)
+        The visits that the robot survived.
+    hit : ndarray of int, shape (entries,)
+        1 where the hazard then destroyed the robot, else 0.
+
+    """
+
+    made: NDArray[np.intp]
+    hit: NDArray[np.int8]
+
+
+class CauseRoom(NamedTuple):
+    """
+    Room to draw the cause of a loss in.
+
+    Attributes
+    ----------
+    now : ndarray, shape (entries, 2)
+        P(Z) before the step, given the past.
+    log_chance : ndarray, shape (entries,)
+        Log chance of what comes after.
+    log_weight : ndarray, shape (2 * most steps,)
+        Of each cause.
+
+    """
+
+    now: NDArray[np.float64]
+    log_chance: NDArray[np.float64]
+    log_weight: NDArray[np.float64]
+
+
+class CellRoom(NamedTuple):
+    """
+    Room to find the likelihood of cells in.
+
+    Attributes
+    ----------
+    joint : ndarray, shape (2, 2)
+        P(Z, X) of one.
+    seen_in, search : ndarray of int, shapes (cells,) and (1,)
+        The search that each was seen in last, and how many searches there were.
+
+    """
+
+    joint: NDArray[np.float64]
+    seen_in: NDArray[np.intp]
+    search: NDArray[np.intp]
+
+
 @compiled
-def set_cause(
-    flights: Flights,
-    loss: int,
-    cause: int,
-    made: NDArray[np.intp],
-    hit: NDArray[np.int8],
-) -> None:
+def set_cause(flights: Flights, loss: int, cause: int, events: Events) -> None:
     """Note the visits that a lost robot made, and where it was struck, for one cause."""
     t = flights.lost[loss]
     for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
-        made[e] = 0
-        hit[e] = 0
+        events.made[e] = 0
+        events.hit[e] = 0
     if cause < 0:
         return
     start = flights.first_step[t]
     for step in range(start, start + cause // 2):
         if flights.entry[step] >= 0:
-            made[flights.entry[step]] += 1
+            events.made[flights.entry[step]] += 1
     if cause % 2 == 1:
-        hit[flights.entry[start + cause // 2]] = 1
+        events.hit[flights.entry[start + cause // 2]] = 1
 
 
 @compiled
@@ -112,16 +161,16 @@ def move_on(change: Change, times: int, state: NDArray[np.float64]) -> None:
 
 @compiled
 def visit(
-    flights: Flights, change: Change, e: int, made: int, hit: int, state: NDArray[np.float64]
+    flights: Flights, change: Change, events: Events, e: int, state: NDArray[np.float64]
 ) -> float:
     """Have visits move P(Z, X) of a cell, shape (2, 2), and return their chance."""
     t = flights.time[e]
     total = 0.0
     for x in range(2):
-        for _ in range(made):
+        for _ in range(events.made[e]):
             state[0, x] += state[1, x] * flights.spent[t]
             state[1, x] *= flights.remains[t]
-        if hit == 1:
+        if events.hit[e] == 1:
             struck = state[1, x]
             state[0, x] = 0.0
             state[1, x] = 0.0
@@ -139,8 +188,7 @@ def look_back(
     flights: Flights,
     change: Change,
     last: int,
-    made: NDArray[np.intp],
-    hit: NDArray[np.int8],
+    events: Events,
     ahead: NDArray[np.float64],
     later: NDArray[np.float64],
     since: NDArray[np.intp],
@@ -159,10 +207,10 @@ def look_back(
         since[c] = t
         ahead[e, 0] = b[0]
         ahead[e, 1] = b[1]
-        if hit[e] == 1:
+        if events.hit[e] == 1:
             b[1] = b[change.after_strike]
             b[0] = 0.0
-        for _ in range(made[e]):
+        for _ in range(events.made[e]):
             b[1] = flights.spent[t] * b[0] + flights.remains[t] * b[1]
         most = max(b[0], b[1])
         if most > 0.0:
@@ -178,11 +226,10 @@ def draw_cause(
     state: NDArray[np.float64],
     ahead: NDArray[np.float64],
     uniform: float,
-    now: NDArray[np.float64],
-    log_chance: NDArray[np.float64],
-    log_weight: NDArray[np.float64],
+    room: CauseRoom,
 ) -> int:
     """Draw the cause of a loss given all others; -1 if none explains it."""
+    now, log_chance, log_weight = room
     total, impossible = 0.0, 0
     for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
         c = flights.cell[e]
@@ -247,21 +294,20 @@ def cell_log_likelihood(
     flights: Flights,
     change: Change,
     c: int,
-    made: NDArray[np.intp],
-    hit: NDArray[np.int8],
+    events: Events,
     before: NDArray[np.float64],
-    state: NDArray[np.float64],
+    joint: NDArray[np.float64],
 ) -> float:
-    """Return the log likelihood of all that happened in a cell."""
+    """Return the log likelihood of all that happened in a cell; `joint` is room, (2, 2)."""
     for z in range(2):
         for x in range(2):
-            state[z, x] = before[c, z, x]
+            joint[z, x] = before[c, z, x]
     since, total = 0, 0.0
     for place in range(flights.first_of_cell[c], flights.first_of_cell[c + 1]):
         e = flights.of_cell[place]
-        move_on(change, flights.time[e] - since, state)
+        move_on(change, flights.time[e] - since, joint)
         since = flights.time[e]
-        chance = visit(flights, change, e, made[e], hit[e], state)
+        chance = visit(flights, change, events, e, joint)
         if chance <= 0.0:
             return -inf
         total += log(chance)
@@ -274,22 +320,20 @@ def paths_log_likelihood(
     change: Change,
     one: int,
     other: int,
-    made: NDArray[np.intp],
-    hit: NDArray[np.int8],
+    events: Events,
     before: NDArray[np.float64],
-    seen: NDArray[np.intp],
-    mark: int,
-    state: NDArray[np.float64],
+    room: CellRoom,
 ) -> float:
     """Return the log likelihood of all cells on the paths of two losses."""
+    room.search[0] += 1
     total = 0.0
     for loss in (one, other):
         t = flights.lost[loss]
         for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
             c = flights.cell[e]
-            if seen[c] != mark:
-                seen[c] = mark
-                total += cell_log_likelihood(flights, change, c, made, hit, before, state)
+            if room.seen_in[c] != room.search[0]:
+                room.seen_in[c] = room.search[0]
+                total += cell_log_likelihood(flights, change, c, events, before, room.joint)
                 if total == -inf:
                     return total
     return total
@@ -323,12 +367,9 @@ def exchange(
     change: Change,
     causes: NDArray[np.intp],
     uniforms: NDArray[np.float64],
-    made: NDArray[np.intp],
-    hit: NDArray[np.int8],
+    events: Events,
     before: NDArray[np.float64],
-    seen: NDArray[np.intp],
-    mark: int,
-    state: NDArray[np.float64],
+    room: CellRoom,
 ) -> None:
     """Propose that two losses exchange the hazards that caused them (Metropolis-Hastings)."""
     losses = flights.lost.size
@@ -349,14 +390,10 @@ def exchange(
     _, from_here = step_into(flights, one, here, 0.0)
     _, from_there = step_into(flights, other, there, 0.0)
     was, was_other = causes[one], causes[other]
-    old = paths_log_likelihood(
-        flights, change, one, other, made, hit, before, seen, 2 * mark, state
-    )
-    set_cause(flights, one, 2 * to + 1, made, hit)
-    set_cause(flights, other, 2 * back + 1, made, hit)
-    new = paths_log_likelihood(
-        flights, change, one, other, made, hit, before, seen, 2 * mark + 1, state
-    )
+    old = paths_log_likelihood(flights, change, one, other, events, before, room)
+    set_cause(flights, one, 2 * to + 1, events)
+    set_cause(flights, other, 2 * back + 1, events)
+    new = paths_log_likelihood(flights, change, one, other, events, before, room)
     is_taken = False
     if new > -inf:
         ratio = flights.weight[first + to] * flights.weight[second + back]
@@ -368,8 +405,8 @@ def exchange(
         causes[one] = 2 * to + 1
         causes[other] = 2 * back + 1
     else:
-        set_cause(flights, one, was, made, hit)
-        set_cause(flights, other, was_other, made, hit)
+        set_cause(flights, one, was, events)
+        set_cause(flights, other, was_other, events)
 
 
 @compiled
@@ -413,18 +450,16 @@ def sweep(
     longest = 1
     for t in range(flown):
         longest = max(longest, flights.first_step[t + 1] - flights.first_step[t])
-    made = flights.visits.copy()
-    hit = np.zeros(entries, np.int8)
-    ahead, now = np.empty((entries, 2)), np.empty((entries, 2))
-    log_chance, log_weight = np.empty(entries), np.empty(2 * longest)
-    later, state = np.empty((cells, 2)), np.empty((cells, 2, 2))
-    since, seen = np.empty(cells, np.intp), np.zeros(cells, np.intp)
-    scratch = np.empty((2, 2))
-    is_explained, mark = True, 0
+    events = Events(flights.visits.copy(), np.zeros(entries, np.int8))
+    of_cause = CauseRoom(np.empty((entries, 2)), np.empty(entries), np.empty(2 * longest))
+    of_cells = CellRoom(np.empty((2, 2)), np.zeros(cells, np.intp), np.zeros(1, np.intp))
+    ahead, later = np.empty((entries, 2)), np.empty((cells, 2))
+    state, since = np.empty((cells, 2, 2)), np.empty(cells, np.intp)
+    is_explained = True
     for chain in range(causes.shape[0]):
         for loss in range(flights.lost.size):
-            set_cause(flights, loss, causes[chain, loss], made, hit)
-        look_back(flights, change, flown - 1, made, hit, ahead, later, since)
+            set_cause(flights, loss, causes[chain, loss], events)
+        look_back(flights, change, flown - 1, events, ahead, later, since)
         state[:] = before
         since[:] = 0
         loss = 0
@@ -435,25 +470,16 @@ def sweep(
                 since[c] = t
             if flights.first_step[t + 1] > flights.first_step[t]:
                 if t >= drawn_from:
-                    cause = draw_cause(
-                        flights,
-                        change,
-                        t,
-                        state,
-                        ahead,
-                        uniforms[chain, loss],
-                        now,
-                        log_chance,
-                        log_weight,
-                    )
+                    uniform = uniforms[chain, loss]
+                    cause = draw_cause(flights, change, t, state, ahead, uniform, of_cause)
                     if cause < 0:
                         is_explained = False
                     else:
                         causes[chain, loss] = cause
-                    set_cause(flights, loss, causes[chain, loss], made, hit)
+                    set_cause(flights, loss, causes[chain, loss], events)
                 loss += 1
             for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
-                visit(flights, change, e, made[e], hit[e], state[flights.cell[e]])
+                visit(flights, change, events, e, state[flights.cell[e]])
         for c in range(cells):
             move_on(change, flown - 1 - since[c], state[c])
             total = 0.0
@@ -467,18 +493,6 @@ def sweep(
             else:
                 is_explained = False
         if drawn_from == 0 and flights.lost.size > 1:
-            for number in range(exchanges.shape[1]):
-                mark += 1
-                exchange(
-                    flights,
-                    change,
-                    causes[chain],
-                    exchanges[chain, number],
-                    made,
-                    hit,
-                    before,
-                    seen,
-                    mark,
-                    scratch,
-                )
+            for numbers in exchanges[chain]:
+                exchange(flights, change, causes[chain], numbers, events, before, of_cells)
     return is_explained
