@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from threading import Lock
 from typing import Any
 
 from kbnitp_ros.configuration import goal_of, stop_of
 from kbnitp_ros.core import (
+    Belief,
     Decision,
     DeploymentKey,
     Deployments,
@@ -33,7 +35,8 @@ class Knowledge:
     The evidence of a mission, and the draws and decisions that it gives.
 
     A belief message has the hazards of single cells alone. What several cells are like together is
-    drawn from an estimator that assimilates the same paths and reports, when it is asked for.
+    drawn from an estimator that assimilates the same paths and reports, when it is asked for. That
+    takes long, and may be asked for in several threads.
 
     Parameters
     ----------
@@ -53,12 +56,16 @@ class Knowledge:
         self._values = values
         self._register = Deployments(grid, values['max_steps'], robot_types)
         self._prior: Snapshot | None = None
-        self._ledger: Ledger | None = None
-        # All evidence so far, and how much of it the ledger has taken in.
+        # All evidence so far.
         self._events: list[Event] = []
+        # Held by whoever changes what is below.
+        self._folding = Lock()
+        # The ledger, the prior that it began with, and how much of the evidence it has taken in.
+        self._ledger: Ledger | None = None
+        self._begun_with: Snapshot | None = None
         self._taken = 0
-        # The draws made last, and after how many assimilations.
-        self._drawn: tuple[int, HazardDraws] | None = None
+        # The draws made last, and the belief that they go with.
+        self._drawn: tuple[Belief, HazardDraws] | None = None
 
     @property
     def goal(self) -> Goal | None:
@@ -78,7 +85,7 @@ class Knowledge:
     def begin(self, prior: Snapshot) -> None:
         """Take the first belief of an estimator for the prior."""
         if self._prior is None or self._prior.rules() != prior.rules():
-            self._prior, self._ledger, self._taken = prior, None, 0
+            self._prior = prior
 
     def note_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> None:
         """Take note of the path of a robot."""
@@ -94,15 +101,27 @@ class Knowledge:
             event(self._register)
         self._events.append(event)
 
+    @property
+    def evidence(self) -> int:
+        """How many paths and reports were taken note of."""
+        return len(self._events)
+
     def draws(self, known: Snapshot) -> HazardDraws | None:
         """Return draws of the hazards that go with a belief; None if it is not known how."""
-        ledger = self._ledger_now()
-        if ledger is None or not np.array_equal(ledger.belief.joint, known.belief.joint):
-            return None
-        if self._drawn is None or self._drawn[0] != ledger.assimilations:
-            draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
-            self._drawn = ledger.assimilations, draws
-        return self._drawn[1]
+        # Who has them already does not wait for others.
+        if (draws := self._drawn_with(known)) is not None:
+            return draws
+        with self._folding:
+            ledger = self._ledger_now()
+            if ledger is not None and is_same(ledger.belief, known.belief):
+                draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
+                self._drawn = known.belief, draws
+            return self._drawn_with(known)
+
+    def _drawn_with(self, known: Snapshot) -> HazardDraws | None:
+        """Return the draws made last if they go with a belief."""
+        drawn = self._drawn
+        return drawn[1] if drawn and is_same(drawn[0], known.belief) else None
 
     def decision(self, known: Snapshot) -> Decision | None:
         """Return what may be relied on with a belief; None if that cannot be said."""
@@ -115,14 +134,20 @@ class Knowledge:
 
     def _ledger_now(self) -> Ledger | None:
         """Return the ledger with all evidence; None if the prior is not known."""
-        if self._prior is None:
+        prior = self._prior
+        if prior is None:
             return None
-        if self._ledger is None:
-            self._ledger = self._prior.ledger()
+        if self._ledger is None or prior is not self._begun_with:
+            self._ledger, self._begun_with, self._taken = prior.ledger(), prior, 0
             self._drawn = None
         taken = self._taken
         for event in self._events[taken:]:
+            self._taken += 1
             with suppress(ValueError):
                 event(self._ledger)
-        self._taken = len(self._events)
         return self._ledger
+
+
+def is_same(one: Belief, other: Belief) -> bool:
+    """Return whether two beliefs are the same, bit for bit."""
+    return one is other or np.array_equal(one.joint, other.joint)

@@ -41,6 +41,8 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
             return report(now, names)
         case Obstacle.BELIEF_BEHIND:
             return next_belief(now, names)
+        case Obstacle.DECIDING:
+            return 'the decision for the goal to be made'
         case Obstacle.UNDECIDED:
             return (
                 'all evidence of the belief, for the goal: restart the planner with the '

@@ -22,6 +22,7 @@ class Obstacle(Enum):
     UNREPORTED = auto()
     BELIEF_BEHIND = auto()
     ALL_DEPLOYED = auto()
+    DECIDING = auto()
     UNDECIDED = auto()
     OVER = auto()
     SEVERAL_RECORDERS = auto()
@@ -44,6 +45,7 @@ class Obstacle(Enum):
         return self in (
             Obstacle.UNREPORTED,
             Obstacle.BELIEF_BEHIND,
+            Obstacle.DECIDING,
             Obstacle.ALL_LEFT,
             Obstacle.SEARCHING,
         )
@@ -96,8 +98,10 @@ class Circumstances:
         How many nodes publish beliefs.
     several_recorders : str
         Which recorders write which logs; empty if there is no more than one.
-    is_decided : callable
-        Returns whether robots can be planned for the goal on the newest belief.
+    is_decided : bool
+        Whether robots can be planned for the goal on the newest belief.
+    is_deciding : bool
+        Whether it is being computed what may be relied on by that.
     why_over : callable
         Returns why no more robots leave by the goal and the stops; empty if they do.
     missing_listeners : callable
@@ -121,7 +125,8 @@ class Circumstances:
     last_heard: int
     estimators: int
     several_recorders: str
-    is_decided: Callable[[], bool]
+    is_decided: bool
+    is_deciding: bool
     why_over: Callable[[], str]
     missing_listeners: Callable[[], str]
     searched: Sequence[str] = ()
@@ -195,8 +200,8 @@ class Circumstances:
             return Obstacle.BELIEF_BEHIND
         if held >= self.robots:
             return Obstacle.ALL_DEPLOYED
-        if not self.is_decided():
-            return Obstacle.UNDECIDED
+        if not self.is_decided:
+            return Obstacle.DECIDING if self.is_deciding else Obstacle.UNDECIDED
         if self.why_over():
             return Obstacle.UNREPORTED if unreported else Obstacle.OVER
         if self.several_recorders:

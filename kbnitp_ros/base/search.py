@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
-from threading import Thread
 from typing import NamedTuple
 
+from kbnitp_ros.base.computation import Computation
 from kbnitp_ros.base.rounds import PlannedRound
 
 
@@ -43,12 +42,9 @@ class Situation(NamedTuple):
         )
 
 
-class Search:
+class Search(Computation[PlannedRound]):
     """
-    A search for the paths of the next round, in a thread of its own.
-
-    Compiled kernels leave Python's lock to others, and no search can be interrupted: one that is
-    not wanted any more runs to its end, and nothing comes of it.
+    A search for the paths of the next round.
 
     Parameters
     ----------
@@ -57,7 +53,7 @@ class Search:
     situation : Situation
         What it is begun for.
     when_over : callable
-        Called in that thread when it is over.
+        Called in its thread when it is over.
 
     """
 
@@ -68,24 +64,4 @@ class Search:
         when_over: Callable[[], object],
     ) -> None:
         self.situation = situation
-        self._find = find
-        self._when_over = when_over
-        self._found: Future[PlannedRound] = Future()
-        # A process that ends does not wait for it.
-        Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        try:
-            self._found.set_result(self._find())
-        except BaseException as error:
-            self._found.set_exception(error)
-        self._when_over()
-
-    @property
-    def is_over(self) -> bool:
-        """Return whether it has found paths, or that there are none."""
-        return self._found.done()
-
-    def found(self) -> PlannedRound:
-        """Return what it found, once it is over; raises what the search raised."""
-        return self._found.result()
+        super().__init__(find, when_over)

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.bag import read_log, same_types
+from kbnitp_ros.base.computation import Computation
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.configuration import robot_types_of
-from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path
+from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
 from kbnitp_ros.log.evidence import first_belief, PATH, REPORT
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.content import content_hash
@@ -25,6 +28,10 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
+from rclpy.task import Future
+
+# Why there is no answer.
+UNKNOWN = 'no belief is known together with all its evidence'
 
 
 class Decisions:
@@ -32,7 +39,8 @@ class Decisions:
     The decisions of the planner.
 
     With a goal it publishes one on `decision` for each belief, and the lane on `decision/lane`
-    for people to look at. The service `safest_path` answers for any two places.
+    for people to look at. The service `safest_path` answers for any two places, one call after
+    another. Both are computed in threads of their own, so that the planner goes on listening.
 
     Parameters
     ----------
@@ -40,6 +48,8 @@ class Decisions:
         The planner.
     grid : Grid
         The field.
+    act : callable
+        Called after each decision.
 
     Attributes
     ----------
@@ -48,7 +58,7 @@ class Decisions:
 
     """
 
-    def __init__(self, node: MissionNode, grid: Grid) -> None:
+    def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
         self.knowledge = Knowledge(
             grid,
             node.values,
@@ -56,15 +66,23 @@ class Decisions:
         )
         self._node = node
         self._grid = grid
+        self._act = act
         self._newest: Snapshot | None = None
         self._decision: Decision | None = None
         self._is_decided = False
+        # How many beliefs and changes of parameters there were, and of how many, and of how much
+        # evidence, the decision is that was begun last.
+        self._news = 0
+        self._begun_with = 0, 0
+        self._deciding: Computation[Decision | None] | None = None
+        self._finding: Computation[SafestPath] | None = None
         # Why no more robots leave by what was planned on the newest belief, and what was told.
         self._not_worth = ''
         self._told = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
+        node.create_poll(self._decide)
 
     def restore(self, log: str) -> None:
         """Take in the prior and the evidence on record."""
@@ -85,23 +103,46 @@ class Decisions:
         """Take note of a belief, the newest."""
         if not newest.deployments:
             self.knowledge.begin(newest)
-        self._newest, self._is_decided, self._not_worth = newest, False, ''
-        self.is_ready()
+        self._newest = newest
+        self.review()
+        self._decide()
 
     def review(self) -> None:
-        """Judge again after a change of parameters."""
+        """Decide again, by the parameters as they will be at the next look."""
         self._is_decided, self._not_worth = False, ''
+        self._news += 1
 
+    @property
     def is_ready(self) -> bool:
-        """Return whether robots can be planned for the goal on the newest belief, and decide."""
-        if self.knowledge.goal is None:
-            return True
-        if self._newest is None:
-            return False
-        if not self._is_decided and (decision := self.knowledge.decision(self._newest)):
-            self._is_decided, self._decision = True, decision
-            self._publish(decision)
-        return self._is_decided
+        """Return whether robots can be planned for the goal on the newest belief."""
+        return self.knowledge.goal is None or self._is_decided
+
+    @property
+    def is_deciding(self) -> bool:
+        """Return whether a decision is being computed, or will be at the next look."""
+        # On a belief that does not go with the evidence nothing is decided until there is more.
+        return self._deciding is not None or self._situation != self._begun_with
+
+    @property
+    def _situation(self) -> tuple[int, int]:
+        return self._news, self.knowledge.evidence
+
+    def _decide(self) -> None:
+        """Have the decision computed that is lacking, and take the one that was."""
+        if self._deciding is not None and self._deciding.is_over:
+            decision, self._deciding = self._deciding.result(), None
+            if decision is not None and self._begun_with[0] == self._news:
+                self._is_decided, self._decision = True, decision
+                self._publish(decision)
+                self._act()
+        if self._newest is None or self.is_ready or self._deciding is not None:
+            return
+        if self.is_deciding:
+            self._begun_with = self._situation
+            self._deciding = Computation(
+                partial(self.knowledge.decision, self._newest),
+                partial(self._node.call_next, self._decide),
+            )
 
     def why_over(self) -> str:
         """Return why no more robots leave; empty if they do."""
@@ -132,24 +173,57 @@ class Decisions:
 
     def _on_safest_path(
         self, request: GetPlan.Request, response: GetPlan.Response
-    ) -> GetPlan.Response:
+    ) -> GetPlan.Response | Future:
         """Answer with the safest path between two places; without poses if there is none."""
         newest = self._newest
         try:
-            if newest is None or (draws := self.knowledge.draws(newest)) is None:
-                raise ValueError('no belief is known together with all its evidence')
+            if newest is None:
+                raise ValueError(UNKNOWN)
+            if self._finding is not None:
+                raise ValueError('another call is being answered: ask again')
             start, to = (
                 int(self._grid.cells_at([[at.pose.position.x, at.pose.position.y]])[0])
                 for at in (request.start, request.goal)
             )
-            most = self._node.values['max_steps']
-            found = safest_path(self._grid, draws, newest.model, start, to, most)
         except ValueError as error:
             self._node.diagnostics.refuse('safest_path', error)
             return response
-        response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
-        self._node.get_logger().info(
-            f'safest path of {found.path.size - 1} steps: free of hazards with probability '
-            f'{found.p_free:.3f}, survived with {found.survival:.3f}'
+        answer = Future()
+        when_found = partial(self._on_safest_path_found, newest, response, answer)
+        self._finding = Computation(
+            partial(self._safest_path, newest, start, to),
+            partial(self._node.call_next, when_found),
         )
-        return response
+        return answer
+
+    def _safest_path(self, newest: Snapshot, start: int, to: int) -> SafestPath:
+        """
+        Return the safest path between two cells.
+
+        Raises
+        ------
+        ValueError
+            If there is none, or the evidence of the belief is not known.
+
+        """
+        if (draws := self.knowledge.draws(newest)) is None:
+            raise ValueError(UNKNOWN)
+        most = self._node.values['max_steps']
+        return safest_path(self._grid, draws, newest.model, start, to, most)
+
+    def _on_safest_path_found(
+        self, newest: Snapshot, response: GetPlan.Response, answer: Future
+    ) -> None:
+        assert self._finding is not None
+        finding, self._finding = self._finding, None
+        try:
+            found = finding.result()
+        except ValueError as error:
+            self._node.diagnostics.refuse('safest_path', error)
+        else:
+            response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
+            self._node.get_logger().info(
+                f'safest path of {found.path.size - 1} steps: free of hazards with probability '
+                f'{found.p_free:.3f}, survived with {found.survival:.3f}'
+            )
+        answer.set_result(response)

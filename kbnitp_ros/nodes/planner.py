@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 import sys
 
 from kbnitp_ros.base.deployments_in_flight import check_periods
@@ -35,7 +36,6 @@ from kbnitp_ros.nodes.runtime.diagnostics import (
     MISSION_STATE,
     waiting_for,
 )
-from kbnitp_ros.nodes.runtime.executor import OneByOne
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
@@ -54,7 +54,7 @@ class PlannerNode(FieldNode):
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
         self._log_reachability()
-        self._decisions = Decisions(self, self.grid)
+        self._decisions = Decisions(self, self.grid, self._deploy)
         knowledge = self._decisions.knowledge
         self._rounds = Rounds(self.grid, self.values, self.get_logger().warning, knowledge)
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
@@ -177,6 +177,7 @@ class PlannerNode(FieldNode):
             estimators=self._peers.estimators,
             several_recorders=records(recorders) if len(recorders) > 1 else '',
             is_decided=self._decisions.is_ready,
+            is_deciding=self._decisions.is_deciding,
             why_over=self._decisions.why_over,
             missing_listeners=self._missing_listeners,
             searched=self._search.situation.agents if self._search else (),
@@ -274,10 +275,10 @@ class PlannerNode(FieldNode):
             self._proposals.withdraw()
             stamp, paths = self._next_stamp(newest), self._in_flight.paths
             find = self._rounds.search(newest, agents, paths, stamp, refused)
-            self._search = Search(find, now, self._wake)
+            self._search = Search(find, now, partial(self.call_next, self._on_search_over))
             return {}
         self._search = None
-        planned = search.found()
+        planned = search.result()
         self._rounds.say_if_slow(planned)
         self._decisions.note_not_worth(planned.why_not_worth)
         if planned.why_worthless:
@@ -301,12 +302,6 @@ class PlannerNode(FieldNode):
                 'began'
             )
         return is_wanted
-
-    def _wake(self) -> None:
-        """Have the thread of all callbacks look at what was found."""
-        executor = self.executor
-        if isinstance(executor, OneByOne):
-            executor.call_next(self._on_search_over)
 
     def _on_search_over(self) -> None:
         self._deploy()

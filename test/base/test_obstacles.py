@@ -57,7 +57,8 @@ CLEAR = Circumstances(
     last_heard=1,
     estimators=1,
     several_recorders='',
-    is_decided=lambda: True,
+    is_decided=True,
+    is_deciding=False,
     why_over=lambda: '',
     missing_listeners=lambda: '',
 )
@@ -69,7 +70,8 @@ MADE_BY = {
     Obstacle.UNREPORTED: {'in_flight': in_flight(key(1)), 'sent': 2},
     Obstacle.BELIEF_BEHIND: {'last_heard': 0, 'newest': 0},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
-    Obstacle.UNDECIDED: {'is_decided': lambda: False},
+    Obstacle.DECIDING: {'is_decided': False, 'is_deciding': True},
+    Obstacle.UNDECIDED: {'is_decided': False},
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
     Obstacle.SEVERAL_RECORDERS: {'several_recorders': 'two'},
     Obstacle.NOT_HEARD: {'missing_listeners': lambda: 'the estimator'},
@@ -101,8 +103,8 @@ def test_the_goal_is_looked_at_only_when_robots_could_leave():
     def fail():
         raise AssertionError
 
-    for obstacle in list(MADE_BY)[: list(MADE_BY).index(Obstacle.UNDECIDED)]:
-        changes = MADE_BY[obstacle] | {'is_decided': fail, 'why_over': fail}
+    for obstacle in list(MADE_BY)[: list(MADE_BY).index(Obstacle.OVER)]:
+        changes = MADE_BY[obstacle] | {'why_over': fail}
         assert replace(CLEAR, **changes).obstacle is obstacle
 
 

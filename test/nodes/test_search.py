@@ -6,7 +6,9 @@ from __future__ import annotations
 import time
 
 from base import Base
-from kbnitp_msgs.msg import Progress
+from kbnitp_msgs.msg import Decision, Progress
+from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.messages.deployments import read_path, report_message
 import pytest
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
@@ -17,6 +19,12 @@ WIDE = {
     'robots': 16,
     'recorded': False,
     'beam_width': 24,
+}
+GOAL = {
+    'goal': 'lane',
+    'goal.cells': [899],
+    'method': 'kappa_bnitp_sampled',
+    'learn': ['lethality'],
 }
 SEARCHING = 'waiting for the search for the paths of scout_1, scout_2, scout_3 and 5 more to end'
 
@@ -61,6 +69,24 @@ def test_what_was_found_by_other_parameters_is_dropped(base):
     assert not any(base.paths.values())
     base.do('end_mission')
     assert base.field.processes.stop(30)['/planner'] == 0
+
+
+@pytest.mark.full
+def test_a_pause_is_answered_while_what_may_be_relied_on_is_computed(field):
+    """The hazards are drawn for a second or more, and lanes sought in all draws."""
+    base = Base(field, **WIDE, **GOAL)
+    paths, decisions = base.paths['scout_1'], field.listen(Decision, '/decision')
+    field.until(lambda: paths, 'path', patience=240)
+    before = len(decisions)
+    key, cells = read_path(Grid(30, 30), 'scout_1', paths[0])
+    home = Observation(cells, True, [False] * (len(cells) - 1))
+    base.reports['scout_1'].publish(report_message(key, home, key.stamp + 1))
+    base.until_held(1)
+    base.do('pause')
+    assert len(decisions) == before == 1
+    field.until(lambda: len(decisions) == 2, 'decision', patience=240)
+    base.do('pause', data=False)
+    field.until(lambda: len(paths) == 2, 'next path', patience=240)
 
 
 def test_plans_that_are_worth_nothing_are_not_sent(field):

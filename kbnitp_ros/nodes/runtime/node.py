@@ -100,6 +100,15 @@ class MissionNode(GraphNode):
         """
         return min(self.get_clock().now().nanoseconds, LATEST)
 
+    def elapsed(self) -> int:
+        """
+        Return the time by which deadlines run, in nanoseconds from any moment on.
+
+        Simulated time is as it is told, and 0 before it has started. Otherwise it is that of a
+        clock which nobody sets: a base that gets the time of day has been on no longer for that.
+        """
+        return self.now() if self.get_clock().ros_time_is_active else time.monotonic_ns()
+
     def hear(
         self,
         kind: type,
@@ -214,6 +223,12 @@ class MissionNode(GraphNode):
                 say_at = time.monotonic() + SAY_AGAIN
                 self.get_logger().info(f'{doing}: {number} messages so far')
             yield item
+
+    def call_next(self, callback: Callable[[], object]) -> None:
+        """Have a callback made in the thread of all others, as another thread asks for it."""
+        executor = self.executor
+        if isinstance(executor, OneByOne):
+            executor.call_next(callback)
 
     def create_poll(self, callback: Callable[[], None]) -> Timer:
         """Call back every `POLL` seconds, also when simulated time stands still."""
