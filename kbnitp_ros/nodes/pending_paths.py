@@ -8,7 +8,7 @@ import time
 
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.messages.deployments import read_path
-from kbnitp_ros.messages.missions import check_mission, mission_of_path
+from kbnitp_ros.messages.missions import mission_of_path, named
 from kbnitp_ros.nodes.recorded_paths import ASK_FIRST, RecordedPaths
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.robot import Deployment, Journal
@@ -40,12 +40,14 @@ class PendingPaths:
         prefix: str,
         journal: Journal,
         accept: Callable[[Deployment], None],
+        refuse: Callable[[Deployment, str], object],
     ) -> None:
         self.is_listening = False
         self._node = node
         self._agent = agent
         self._journal = journal
         self._accept = accept
+        self._refuse = refuse
         self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
         self._sent = RecordedPaths(node, agent, prefix, self._read_path, self._take_path)
@@ -62,7 +64,6 @@ class PendingPaths:
         key, cells = read_path(self._node.grid, self._agent, message)
         path = self._node.grid.check_path(cells, self._max_steps)
         deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
-        self._check_mission(deployment.mission)
         known = self._known(deployment.stamp)
         if known is not None and known.path != deployment.path:
             raise ValueError(f'deployment {key} is known with another path: the first path counts')
@@ -74,21 +75,22 @@ class PendingPaths:
 
     def _take_path(self, deployment: Deployment) -> None:
         self._last = time.monotonic()
+        if why := self._why_earlier(deployment.mission):
+            self._refuse(deployment, why)
+            return
         self._pending[deployment.stamp] = deployment
         self._accept(deployment)
 
-    def _check_mission(self, mission: int) -> None:
-        """Check that a mission is that of the journal, or a later one."""
+    def _why_earlier(self, mission: int) -> str:
+        """Return that a mission is an earlier one than that of the journal; empty if it is not."""
         own = self._journal.mission
-        if own is not None and mission > own:
-            return
-        try:
-            check_mission(mission, own)
-        except ValueError as error:
-            raise ValueError(
-                f'{error}; journal {self._journal.path} is of that one, which began later: for '
-                'this mission name another file by the parameter journal'
-            ) from error
+        if own is None or mission >= own:
+            return ''
+        return (
+            f'it belongs to {named(mission)}, and journal {self._journal.path} to {named(own)}, '
+            'which is later (was a clock set back?): for this mission name another file by the '
+            'parameter journal'
+        )
 
     def _known(self, stamp: int) -> Deployment | None:
         """Return the deployment of this name, driven or not, if it is known."""

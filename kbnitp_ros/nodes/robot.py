@@ -81,7 +81,9 @@ class RobotNode(FieldNode):
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
         self._hold = Hold(self, prefix)
-        self._pending = PendingPaths(self, self._agent, prefix, self._journal, self._accept)
+        self._pending = PendingPaths(
+            self, self._agent, prefix, self._journal, self._accept, self._refuse
+        )
         self._duplicates = DuplicateNames(self, self._reports.topic_name)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
@@ -308,6 +310,7 @@ class RobotNode(FieldNode):
         for superseded in self._pending.superseded():
             if not self._refuse(superseded, f'path {self._key(deployment)} came before it left'):
                 return self._no_room
+            self._pending.close(superseded)
         if awaited := self._hold.awaited or self._not_ready():
             return waiting_for(awaited)
         if not self._depart(deployment):
@@ -319,7 +322,6 @@ class RobotNode(FieldNode):
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
             return False
-        self._pending.close(deployment)
         self._say_status(stamp, AgentState.REFUSED, now, reason)
         self.get_logger().warning(f'deployment {self._key(deployment)} is refused: {reason}')
         return True

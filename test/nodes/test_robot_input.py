@@ -12,9 +12,10 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fleet import FIELD, Fleet, GRID
 from geometry_msgs.msg import TransformStamped
-from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.robot import Deployment, Journal, Step
 from nav_msgs.msg import Path as PathMessage
@@ -137,7 +138,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
     assert sent > 500
 
 
-def test_a_path_for_another_field_or_mission_is_refused(field):
+def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     fleet = Fleet(field)
     reports = fleet.reports()
     fleet.simulate()
@@ -150,10 +151,25 @@ def test_a_path_for_another_field_or_mission_is_refused(field):
     paths.publish(path_message(GRID, [0, 13, 26, 13, 0], 10**9, 5))
     assert 'enters a blocked cell' in field.until_refused('/scout_1/robot', 2)
     fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
-    paths.publish(path_message(GRID, [0, 1, 0], 2 * 10**9, 4))
-    told = field.until_refused('/scout_1/robot', 3)
-    assert 'it belongs to the mission begun at 0.000000004' in told
-    assert f'journal {fleet.journal("scout_1")} is of that one, which began later' in told
+    # The clock of its base was set back. The robot says so there, for good.
+    key = fleet.send(2, [0, 1, 0], mission=4)
+    journal = fleet.journal('scout_1')
+    why = (
+        f'it belongs to the mission begun at 0.000000004, and journal {journal} to the mission '
+        'begun at 0.000000005, which is later'
+    )
+
+    def refusals():
+        said = fleet.statuses['scout_1']
+        return [each for each in said if each.state == AgentStatus.REFUSED]
+
+    field.until(refusals, 'refusal')
+    field.kill('/scout_1/robot')
+    fleet.start()
+    field.until(lambda: len(refusals()) == 2, 'the refusal again')
+    assert {from_stamp(each.deployment) for each in refusals()} == {key.stamp}
+    assert all(why in each.reason for each in refusals())
+    fleet.report_of(reports, fleet.send(3, [0, 1, 0]))
 
 
 def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field):
