@@ -44,7 +44,7 @@ class DeploymentInFlight:
     recorded_content : int or None
         Hash of the path that is on disk instead of it, until that path is heard.
     due : int or None
-        When it times out, nanoseconds of ROS time; None until it has departed and the clock runs.
+        When it times out, in nanoseconds; None until it has departed and the clock runs.
     is_overdue : bool
         Whether it had timed out at the last look.
 
@@ -283,7 +283,8 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         Parameters
         ----------
         now : int
-            ROS time in nanoseconds; 0 as long as a simulated clock has not started.
+            Time in nanoseconds, which is set back only where it is simulated; 0 as long as a
+            simulated clock has not started.
 
         """
         jump, self._time = min(0, now - self._time), now
@@ -293,7 +294,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         for key, robot in list(self._in_flight.items()):
             if not self.has_departed(key):
                 continue
-            # Robots do not come home sooner because the clock was set back.
+            # Robots do not come home later because the clock was set back.
             robot.due = self._due(now, key.agent, robot) if robot.due is None else robot.due + jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
             # What came while a plan was made is heard between two looks.
@@ -307,7 +308,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
 
 def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp]) -> float:
-    """Return how long a silent robot may be away on a path, in seconds of ROS time."""
+    """Return how long a silent robot may be away on a path, in seconds."""
     steps, period = path.size - 1, value_for(values, 'step_period', agent)
     seconds: float = steps * period + values['return_deadline']
     return seconds

@@ -170,7 +170,7 @@ class Dispatch:
     def give_up_overdue(self) -> None:
         """Report robots lost that should have been back for long."""
         if self._values['silent_loss']:
-            for key in self.in_flight.overdue(self._node.now()):
+            for key in self.in_flight.overdue(self._node.elapsed()):
                 self.give_up(key, Source.SILENCE)
 
     def tell_departures(self) -> None:

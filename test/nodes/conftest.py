@@ -6,6 +6,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 from multiprocessing import forkserver
 import os
+from pathlib import Path
+import subprocess
 import sys
 import time
 
@@ -199,6 +201,17 @@ def server():
         # It passes over modules that it does not find, and is not given the paths of the tests.
         patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
         forkserver.ensure_running()
+
+
+@pytest.fixture
+def system_clock(tmp_path, monkeypatch):
+    """Return a file: once it is there, the system's clock is years back for nodes started now."""
+    library, file = tmp_path / 'set_back.so', tmp_path / 'set_back'
+    source = Path(__file__).with_name('set_back.c')
+    subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
+    monkeypatch.setenv('LD_PRELOAD', str(library))
+    monkeypatch.setenv('SET_BACK', str(file))
+    return file
 
 
 @pytest.fixture

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path as FilePath
-import subprocess
 
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.bag.writer import LogWriter
@@ -59,17 +57,6 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
     expected = expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours)
     for number, (report, outcome) in enumerate(zip(reports, expected)):
         assert read_report(report) == (key(number), outcome)
-
-
-@pytest.fixture
-def system_clock(tmp_path, monkeypatch):
-    """Return a file: once it is there, the system's clock is years back for nodes started now."""
-    library, file = tmp_path / 'set_back.so', tmp_path / 'set_back'
-    source = FilePath(__file__).with_name('set_back.c')
-    subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
-    monkeypatch.setenv('LD_PRELOAD', str(library))
-    monkeypatch.setenv('SET_BACK', str(file))
-    return file
 
 
 @pytest.mark.interpreter

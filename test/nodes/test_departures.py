@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 from base import Base, GRID
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
 from kbnitp_ros.core import DeploymentKey, Observation
@@ -12,6 +14,7 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.status import State, status_message
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
+import pytest
 from samples import FIELD, on_disk, path
 from std_msgs.msg import Bool
 
@@ -85,6 +88,35 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     assert len(report.evidence.reports) == 2
     (refused,) = report.evidence.without_report
     assert report.departures.status(refused).reason == 'the battery is low'
+
+
+@pytest.mark.full
+@pytest.mark.interpreter
+def test_deadlines_begin_with_departures_on_record_whatever_becomes_of_the_clock(
+    system_clock, field
+):
+    """A base that comes up with a time of years ago, gets that of now, and loses it again."""
+    deadline = 8.0
+    system_clock.touch()
+    base = StatedBase(field, robots=2, return_deadline=deadline)
+    for number, change in enumerate((system_clock.unlink, system_clock.touch), start=1):
+        base.until_sent(number)
+        base.until_named(base.paths['scout_1'][-1])
+        field.kill('/recorder')
+        departure = base.say(State.DEPARTED)
+        waited = time.monotonic() + deadline + 1.0
+        field.until(lambda end=waited: time.monotonic() > end, 'end of its deadline')
+        # It does not move before that is on disk.
+        assert len(base.heard['scout_1']) == number - 1
+        field.start('recorder', {**base.parameters, 'resume': str(base.log)})
+        base.until_named(departure)
+        begun = time.monotonic()
+        base.until_state(f'at most until {deadline} s after it is due')
+        change()
+        field.until(lambda n=number: len(base.heard['scout_1']) == n, 'loss')
+        assert time.monotonic() > begun + deadline / 2
+    base.until_state('done: 2 of 2')
+    assert len(base.replayed().evidence.reports) == 2
 
 
 def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):

@@ -367,7 +367,8 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
 def planner_here(field, monkeypatch):
     """Return a function that makes a planner in the test, and its clock, in nanoseconds."""
     clock = [1]
-    monkeypatch.setattr(PlannerNode, 'now', lambda _: clock[-1])
+    for name in ('now', 'elapsed'):
+        monkeypatch.setattr(PlannerNode, name, lambda _: clock[-1])
 
     def start(parameters):
         args = ['--ros-args', '--log-level', 'fatal']

@@ -107,7 +107,8 @@ class MissionNode(GraphNode):
         Simulated time is as it is told, and 0 before it has started. Otherwise it is that of a
         clock which nobody sets: a base that gets the time of day has been on no longer for that.
         """
-        return self.now() if self.get_clock().ros_time_is_active else time.monotonic_ns()
+        is_simulated = self.get_parameter('use_sim_time').value
+        return self.now() if is_simulated else time.monotonic_ns()
 
     def hear(
         self,
