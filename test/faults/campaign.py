@@ -4,11 +4,13 @@ Run missions under random faults and count what was done to them and what they l
 
     python3 test/faults/campaign.py --missions 200 --seed 1
     python3 test/faults/campaign.py --robots --missions 200 --seed 1
+    python3 test/faults/campaign.py --apart --missions 100 --seed 1
     python3 test/faults/campaign.py --forged --missions 100 --seed 1
 
 With `--robots` the robots refuse orders and crash as well, before they depart, at the gate, in the
-field and at home. With `--forged` nobody is struck; each mission is sent forged messages of every
-kind instead, and floods of them.
+field and at home. With `--apart`, for which it must run as root, they are on networks of their own
+as well, and every other robot that crashes comes up without a link. With `--forged` nobody is
+struck; each mission is sent forged messages of every kind instead, and floods of them.
 
 A mission is fixed by its seed, but for the moments at which the machine gets round to it: mission
 k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
@@ -19,7 +21,9 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 import os
 from pathlib import Path
@@ -28,11 +32,14 @@ import sys
 import tempfile
 import time
 
-from departing import DepartingMission
+from departing import DepartingMission, MOST_AGENTS
+from fickle_robot import CRASHED, UNPLUGGED
 from forged import run_forged
 from forger import FORGERIES
 from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.nodes.robot import NEW_LINKS
 from mission import full_name, Mission, StuckError
+from networks import ENVIRONMENT, networks
 import numpy as np
 from schedule import draw_faults, KINDS, NODES
 from tqdm import tqdm
@@ -48,6 +55,13 @@ FINDINGS = {
     'replay': 'logs that do not replay',
     'log': 'logs that cannot be read',
     'exit': 'nodes that ended badly',
+}
+
+# What the exit codes of robots mean.
+CRASHES = {
+    CRASHED: 'robots that crashed',
+    UNPLUGGED: 'robots that crashed and came up without a link',
+    NEW_LINKS: 'robots started again for their links',
 }
 
 
@@ -69,6 +83,8 @@ class Outcome:
         How many times each (kind of fault, node).
     phases : Counter
         How many faults in each phase.
+    crashes : Counter
+        How many times robots ended, by exit code.
     findings : list of (str, str)
         What is not as it must be.
     unused : int
@@ -84,6 +100,7 @@ class Outcome:
     faults: Counter[str] = field(default_factory=Counter)
     strikes: Counter[tuple[str, str]] = field(default_factory=Counter)
     phases: Counter[str] = field(default_factory=Counter)
+    crashes: Counter[int] = field(default_factory=Counter)
     findings: list[tuple[str, str]] = field(default_factory=list)
     unused: int = 0
     seconds: float = 0.0
@@ -120,21 +137,26 @@ def run_mission(job: tuple[int, str, Path]) -> Outcome:
     return outcome
 
 
-def run_departing(job: tuple[int, str, Path]) -> Outcome:
+def run_departing(job: tuple[int, str, Path], is_apart: bool = False) -> Outcome:
     """Run the mission of a seed with robots that crash, in a process of its own."""
     seed, kind, folder = job
     outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
     outcome.folder.mkdir()
     begun = time.monotonic()
-    with free_domain() as domain:
+    with ExitStack() as stack:
+        made = stack.enter_context(networks(MOST_AGENTS)) if is_apart else None
+        domain = stack.enter_context(free_domain())
         os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
-        with DepartingMission(domain, outcome.folder, seed) as mission:
-            try:
-                outcome.strikes.update(('kill', node) for node in mission.live().elements())
-                outcome.findings = mission.findings()
-            except StuckError as error:
-                outcome.findings = [('stuck', str(error))]
-            outcome.strikes['kill', 'robot'] = mission.crashes
+        if made is not None:
+            made.join()
+            os.environ |= ENVIRONMENT
+        mission = stack.enter_context(DepartingMission(domain, outcome.folder, seed, made))
+        try:
+            outcome.strikes.update(('kill', node) for node in mission.live().elements())
+            outcome.findings = mission.findings()
+        except StuckError as error:
+            outcome.findings = [('stuck', str(error))]
+        outcome.crashes = mission.ended
     outcome.seconds = time.monotonic() - begun
     if not outcome.findings:
         shutil.rmtree(outcome.folder)
@@ -164,12 +186,14 @@ def table(outcomes: list[Outcome]) -> str:
     faults = sum((outcome.faults for outcome in outcomes), Counter())
     phases = sum((outcome.phases for outcome in outcomes), Counter())
     found = Counter(kind for outcome in outcomes for kind, _ in outcome.findings)
+    crashes = sum((outcome.crashes for outcome in outcomes), Counter())
     seconds = [outcome.seconds for outcome in outcomes]
     rows = [('missions', len(outcomes))]
-    for node in (*NODES, 'robot'):
+    for node in NODES:
         kills = sum(strikes[kind, node] for kind in ('kill', 'two', 'all'))
         rows.append((f'SIGKILLs of the {node}', kills))
     rows += [(f'SIGSTOPs of the {node}', strikes['stop', node]) for node in NODES]
+    rows += [(what, crashes[code]) for code, what in CRASHES.items()]
     rows += [('two nodes killed at once', faults['two'])]
     rows += [('all nodes killed at once', faults['all'])]
     rows += [(f'faults in phase: {phase}', count) for phase, count in sorted(phases.items())]
@@ -215,6 +239,7 @@ def main() -> int:
     parser.add_argument('--kind', choices=KINDS, default='mixed', help='of faults; default mixed')
     parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
     parser.add_argument('--robots', action='store_true', help='have robots refuse and crash, too')
+    parser.add_argument('--apart', action='store_true', help='and to lose their links; as root')
     parser.add_argument('--forged', action='store_true', help='send forged messages instead')
     parser.add_argument(
         '--scale', type=float, default=1.0, help='of the number of forged messages; default 1'
@@ -225,7 +250,9 @@ def main() -> int:
         return run_forged_missions(options.missions, options.seed, options.scale, folder)
     seeds = range(options.seed, options.seed + options.missions)
     begun = time.monotonic()
-    run = run_departing if options.robots else run_mission
+    run = run_mission
+    if options.robots or options.apart:
+        run = partial(run_departing, is_apart=options.apart)
     jobs = [(seed, options.kind, folder) for seed in seeds]
     outcomes = run_missions(jobs, options.parallel, run)
     print(table(outcomes))

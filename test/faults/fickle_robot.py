@@ -5,7 +5,8 @@ A robot written by the contract alone, which refuses orders and crashes wherever
     python3 fickle_robot.py AGENT NAMESPACE FIELD.json JOURNAL
 
 What becomes of an order is drawn from its stamp. After a crash the next life goes on with the
-journal: the robot of a field that destroyed one is another, and says the same of its orders.
+journal: the robot of a field that destroyed one is another, and says the same of its orders. Where
+its link can be taken down, every other crash is one after which it comes up without.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.status import State, status_message
+from kbnitp_ros.nodes.links import Links
+from kbnitp_ros.nodes.robot import NEW_LINKS
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
 import numpy as np
@@ -39,7 +42,11 @@ FATES = {
     'crash in the field': 0.1,
     'crash at home': 0.1,
 }
-CRASHED = 9
+# Exit codes of crashes.
+CRASHED, UNPLUGGED = 9, 10
+
+# What a robot says that comes up without a link.
+WITHOUT_LINK = 'without a link'
 
 # How long a late robot is away, in seconds: it has been given up by then.
 LATE = 3.0
@@ -49,7 +56,11 @@ class Robot:
     """An agent and its robots; its journal has a line for each thing that it cannot take back."""
 
     def __init__(self, agent, namespace, field, journal):
+        self._links = Links()
+        if self._links.are_missing:
+            print(WITHOUT_LINK, file=sys.stderr, flush=True)
         self._agent, self._journal = agent, Path(journal)
+        self._is_apart = field['apart']
         self._grid = Grid(*field['size'])
         self._seed = field['seed']
         self._orders = {}
@@ -111,19 +122,22 @@ class Robot:
     def go_on(self):
         """Hear what comes, and obey what may be obeyed."""
         self._listen()
+        if self._is_apart and self._links.news:
+            os._exit(NEW_LINKS)
         for stamp, (cells, content) in list(self._waiting.items()):
             if (stamp, content) in self._recorded and not self._held:
                 del self._waiting[stamp]
                 self._obey(stamp, cells)
 
     def _obey(self, stamp, cells):
-        """Do with an order what its stamp says."""
+        """Do with an order what its stamp says; a crash is like a loss of power."""
         rng = np.random.default_rng((self._seed, stamp % 2**63, len(self._agent)))
         fate = str(rng.choice([*FATES], p=[*FATES.values()]))
+        crash_code = UNPLUGGED if self._is_apart and rng.random() < 0.5 else CRASHED
         self._say(stamp, State.ACCEPTED, stamp)
         if fate.startswith('crash before') and 'lived' not in self._orders.get(stamp, {}):
             self._write(stamp, 'lived', True)
-            crash()
+            os._exit(crash_code)
         if 'refuse' in fate:
             self._write(stamp, 'time', stamp)
             self._write(stamp, 'refused', fate)
@@ -134,12 +148,12 @@ class Robot:
         if fate == 'crash at the gate':
             # With or without that on the base's disk.
             time.sleep(rng.uniform(0.0, 0.1))
-            crash()
+            os._exit(crash_code)
         while (stamp, content) not in self._recorded:
             self._listen()
         if fate == 'crash in the field':
             self._write(stamp, 'lost', True)
-            crash()
+            os._exit(crash_code)
         if fate == 'late':
             end = time.monotonic() + LATE
             while time.monotonic() < end:
@@ -147,16 +161,11 @@ class Robot:
         readings = rng.integers(0, 2, len(cells) - 1).tolist()
         self._write(stamp, 'home', [cells, readings])
         if fate == 'crash at home':
-            crash()
+            os._exit(crash_code)
         self._report(stamp)
 
     def _listen(self):
         rclpy.spin_once(self._node, timeout_sec=0.02)
-
-
-def crash():
-    """End like a robot that loses its power."""
-    os._exit(CRASHED)
 
 
 def main():

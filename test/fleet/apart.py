@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 import json
 import os
 from pathlib import Path
@@ -17,71 +17,12 @@ from kbnitp_ros.bag.reader import LogError, read_log
 from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.robot import NEW_LINKS
+from networks import ENVIRONMENT, networks, NoNetworksError
 import pytest
 
 ROOT = Path(__file__).parents[2]
 
 PATIENCE = 120.0
-
-
-def ip(*arguments):
-    return subprocess.run(['ip', *arguments], capture_output=True, text=True)
-
-
-@contextmanager
-def networks(robots, multicast=True):
-    """
-    Make a network for the base and one for each robot, on one bridge, with multicast or without.
-
-    The base is heard by all robots and hears them; they do not hear each other. Yield the names of
-    the networks, that of the base first; what switches the links of the robots; and what gives
-    the first robot another address.
-    """
-    mark = f'k{os.getpid() % 10_000}'
-    bridge = f'{mark}br'
-    names = [f'{mark}base', *(f'{mark}robot{number}' for number in range(1, robots + 1))]
-    outer_ends = [f'{mark}o{number}' for number in range(len(names))]
-    try:
-        steps = [['link', 'add', bridge, 'type', 'bridge'], ['link', 'set', bridge, 'up']]
-        for number, (name, outer) in enumerate(zip(names, outer_ends)):
-            inner = f'{mark}i{number}'
-            steps += [
-                ['netns', 'add', name],
-                ['link', 'add', inner, 'type', 'veth', 'peer', 'name', outer],
-                ['link', 'set', inner, 'netns', name],
-                ['link', 'set', outer, 'master', bridge],
-                ['link', 'set', outer, 'up'],
-                ['-n', name, 'link', 'set', 'lo', 'up'],
-                ['-n', name, 'link', 'set', inner, 'up'],
-                ['-n', name, 'address', 'add', f'10.77.0.{number + 1}/24', 'dev', inner],
-                ['-n', name, 'route', 'add', '224.0.0.0/4', 'dev', inner],
-            ]
-        for outer in outer_ends[1:]:
-            steps.append(['link', 'set', outer, 'type', 'bridge_slave', 'isolated', 'on'])
-        if not multicast:
-            steps.append(['link', 'set', bridge, 'type', 'bridge', 'mcast_snooping', '0'])
-            for outer in outer_ends:
-                steps.append(['link', 'set', outer, 'type', 'bridge_slave', 'mcast_flood', 'off'])
-        for step in steps:
-            made = ip(*step)
-            if made.returncode:
-                pytest.skip(f'no networks can be made: ip {" ".join(step)}: {made.stderr.strip()}')
-
-        def switch(state):
-            for each in outer_ends[1:]:
-                ip('link', 'set', each, state)
-
-        def readdress():
-            inner = f'{mark}i1'
-            ip('-n', names[1], 'address', 'flush', 'dev', inner)
-            ip('-n', names[1], 'address', 'add', '10.77.0.77/24', 'dev', inner)
-            ip('-n', names[1], 'route', 'add', '224.0.0.0/4', 'dev', inner)
-
-        yield names, switch, readdress
-    finally:
-        ip('link', 'delete', bridge)
-        for name in names:
-            ip('netns', 'delete', name)
 
 
 class Apart:
@@ -92,29 +33,25 @@ class Apart:
     ----------
     folder : Path
         Where everything is kept.
-    names : list of str
-        The networks, that of the base first, then one for each robot; all robots have one name.
-    switch : callable
-        What takes the links up and down.
+    networks : Networks
+        Of the base, and one for each robot; all robots have one name.
     robots : int
         How many robots leave, one after another.
     discovery : dict
         The variables by which nodes find each other.
+    planner : dict
+        Parameters of the planner.
 
     Attributes
     ----------
     log : Path
         Of the mission.
-    switch : callable
-        Takes the links 'up' or 'down'.
-    readdress : callable
-        Gives the first robot another address.
 
     """
 
-    def __init__(self, folder, names, switch, robots, discovery):
-        base, *own = names
-        self.switch = switch
+    def __init__(self, folder, networks, robots, discovery, planner):
+        base, own = networks.base, networks.robots
+        self._networks = networks
         self._folder = folder
         self._started = []
         self.log = folder / 'log' / 'mission.mcap'
@@ -123,9 +60,7 @@ class Apart:
         self._environment = {
             **os.environ,
             'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}',
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
-            'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config/fastdds.xml'),
-            'RMW_FASTRTPS_USE_QOS_FROM_XML': '1',
+            **ENVIRONMENT,
             'ROS_LOG_DIR': str(folder / 'ros_log'),
             **discovery,
         }
@@ -146,7 +81,7 @@ class Apart:
         for name, parameters in (
             ('recorder', {'file': str(self.log)}),
             ('estimator', base_parameters),
-            ('planner', {**base_parameters, 'robots': robots, 'recorded': True}),
+            ('planner', {**base_parameters, 'robots': robots, 'recorded': True, **planner}),
         ):
             self._planner_said = self._start_node(base, name, parameters, '__ns:=/m')
 
@@ -179,6 +114,15 @@ class Apart:
             if process.poll() == NEW_LINKS:
                 self._robots.remove(each)
                 self._start_robot(*robot)
+
+    def switch(self, state):
+        """Take the links of the robots 'up' or 'down'."""
+        for number in range(1, len(self._networks.robots) + 1):
+            self._networks.switch(number, state)
+
+    def readdress(self):
+        """Give the first robot another address."""
+        self._networks.readdress()
 
     def reboot(self):
         """Cut the power of the robots' computers, and switch them on again."""
@@ -263,7 +207,7 @@ class Apart:
 
 
 @contextmanager
-def apart(folder, robots, namesakes=1, discovery=None):
+def apart(folder, robots, namesakes=1, discovery=None, **planner):
     """
     Have a mission run whose base is apart from its robots; it is over when this is left.
 
@@ -277,12 +221,15 @@ def apart(folder, robots, namesakes=1, discovery=None):
         How many robots there are of the one name, 1 or 2.
     discovery : dict, optional
         The variables by which nodes find each other; if there are any there is no multicast.
+    **planner
+        Parameters of the planner.
 
     """
-    with networks(namesakes, multicast=not discovery) as (names, switch, readdress):
-        mission = Apart(folder, names, switch, robots, discovery or {})
-        mission.readdress = readdress
+    with ExitStack() as stack:
         try:
-            yield mission
-        finally:
-            mission.end()
+            made = stack.enter_context(networks(namesakes, multicast=not discovery))
+        except NoNetworksError as error:
+            pytest.skip(f'no networks can be made: {error}')
+        mission = Apart(folder, made, robots, discovery or {}, planner)
+        stack.callback(mission.end)
+        yield mission

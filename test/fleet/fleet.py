@@ -21,7 +21,7 @@ from kbnitp_ros.messages.deployments import path_message, read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 SIMULATOR = Path(__file__).with_name('simulator.py')
 
@@ -82,7 +82,7 @@ class Fleet:
         self._talkers = {}
         self.simulator = None
         if not mission:
-            field.let_depart()
+            self._hold = field.let_depart()
             self.statuses = {name: field.record_departures(name) for name in names}
 
     def simulate(self, wrong='', **places):
@@ -181,6 +181,10 @@ class Fleet:
     def inject(self, what, name='scout_1'):
         """Have something go wrong with a robot's next goal, or go on as it should."""
         self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
+
+    def hold(self, is_held):
+        """Have no robot depart, or let them."""
+        self._hold.publish(Bool(data=is_held))
 
     def wait(self, seconds):
         """Handle messages for some time."""

@@ -183,9 +183,13 @@ def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told)
     fleet.start(attempts=1)
     key = fleet.send(1, [0, 1, 0])
     field.until(lambda: told in field.said('/scout_1/robot'), 'wait for Nav2 on the console')
+    # What the operator decides meanwhile holds when Nav2 is ready.
+    fleet.hold(True)
+    fleet.inject('live')
+    field.until(lambda: 'the operator to end the pause' in fleet.state(), 'wait for the operator')
     said = [status.state for status in fleet.statuses['scout_1']]
     assert said == [AgentStatus.ACCEPTED]
-    fleet.inject('live')
+    fleet.hold(False)
     report = fleet.report_of(reports, key)
     assert moves([0, *(cell for cell, _ in report.readings)]) == [0, 1, 0]
 

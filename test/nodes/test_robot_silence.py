@@ -68,6 +68,26 @@ def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, lon
 
 @pytest.mark.full
 @pytest.mark.campaign
+def test_a_robot_that_is_cut_off_for_30_seconds_is_given_up_and_its_return_counts(tmp_path):
+    """DDS forgets those that it does not hear for 20 s; by then the robot counts as lost."""
+    with apart(tmp_path, 2, silent_loss=True, step_period=1.0, return_deadline=5.0) as mission:
+        mission.until(lambda: mission.count('leaving on') == 1, 'departure')
+        mission.switch('down')
+        cut = time.monotonic()
+        mission.until(lambda: mission.count('home from') == 1, 'return')
+        mission.until(lambda: len(mission.reports()) == 1, 'loss')
+        time.sleep(max(0.0, cut + 30.0 - time.monotonic()))
+        mission.switch('up')
+        mission.until(lambda: len(mission.reports()) == 3, 'return and report of the next robot')
+    assert mission.count('to be started again') == 0
+    told = replay(mission.log)
+    assert told.reproduced
+    assert not told.evidence.refused
+    assert [each.survived for each in told.evidence.reports.values()] == [True, True]
+
+
+@pytest.mark.full
+@pytest.mark.campaign
 @pytest.mark.parametrize('what', ['reboot', 'readdress'])
 def test_a_robot_is_heard_again_that_was_rebooted_without_a_link_or_has_another_address(
     tmp_path, what
