@@ -107,14 +107,13 @@ MAY_DIFFER = ('sensor.', 'await_nodes')
 
 DESCRIPTION = """
 Run a whole mission with real nodes, each a process of its own: deploy the robots, record the
-mission, compute every belief of the recording again and report what became known. Or go on with
-a mission that died.
+mission, compute every belief of the recording again, and write the report. Or resume a mission
+that was killed.
 
-Estimator and planner know neither the lethality nor the hazard density and learn both, unless
-another method is named or --set learn=[].
+Estimator and planner know neither the lethality nor the hazard density. They learn both, unless
+you name another method or give --set learn=[].
 
-Where several say something, --set counts for more than the other options, and these for more than
-the file of --params.
+--set overrides the other options, and these override the file of --params.
 """
 
 EXAMPLES = (

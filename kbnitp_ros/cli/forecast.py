@@ -42,12 +42,12 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 DESCRIPTION = """
-Say how a mission may go: how many robots it takes, how many of them are lost, and how sure it
-gets. Fields are drawn from the prior of a file of parameters, or from what the evidence of a log
-tells, and a mission is run in each with the planner, the method and the goal of the parameters.
+Forecast a mission: how many robots it takes, how many of them are lost, and how sure the belief
+becomes. Fields are drawn from the prior of the parameters, or from the posterior of a log. A
+mission is run in each, with the planner, the method and the goal of the parameters.
 
 Each number has its 5 and 95 % quantiles over these missions. They hold if the model is right:
-robots that keep to their paths, and hazards as the prior and the sensor model say.
+robots keep to their paths, and hazards are as the prior and the sensor model say.
 """
 
 EXAMPLES = (
@@ -103,21 +103,21 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='LOG',
         type=Path,
         nargs='?',
-        help='the log of a mission to go on with: its first file, or its folder. Robots that were '
+        help='the log of a mission to continue: its first file, or its folder. Robots that were '
         'out are sent again',
     )
     parser.add_argument(
         '--params',
         metavar='FILE',
         help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
-        'with a log those of the planner count, and without the file they are as on record',
+        'with a log only those of the planner count; default those on record',
     )
     parser.add_argument(
         '--set',
         metavar='[NODE:]NAME=VALUE',
         action='append',
         default=[],
-        help='a parameter of planner and estimator, or of one; with a log of the planner alone. '
+        help='a parameter of planner and estimator, or of one; with a log only of the planner. '
         'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists them',
     )
     parser.add_argument(

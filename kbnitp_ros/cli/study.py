@@ -24,11 +24,11 @@ from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm
 
 DESCRIPTION = """
-Run a study: missions without ROS, by every method, at every lethality, in the same worlds. Its
-results are a table, figures and a summary.
+Run a study: missions without ROS, by every method, at every lethality, in the same worlds. It
+writes a table, figures and a summary.
 
-The same command goes on where it was interrupted. The scenario benchmark is no study: it compares
-planners and methods, those of other packages included, on frozen beliefs and in the same worlds.
+After an interruption the same command continues. The scenario benchmark is no study: it compares
+planners and methods, also those of other packages, on frozen beliefs and in the same worlds.
 """
 
 EXAMPLES = (
@@ -93,7 +93,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='of a Dask scheduler that runs already, instead of one started here',
+        help='address of a Dask scheduler that runs already; by default one is started',
     )
     return parser.parse_args(argv)
 

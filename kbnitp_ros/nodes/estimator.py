@@ -50,7 +50,7 @@ CLOCK = 'the clock to start on /clock (parameter use_sim_time)'
 
 
 class EstimatorNode(FieldNode):
-    """Turn what is known of all deployments into a belief, published after each of them."""
+    """Compute the belief from the reports of all deployments, and publish it after each."""
 
     def __init__(self) -> None:
         super().__init__('estimator')

@@ -57,9 +57,9 @@ class RobotNode(FieldNode):
     """
     Send one real robot along each path of its agent, by Nav2, and report how that went.
 
-    What it is ordered, where it goes and what it reads is on the disk before anything follows from
-    it, so it can lose its power at any moment. Back in the field it goes home then. It says that
-    it departs, and moves when that is on the base's disk.
+    It writes its orders, its way and its readings to disk before it acts on them, so it can lose
+    its power at any moment: in the field it then goes home. It says that it departs, and moves
+    when the base has that on disk.
     """
 
     @property
