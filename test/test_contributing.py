@@ -74,7 +74,7 @@ def paragraph(beginning):
         {
             'kbnitp_ros/report/tables.py': {
                 "('path', pyarrow": "('first_cell', pyarrow.int64()),\n        ('path', pyarrow",
-                "'path': text(": "'first_cell': sortie.path[0],\n                'path': text(",
+                "'path': text(": "'first_cell': deployment.path[0],\n            'path': text(",
             },
         },
         COLUMN,

@@ -85,7 +85,7 @@ class History:
         The beliefs on record, the prior first; what an estimator told again comes again.
     sent : dict of DeploymentKey to int
         When the path of a deployment was received, in nanoseconds.
-    told : dict of (DeploymentKey, int) to int
+    reported : dict of (DeploymentKey, int) to int
         When the report of a deployment with this stamp was received, in nanoseconds.
     learnt : list of dict of str to Known
         What was known of the numbers that were learnt, by their names; in the order on
@@ -107,7 +107,7 @@ class History:
     topic: str = ''
     heard: list[HeardBelief] = field(default_factory=list)
     sent: dict[DeploymentKey, int] = field(default_factory=dict)
-    told: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
+    reported: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
     learnt: list[dict[str, Known]] = field(default_factory=list)
     learnt_stamps: list[int] = field(default_factory=list)
     bounds: dict[int, float] = field(default_factory=dict)
@@ -243,4 +243,4 @@ def take_evidence(history: History, logged: LoggedMessage) -> None:
     else:
         with suppress(ValueError):
             key, report = read_report(logged.message, agent_of(logged.topic))
-            history.told.setdefault((key, report.stamp), logged.log_time)
+            history.reported.setdefault((key, report.stamp), logged.log_time)

@@ -5,15 +5,15 @@ from kbnitp_ros.report.comparison import check_one_field, Pair
 from kbnitp_ros.report.comparison_page import comparison_of
 from kbnitp_ros.report.curves import Curves, curves_of
 from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
-from kbnitp_ros.report.mission import Mission, Moment, read_mission, Sortie
+from kbnitp_ros.report.mission import DeploymentSummary, Mission, Moment, read_mission
 
 __all__ = [
     'PARTS',
     'Curves',
+    'DeploymentSummary',
     'Mission',
     'Moment',
     'Pair',
-    'Sortie',
     'check_is_free',
     'check_one_field',
     'comparison_of',

@@ -116,14 +116,14 @@ def losses_of(mission: Mission) -> NDArray[np.float64]:
     """
     last = len(mission.moments) - 1
     expected = np.zeros(mission.grid.cells)
-    for sortie in mission.sorties:
-        seen = sortie.outcome
+    for deployment in mission.deployments:
+        seen = deployment.outcome
         if seen is None or seen.survived:
             continue
-        stays = mission.rules['dynamics'] == 'static' or sortie.moment is None
-        moment = mission.moments[last if stays or sortie.moment is None else sortie.moment]
+        stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
+        moment = mission.moments[last if stays or deployment.moment is None else deployment.moment]
         cells = seen.path[1:]
-        survival = moment.model_of(sortie.key.agent).survival(moment.belief.hazard[cells])
+        survival = moment.model_of(deployment.key.agent).survival(moment.belief.hazard[cells])
         np.add.at(expected, cells, shares(seen, survival))
     return expected
 
@@ -135,9 +135,9 @@ def used_up_of(mission: Mission) -> NDArray[np.float64]:
     Those of each deployment are added, as `used_up_at` has them.
     """
     used_up = np.zeros(mission.grid.cells)
-    for sortie in mission.sorties:
-        if sortie.moment:
-            used_up += used_up_at(mission, sortie.moment)
+    for deployment in mission.deployments:
+        if deployment.moment:
+            used_up += used_up_at(mission, deployment.moment)
     return used_up
 
 
@@ -159,9 +159,9 @@ def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
 
     """
     moment, before = mission.moments[place], mission.moments[place - 1].belief
-    if moment.outcome is None or moment.sortie is None:
+    if moment.outcome is None or moment.deployment is None:
         return np.zeros(mission.grid.cells)
-    model = moment.model_of(mission.sorties[moment.sortie].key.agent)
+    model = moment.model_of(mission.deployments[moment.deployment].key.agent)
     return hazards_used_up(before, model, moment.outcome)
 
 
@@ -197,7 +197,7 @@ def pace(mission: Mission) -> tuple[str, str]:
         return 'Stop', 'Of every cell it is known to 95 % whether it has a hazard.'
     robots = min(len(moments) - 1, max(FEWEST, int(LAST * (len(moments) - 1))))
     decided = undecided(mission, -1 - robots) - left
-    since = {each.sortie: each.outcome for each in moments[-robots:] if each.outcome is not None}
+    since = {each.deployment: each.outcome for each in moments[-robots:] if each.outcome}
     lost = sum(not each.survived for each in since.values())
     said = f'The last {counted(robots, "report")} decided {counted(max(0, decided), "cell")}'
     cost = f'{lost} were losses' if lost != 1 else '1 was a loss'

@@ -145,7 +145,7 @@ def uncertainty(first: Curves, second: Curves) -> str:
 
 def cost(first: Mission, second: Mission) -> str:
     """Return how the numbers of robots differ that were sent and lost."""
-    sent = [len(each.sorties) for each in (first, second)]
+    sent = [len(each.deployments) for each in (first, second)]
     lost = [sum(not seen.survived for seen in each.ended) for each in (first, second)]
     return f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
 

@@ -101,21 +101,21 @@ def curves_of(
 def expected_at(mission: Mission, place: int) -> float:
     """Return the information that the deployment of a moment was expected to bring, in nats."""
     moment = mission.moments[place]
-    if place == 0 or moment.sortie is None or moment.is_late or moment.is_after_gap:
+    if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
         return nan
-    before, sortie = mission.moments[place - 1], mission.sorties[moment.sortie]
-    return path_information(before.belief, before.model_of(sortie.key.agent), sortie.path)
+    before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
+    return path_information(before.belief, before.model_of(deployment.key.agent), deployment.path)
 
 
 def gap_at(mission: Mission, place: int, expected: float) -> float:
     """Return how much more another path than that of a moment may have been worth, in nats."""
     moment = mission.moments[place]
     before = mission.moments[place - 1]
-    if isnan(expected) or isnan(before.upper_bound) or moment.sortie is None:
+    if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
         return nan
-    sortie = mission.sorties[moment.sortie]
-    plan = Plan.along(sortie.path, before.belief, before.model_of(sortie.key.agent))
-    cost = mission.loss_cost(sortie.key.agent) * (1.0 - plan.survival)
+    deployment = mission.deployments[moment.deployment]
+    plan = Plan.along(deployment.path, before.belief, before.model_of(deployment.key.agent))
+    cost = mission.loss_cost(deployment.key.agent) * (1.0 - plan.survival)
     return max(0.0, before.upper_bound - expected + cost)
 
 
@@ -125,18 +125,19 @@ def lost_by(mission: Mission) -> NDArray[np.intp]:
     counts = []
     for moment in mission.moments:
         if moment.is_after_gap:
-            for place, sortie in enumerate(mission.sorties):
-                if sortie.outcome and sortie.told is not None and sortie.told <= moment.time:
-                    is_lost.setdefault(place, not sortie.outcome.survived)
-        if moment.sortie is not None and moment.outcome is not None:
-            is_lost[moment.sortie] = not moment.outcome.survived
+            for place, each in enumerate(mission.deployments):
+                if each.outcome and each.reported is not None and each.reported <= moment.time:
+                    is_lost.setdefault(place, not each.outcome.survived)
+        if moment.deployment is not None and moment.outcome is not None:
+            is_lost[moment.deployment] = not moment.outcome.survived
         counts.append(sum(is_lost.values()))
     return np.array(counts, dtype=np.intp)
 
 
 def out_at(mission: Mission) -> list[NDArray[np.intp]]:
-    """Return who was out at each moment, by their places among the sorties."""
+    """Return who was out at each moment, by their places among the deployments."""
     never = np.iinfo(np.int64).max
-    sent = np.array([each.sent or 0 for each in mission.sorties])
-    told = np.array([never if each.told is None else each.told for each in mission.sorties])
-    return [np.flatnonzero((sent <= each.time) & (told > each.time)) for each in mission.moments]
+    sent = np.array([each.sent or 0 for each in mission.deployments])
+    reported = [each.reported for each in mission.deployments]
+    home = np.array([never if time is None else time for time in reported])
+    return [np.flatnonzero((sent <= each.time) & (home > each.time)) for each in mission.moments]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission as a report tells it: moments, one for each belief, and sorties."""
+"""A mission as a report tells it: moments, one for each belief, and deployments."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Moment:
         How many deployments the belief holds.
     time : int
         When it was received, in nanoseconds.
-    sortie : int or None
-        Whose report was taken in last, by its place among the sorties; None at first.
+    deployment : int or None
+        Whose report was taken in last, by its place among the deployments; None at first.
     outcome : Observation or None
         What that report told; None at first.
     is_late : bool
@@ -75,7 +75,7 @@ class Moment:
     robot_types: Mapping[str, RobotType]
     held: int
     time: int
-    sortie: int | None = None
+    deployment: int | None = None
     outcome: Observation | None = None
     is_late: bool = False
     is_after_gap: bool = False
@@ -88,7 +88,7 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
-class Sortie:
+class DeploymentSummary:
     """
     A deployment whose path is on record.
 
@@ -100,7 +100,7 @@ class Sortie:
         Its orders.
     outcome : Observation or None
         What came of it in the end; None if the robot was still out.
-    sent, told : int or None
+    sent, reported : int or None
         When its path and its first report were received, in nanoseconds; None if unknown.
     moment : int or None
         The last moment that took in a report of it; None if no belief on record holds it.
@@ -111,7 +111,7 @@ class Sortie:
     path: NDArray[np.intp]
     outcome: Observation | None
     sent: int | None
-    told: int | None
+    reported: int | None
     moment: int | None
 
 
@@ -131,7 +131,7 @@ class Mission:
         hazards stay.
     moments : list of Moment
         In their order.
-    sorties : list of Sortie
+    deployments : list of DeploymentSummary
         In their order.
     world : World or None
         The hidden truth, if it is on record.
@@ -152,7 +152,7 @@ class Mission:
     grid: Grid
     rules: dict[str, Any]
     moments: list[Moment]
-    sorties: list[Sortie]
+    deployments: list[DeploymentSummary]
     world: World | None
     run: dict[str, str]
     parameters: dict[str, dict[str, Any]]
@@ -185,7 +185,7 @@ class Mission:
     @property
     def ended(self) -> list[Observation]:
         """Outcomes of the deployments that ended."""
-        return [each.outcome for each in self.sorties if each.outcome is not None]
+        return [each.outcome for each in self.deployments if each.outcome is not None]
 
     def loss_cost(self, agent: str) -> float:
         """Return what a lost robot of an agent is worth, nats, as far as it is on record."""
@@ -197,8 +197,8 @@ class Mission:
     def visited(self) -> NDArray[np.bool_]:
         """Return which cells a robot was sent into or came from, shape (cells,)."""
         visited = np.zeros(self.grid.cells, dtype=bool)
-        for sortie in self.sorties:
-            visited[sortie.path if sortie.outcome is None else sortie.outcome.path] = True
+        for each in self.deployments:
+            visited[each.path if each.outcome is None else each.outcome.path] = True
         return visited
 
 
@@ -243,7 +243,7 @@ def read_mission(
             'dynamics': first.dynamics.kind,
         },
         moments=moments,
-        sorties=sorties_of(history, keys, moments),
+        deployments=deployments_of(history, keys, moments),
         world=history.world,
         run=read_metadata(log).get(RUN, {}),
         parameters=read_parameters(log),
@@ -290,7 +290,7 @@ def moments_of(
             which = f'{moments[-1].held + 1} to {said.deployments - 1}'
             if missing == 1:
                 which = f'{said.deployments - 1}'
-            if not (is_restarted or is_later_part or moments[-1].sortie is None):
+            if not (is_restarted or is_later_part or moments[-1].deployment is None):
                 raise LogError(
                     f'{log}: the belief after deployment {which} is missing, and neither the '
                     'estimator nor the recorder was restarted there: the log is not as it was '
@@ -329,24 +329,24 @@ def outcome_of(evidence: Evidence, key: DeploymentKey | None, stamp: int) -> Obs
     return observation_of(report, key, evidence.path(key), evidence.grid, evidence.most_steps(key))
 
 
-def sorties_of(
+def deployments_of(
     history: History, keys: Sequence[DeploymentKey], moments: Sequence[Moment]
-) -> list[Sortie]:
+) -> list[DeploymentSummary]:
     """Return the deployments whose path is on record."""
     evidence = history.evidence
-    last = {moment.sortie: place for place, moment in enumerate(moments)}
-    told: dict[DeploymentKey, int] = {}
-    for (key, _), time in history.told.items():
-        told[key] = min(time, told.get(key, time))
+    last = {moment.deployment: place for place, moment in enumerate(moments)}
+    reported: dict[DeploymentKey, int] = {}
+    for (key, _), time in history.reported.items():
+        reported[key] = min(time, reported.get(key, time))
     # Of what was reported while no belief is on record, the first one after it tells.
     return [
-        Sortie(
+        DeploymentSummary(
             key,
             evidence.path(key),
             evidence.observation(key) if key in evidence.reports else None,
             history.sent.get(key),
-            told.get(key),
-            last.get(place, moment_after(moments, told.get(key))),
+            reported.get(key),
+            last.get(place, moment_after(moments, reported.get(key))),
         )
         for place, key in enumerate(keys)
     ]

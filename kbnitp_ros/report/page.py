@@ -187,20 +187,20 @@ def asset(name: str) -> str:
 
 
 def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
-    """Return the sorties whose rows a page has: all, or those of the moments that it has."""
+    """Return the deployments whose rows a page has: all, or those of the moments that it has."""
     if kept.size == len(mission.moments):
-        return list(range(len(mission.sorties)))
-    told = {mission.moments[place].sortie for place in kept}
-    return sorted(each for each in told if each is not None)
+        return list(range(len(mission.deployments)))
+    shown = {mission.moments[place].deployment for place in kept}
+    return sorted(each for each in shown if each is not None)
 
 
 def summary(mission: Mission, curves: Curves) -> str:
     """Return a mission in a sentence."""
     lost = sum(not each.survived for each in mission.ended)
     entropy = curves.hazard_entropy + curves.target_entropy
-    agents = len({each.key.agent for each in mission.sorties})
+    agents = len({each.key.agent for each in mission.deployments})
     words = [
-        f'{counted(len(mission.sorties), "deployment")} of {counted(agents, "agent")} '
+        f'{counted(len(mission.deployments), "deployment")} of {counted(agents, "agent")} '
         f'into {mission.grid.width} x {mission.grid.height} cells, {counted(lost, "robot")} lost',
         f'entropy H(Z) + H(X) {entropy[0]:.1f} to {entropy[-1]:.1f} nats',
         f'method {mission.rules["method"]}',
@@ -313,8 +313,8 @@ def data_of(
         'truth': world
         and {name: values.astype(int).tolist() for name, values in vars(world).items()},
         'visited': np.searchsorted(kept, first_visits(mission)).tolist(),
-        'sorties': {
-            each: {'path': mission.sorties[each].path.tolist()} for each in sorted(needed)
+        'deployments': {
+            each: {'path': mission.deployments[each].path.tolist()} for each in sorted(needed)
         },
         'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
     }
@@ -337,10 +337,10 @@ def first_visits(mission: Mission) -> NDArray[np.intp]:
     """Return from which moment on each cell is one that a robot was sent into; else past all."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
-    for sortie in mission.sorties:
-        known = [(sortie.path, sortie.sent or 0)]
-        if sortie.outcome is not None and sortie.told is not None:
-            known.append((sortie.outcome.path, sortie.told))
+    for deployment in mission.deployments:
+        known = [(deployment.path, deployment.sent or 0)]
+        if deployment.outcome is not None and deployment.reported is not None:
+            known.append((deployment.outcome.path, deployment.reported))
         for path, time in known:
             first[path] = np.minimum(first[path], np.searchsorted(times, time))
     return first
@@ -355,15 +355,15 @@ def moment_of(
 ) -> dict[str, Any]:
     """Return what the page tells of a moment."""
     moment = mission.moments[place]
-    seen, sortie = moment.outcome, moment.sortie
+    seen, deployment = moment.outcome, moment.deployment
     walk = readings = None
-    if seen is not None and seen.readings is not None and sortie is not None:
+    if seen is not None and seen.readings is not None and deployment is not None:
         readings = seen.readings.astype(int).tolist()
-        if not np.array_equal(seen.path, mission.sorties[sortie].path):
+        if not np.array_equal(seen.path, mission.deployments[deployment].path):
             walk = seen.path.tolist()
     return {
         'place': place,
-        'sortie': sortie,
+        'deployment': deployment,
         'survived': None if seen is None else seen.survived,
         'known': 0 if seen is None else seen.steps_survived,
         'heard': heard_on(seen),
@@ -391,15 +391,15 @@ def heard_on(seen: Observation | None) -> tuple[int, int] | None:
 def told_of(mission: Mission, place: int) -> str:
     """Return a moment in a sentence."""
     moment = mission.moments[place]
-    if moment.sortie is None:
+    if moment.deployment is None:
         return 'Before the first deployment.' if not moment.held else 'Where the log begins.'
-    of = f'{moment.held} of {counted(len(mission.sorties), "deployment")} taken in'
-    agent = mission.sorties[moment.sortie].key.agent
+    of = f'{moment.held} of {counted(len(mission.deployments), "deployment")} taken in'
+    agent = mission.deployments[moment.deployment].key.agent
     if moment.outcome is None:
         return f'{of}: the last report, of {agent}, is not on record.'
     ending = 'returned' if moment.outcome.survived else 'was lost'
     late = ' after it had been given up' if moment.is_late and moment.outcome.survived else ''
-    return f'{of}: no. {moment.sortie + 1}, {agent}, {ending}{late}.'
+    return f'{of}: no. {moment.deployment + 1}, {agent}, {ending}{late}.'
 
 
 def facts_of(
@@ -412,9 +412,9 @@ def facts_of(
     """Yield what there is to say of a moment, each with what it is."""
     moment = mission.moments[place]
     yield 'time', datetime.fromtimestamp(moment.time / SECOND, timezone.utc).strftime('%F %T UTC')
-    if moment.sortie is not None and moment.outcome is not None:
+    if moment.deployment is not None and moment.outcome is not None:
         seen = moment.outcome
-        yield 'deployment', f'no. {moment.sortie + 1} of {table[moment.sortie]["agent"]}'
+        yield 'deployment', f'no. {moment.deployment + 1} of {table[moment.deployment]["agent"]}'
         if seen.readings is not None:
             read = seen.readings.astype(int)
             yield 'outcome', f'returned after {counted(seen.steps, "step")}'
@@ -435,7 +435,7 @@ def facts_of(
     if np.isfinite(curves.hazard_loss[place]):
         yield 'log loss', f'{curves.hazard_loss[place] + curves.target_loss[place]:.2f} nats'
     yield 'lost so far', str(curves.lost[place])
-    agents = [f'{mission.sorties[each].key.agent} (no. {each + 1})' for each in out]
+    agents = [f'{mission.deployments[each].key.agent} (no. {each + 1})' for each in out]
     yield 'out', ', '.join(agents) or 'nobody'
     for name, known in moment.learnt.items():
         yield name.replace('_', ' '), f'{known.mean:.3f} ± {known.sd:.3f}'
@@ -465,11 +465,11 @@ def finding_row(values: Mapping[str, Any]) -> str:
 
 def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission: Mission) -> str:
     """Return a row of the table, which names its moment among those that the page has."""
-    sortie = mission.sorties[number]
-    moment = '' if sortie.moment is None else str(np.searchsorted(kept, sortie.moment))
+    deployment = mission.deployments[number]
+    moment = '' if deployment.moment is None else str(np.searchsorted(kept, deployment.moment))
     duration = None
-    if sortie.sent is not None and sortie.told is not None:
-        duration = (sortie.told - sortie.sent) / SECOND
+    if deployment.sent is not None and deployment.reported is not None:
+        duration = (deployment.reported - deployment.sent) / SECOND
     known = {**values, 'duration': duration}
     first, *others = columns_of(mission)
     button = f'<button type="button">{known[first.name]}</button>' if moment else number + 1

@@ -48,20 +48,20 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
     """Return one row a deployment, by the names of `COLUMNS`; None where nothing is known."""
     entropy = curves.hazard_entropy + curves.target_entropy
     loss = curves.hazard_loss + curves.target_loss
-    first = {each.sortie: place for place, each in reversed([*enumerate(mission.moments)])}
+    first = {each.deployment: place for place, each in reversed([*enumerate(mission.moments)])}
     table = []
-    for number, sortie in enumerate(mission.sorties):
-        seen = sortie.outcome
-        at, began = sortie.moment, first.get(number)
+    for number, deployment in enumerate(mission.deployments):
+        seen = deployment.outcome
+        at, began = deployment.moment, first.get(number)
         table.append(
             {
                 'deployment': number + 1,
-                'agent': sortie.key.agent,
-                'stamp': sortie.key.stamp,
-                'sent': sortie.sent,
-                'told': sortie.told,
+                'agent': deployment.key.agent,
+                'stamp': deployment.key.stamp,
+                'sent': deployment.sent,
+                'told': deployment.reported,
                 'outcome': outcome_word(seen),
-                'steps': sortie.path.size - 1 if seen is None else seen.steps,
+                'steps': deployment.path.size - 1 if seen is None else seen.steps,
                 'steps_survived': steps_survived(seen),
                 'detected': None if not (seen and seen.survived) else readings(seen).count(1),
                 'looked': None if not (seen and seen.survived) else looked(seen),
@@ -72,7 +72,7 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'held': None if at is None else mission.moments[at].held,
                 'entropy': known(entropy, at),
                 'log_loss': known(loss, at),
-                'path': text(sortie.path.tolist()),
+                'path': text(deployment.path.tolist()),
                 'walk': text(seen.path.tolist()) if seen and seen.survived else None,
                 'readings': text(readings(seen)) if seen and seen.survived else None,
             }

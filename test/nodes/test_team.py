@@ -195,8 +195,8 @@ def assert_is_reported(log):
     assert len(mission.moments) == 1 + len(table) + len(late) == 17 + len(late)
     assert late
     assert all(each.outcome.survived for each in late)
-    assert {mission.sorties[each.sortie].key for each in late} <= {
-        sortie.key for sortie in mission.sorties if sortie.outcome.survived
+    assert {mission.deployments[each.deployment].key for each in late} <= {
+        deployment.key for deployment in mission.deployments if deployment.outcome.survived
     }
     progress = [each.message for each in read_log(log) if each.topic == '/m/progress']
     assert_goes_with(progress, read_history(log), curves)

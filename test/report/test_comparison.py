@@ -29,8 +29,8 @@ def last(pair):
     """Return the hazard at the end, and which cells robots entered, by themselves."""
     mission, _ = pair
     entered = np.zeros(mission.grid.cells, dtype=bool)
-    for sortie in mission.sorties:
-        entered[sortie.outcome.path] = True
+    for deployment in mission.deployments:
+        entered[deployment.outcome.path] = True
     return mission.moments[-1].belief.hazard, entered
 
 

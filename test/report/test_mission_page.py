@@ -241,7 +241,7 @@ def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
     for number in (3, 17):
         page.locator(f'#deployment-{number} button').click()
         moment = page.evaluate('document.documentElement.dataset.moment')
-        assert moment == str(mission.sorties[number].moment)
+        assert moment == str(mission.deployments[number].moment)
         assert page.locator('#deployments tr[aria-current]').get_attribute('id') == (
             f'deployment-{number}'
         )
@@ -251,7 +251,7 @@ def test_the_row_of_the_moment_is_in_view_and_the_page_stays(opened, shown):
     mission, _ = shown
     page = opened()
     for number in (0, 29, 11):
-        move(page, mission.sorties[number].moment)
+        move(page, mission.deployments[number].moment)
         row = page.locator(f'#deployment-{number}').bounding_box()
         box = page.locator('#deployments').locator('xpath=..').bounding_box()
         assert row['y'] >= box['y']
@@ -344,7 +344,7 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     with page.expect_download() as download:
         page.get_by_role('button', name='CSV').last.click()
     with Path(download.value.path()).open(newline='') as file:
-        assert len(list(csv.DictReader(file))) == len(mission.sorties)
+        assert len(list(csv.DictReader(file))) == len(mission.deployments)
     with page.expect_download() as download:
         page.get_by_role('button', name='map of hazard, believed').click()
     assert Image.open(download.value.path()).format == 'PNG'

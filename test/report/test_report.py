@@ -66,8 +66,8 @@ def test_a_single_robot(shown):
     assert {each.name for each in out.iterdir()} == FILES
     mission = read_mission(log)
     assert [each.held for each in mission.moments] == list(range(7))
-    assert [each.sortie for each in mission.moments] == [None, *range(6)]
-    assert [each.moment for each in mission.sorties] == list(range(1, 7))
+    assert [each.deployment for each in mission.moments] == [None, *range(6)]
+    assert [each.moment for each in mission.deployments] == list(range(1, 7))
     assert mission.notes == []
     assert mission.world is not None
 
@@ -94,11 +94,11 @@ def test_the_tables_hold_the_same_and_say_what_the_log_says(shown):
     ).to_pylist()
     assert texts == table
     mission = read_mission(log)
-    for row, sortie in zip(table, mission.sorties, strict=True):
-        assert row['path'] == ' '.join(map(str, sortie.path))
-        assert row['outcome'] == ('returned' if sortie.outcome.survived else 'lost')
+    for row, deployment in zip(table, mission.deployments, strict=True):
+        assert row['path'] == ' '.join(map(str, deployment.path))
+        assert row['outcome'] == ('returned' if deployment.outcome.survived else 'lost')
         before, after = (mission.moments[row['moment'] + each].belief for each in (-1, 0))
-        assert row['information_expected'] == path_information(before, MODEL, sortie.path)
+        assert row['information_expected'] == path_information(before, MODEL, deployment.path)
         gained = before.joint_entropy() - after.joint_entropy()
         assert row['information_gained'] == pytest.approx(gained, abs=1e-12)
         assert row['entropy'] == pytest.approx(after.entropy())
@@ -119,7 +119,7 @@ def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
     assert np.array_equal(curves.gap[[2, 4]], 1.5 - curves.expected[[2, 4]])
     costly = curves_of(replace(mission, parameters={'/planner': {'loss_cost': 2.0}}))
     plans = [
-        Plan.along(mission.sorties[each - 1].path, mission.moments[each - 1].belief, MODEL)
+        Plan.along(mission.deployments[each - 1].path, mission.moments[each - 1].belief, MODEL)
         for each in (2, 4)
     ]
     more = [2.0 * (1.0 - each.survival) for each in plans]
@@ -164,7 +164,7 @@ def test_a_team_of_eight_with_silent_losses_and_late_returns(tmp_path):
     late = [each for each in mission.moments if each.is_late]
     assert late
     assert all(each.outcome.survived for each in late)
-    assert len(mission.moments) == len(mission.sorties) + len(late) + 1 == 25 + len(late)
+    assert len(mission.moments) == len(mission.deployments) + len(late) + 1 == 25 + len(late)
     assert mission.moments[-1].belief.joint.tobytes() == whole.ledger.belief.joint.tobytes()
     assert np.isnan(curves.expected[[each.is_late for each in mission.moments]]).all()
     assert curves.lost[-1] == sum(not each.survived for each in mission.ended)
@@ -264,7 +264,7 @@ def test_beliefs_that_a_restarted_recorder_missed_are_told_of(tmp_path):
     assert [each.held for each in mission.moments] == [0, 1, 2, 4, 5, 6]
     assert [each.is_after_gap for each in mission.moments] == [False] * 3 + [True] + [False] * 2
     assert 'after deployment 3' in mission.notes[0]
-    assert mission.sorties[2].moment == 3
+    assert mission.deployments[2].moment == 3
     assert np.isnan([curves.expected[3], curves.gained[3]]).all()
     assert curves.lost[-1] == sum(not each.survived for each in mission.ended)
 

@@ -63,10 +63,10 @@ async function start() {
   }
 
   function overlays(moment) {
-    const { sortie, survived, known, out } = mission.moments[moment];
+    const { deployment, survived, known, out } = mission.moments[moment];
     if (!isAsked) return {};
-    const traces = { out: line(out.map((each) => mission.sorties[each].path)) };
-    const path = sortie === null ? [] : mission.moments[moment].walk || mission.sorties[sortie].path;
+    const traces = { out: line(out.map((each) => mission.deployments[each].path)) };
+    const path = deployment === null ? [] : mission.moments[moment].walk || mission.deployments[deployment].path;
     const look = mission.walks[survived ? 'returned' : 'lost'];
     traces.casing = line(path.length ? [path] : []);
     traces.walk = { ...line(path.length ? [path] : []), line: { width: 3, color: look.color, dash: look.dash } };
@@ -155,7 +155,7 @@ async function start() {
       list.append(Object.assign(document.createElement('dd'), { textContent: value }));
     }
     document.querySelectorAll('#deployments tr[aria-current]').forEach((row) => row.removeAttribute('aria-current'));
-    const row = moment.sortie === null ? null : page(`deployment-${moment.sortie}`);
+    const row = moment.deployment === null ? null : page(`deployment-${moment.deployment}`);
     if (row) {
       row.setAttribute('aria-current', 'true');
       // Within the box of the table alone: the page stays where it is.
