@@ -94,7 +94,7 @@ def draw_map(
     prior: float = 0.5,
 ) -> None:
     """
-    Draw one probability a cell as the field is seen from above, the base as a white square.
+    Draw one probability a cell as the field is seen from above, bases as white squares.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def extent(grid: Grid) -> tuple[float, float, float, float]:
 
 
 def draw_field(axes: Axes, grid: Grid) -> None:
-    """Draw base, blocked cells and, where there are few, the lines between cells."""
+    """Draw bases, blocked cells and, where there are few, the lines between cells."""
     left, right, bottom, top = extent(grid)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
@@ -141,8 +141,8 @@ def draw_field(axes: Axes, grid: Grid) -> None:
         rows = bottom + np.arange(1, grid.height) * grid.resolution
         axes.vlines(columns, bottom, top, color='0.75', linewidth=0.4)
         axes.hlines(rows, left, right, color='0.75', linewidth=0.4)
-    ((x, y),) = grid.centers([grid.base])
-    axes.plot(x, y, 's', color='white', markeredgecolor='black', zorder=5)
+    x, y = grid.centers(sorted(grid.bases)).T
+    axes.plot(x, y, 's', color='white', markeredgecolor='black', zorder=5, linestyle='')
     axes.set_xlabel('x (m)')
     axes.set_ylabel('y (m)')
     axes.locator_params(nbins=3)

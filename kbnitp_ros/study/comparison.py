@@ -13,6 +13,7 @@ from itertools import product
 from operator import attrgetter
 from typing import Any
 
+from kbnitp_ros.study.bases import base_rows
 from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
 from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, equal_rows
 from kbnitp_ros.study.results import Results
@@ -393,6 +394,30 @@ BY_KIND = Comparison(
     ),
 )
 
+BY_BASE = Comparison(
+    name='bases',
+    applies=lambda scenario: differ_only_in(scenario, 'second_base'),
+    caption=(
+        'What a second base is worth: the log loss with one base less that with two, trial by '
+        'trial, in nats, at the end; and the robots that were sent and lost, with one base and '
+        'with two, when both had first come to the same log loss. Fewer: how many fewer robots '
+        'are sent with two, in the same worlds.'
+    ),
+    columns={
+        **METHOD,
+        'second_base': ('second base', '{}'),
+        'value': ('value', 1),
+        'log_loss': ('log loss', 1),
+        'sent_from_one': ('sent from one', 1),
+        'sent': ('sent from two', 1),
+        'fewer': ('fewer', 1),
+        'lost_from_one': ('lost from one', 1),
+        'lost': ('lost from two', 1),
+    },
+    head=lambda scenario: {'robots': scenario.robots, 'base': scenario.grid.base},
+    rows=base_rows,
+)
+
 OF_NUMBERS = Comparison(
     name='numbers',
     applies=learns,
@@ -433,6 +458,7 @@ COMPARISONS = (
     BY_MAP,
     OF_HAZARDS,
     BY_KIND,
+    BY_BASE,
     OF_NUMBERS,
     OF_LEARNING,
 )

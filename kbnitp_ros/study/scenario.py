@@ -14,6 +14,7 @@ from kbnitp_ros.core import (
     ALPHAS,
     Belief,
     Beta,
+    check_team,
     Clustering,
     Dynamics,
     Estimator,
@@ -21,10 +22,13 @@ from kbnitp_ros.core import (
     HAZARDS,
     METHODS,
     OBJECTIVES,
+    ORDINARY,
     PathFinder,
     PLANNERS,
+    RobotType,
     SearchOptions,
     SensorModel,
+    Team,
     team_size,
     Unknowns,
 )
@@ -122,6 +126,9 @@ class Strategy:
     paths : str
         'own': they are planned on what is believed. 'static': on what `kappa_bnitp` believes of
         static hazards, so that all who have these paths have the same evidence.
+    second_base : int
+        The cell that every second robot of those that leave together starts and ends in; -1: all
+        do so in the base of the grid.
 
     """
 
@@ -137,11 +144,22 @@ class Strategy:
     dynamics: Annotated[str, HAZARDS, ''] = ''
     clustering: Annotated[str, ('learn',), ''] = ''
     paths: Annotated[str, PATHS] = 'own'
+    second_base: Annotated[int, (-1, 999_999)] = -1
 
     @property
     def sought(self) -> str:
         """Return what it seeks in a word: the alpha tells one behavioral objective from others."""
         return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
+
+    def leaving(self) -> Team:
+        """Return the robots that leave together."""
+        types: tuple[RobotType, ...] = ()
+        if self.second_base >= 0:
+            types = tuple(
+                RobotType(base=self.second_base) if robot % 2 else ORDINARY
+                for robot in range(self.agents)
+            )
+        return Team(self.agents, self.allocation, types)
 
 
 # Robots one by one, whatever they cost.
@@ -314,14 +332,20 @@ class Scenario:
         return tuple(Contender(method, team) for method in self.methods for team in self.teams)
 
     def check_teams(self) -> None:
-        """Refuse a team that has more robots than the grid has cells."""
+        """Refuse a team that has more robots than the grid has cells, or a base without robots."""
         for team in self.teams:
             team_size(self.field(), team.agents)
+            if team.second_base >= 0 and team.agents < 2:
+                raise ValueError(
+                    f'second_base is {team.second_base} of {team.agents} robot: it is that of '
+                    'every second one, so at least 2 agents must leave together'
+                )
 
     def check_search(self) -> None:
         """Refuse paths that cannot be searched for, or not within the memory allowed."""
         for strategy in self.teams:
-            PathFinder(self.field(), self.options(strategy)).check_memory(strategy.agents)
+            finder = PathFinder(self.field(), self.options(strategy))
+            check_team(finder, strategy.leaving().types)
 
     def options(self, strategy: Strategy) -> SearchOptions:
         """Return the options of a strategy's search: its own, or else those of all."""
@@ -333,8 +357,13 @@ class Scenario:
         return SearchOptions(**(vars(self.planning) | own))
 
     def field(self) -> Grid:
-        """Return the grid, with cells of 1 m."""
-        return Grid(self.grid.width, self.grid.height, self.grid.base)
+        """
+        Return the grid, with cells of 1 m and the bases of all teams.
+
+        Teams are compared in the same worlds, so a second base is free of hazard for all.
+        """
+        others = {team.second_base for team in self.teams} - {-1}
+        return Grid(self.grid.width, self.grid.height, self.grid.base, other_bases=others)
 
     def check_learning(self) -> None:
         """Refuse numbers to be drawn or learnt that have no prior."""
@@ -451,6 +480,8 @@ def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator
         yield 'clustered' if team.clustering else 'independent'
     if 'paths' in differ:
         yield f'{team.paths} paths'
+    if 'second_base' in differ:
+        yield 'one base' if team.second_base < 0 else f'second base {team.second_base}'
     if differ & {'survey', 'trusted'}:
         trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
         yield f'map {team.survey:.4g}{trusted}' if team.survey else 'no map'

@@ -16,7 +16,6 @@ from kbnitp_ros.core import (
     Learnt,
     log_loss,
     SimulatedMission,
-    Team,
     Truth,
 )
 from kbnitp_ros.study.layout import world_of
@@ -135,7 +134,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         scenario.robots,
         rng,
         scenario.options(trial.team),
-        team=Team(trial.team.agents, trial.team.allocation),
+        team=trial.team.leaving(),
         truth=Truth(
             scenario.model(truth),
             Execution(contact=trial.team.last_contact),

@@ -39,6 +39,21 @@ def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
     assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
+def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
+    """It takes no path from the base of others, in a file of parameters that names both."""
+    fleet = Fleet(field)
+    reports = fleet.reports()
+    fleet.simulate(scout_1=(11.5, 11.5))
+    fleet.start(**{'robots.scout_1.base_position': [11.2, 11.9], 'robots.scout_2.base': 11})
+    fleet.send(1, [0, 1, 0])
+    told = field.until_refused('/scout_1/robot', 1)
+    assert 'path must start at the base 143, not at cell 0' in told
+    orders = [143, 142, 130, 131, 143]
+    report = fleet.report_of(reports, fleet.send(2, orders))
+    assert [cell for cell, _ in report.readings] == orders[1:]
+    assert fleet.walked() == orders
+
+
 # How often each failure is injected.
 ROUNDS = 20 if FULL else 1
 

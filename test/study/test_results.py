@@ -24,6 +24,7 @@ def test_the_table_is_tidy(results):
         'dynamics': 'string',
         'clustering': 'string',
         'paths': 'string',
+        'second_base': 'int64',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission of two bases and three kinds of robots survives the death of its nodes."""
+
+from __future__ import annotations
+
+import json
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_ros.base.resumption import Resumption
+from kbnitp_ros.cli.report import main
+from kbnitp_ros.configuration import grid_of, robot_types_of
+from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.report import read_mission
+from kbnitp_ros.report.plots import map_plot
+import pytest
+from unbroken import core_mission, with_defaults
+
+NODES = ('recorder', 'estimator', 'agent', 'planner')
+AGENTS = ('scout_1', 'scout_2', 'scout_3')
+BASES = {'scout_1': 0, 'scout_2': 62, 'scout_3': 62}
+ROBOTS = 9
+
+
+@pytest.fixture
+def parameters():
+    """Return those of a mission of 9x7 cells with a wall, and a base in two of its corners."""
+    return {
+        'grid.width': 9,
+        'grid.height': 7,
+        'grid.blocked': [13, 22, 31],
+        'grid.origin': [10.0, -5.0],
+        'max_steps': 12,
+        'planner': 'relaxed',
+        'allocation': 'voronoi',
+        'robots': ROBOTS,
+        'agents': list(AGENTS),
+        'seed': 6,
+        'sensor.lethality': 0.3,
+        'contact_probability': 0.2,
+        'detour_probability': 0.05,
+        'early_return_probability': 0.02,
+        # Long enough for the nodes to die before the mission is over.
+        'step_period': 0.03,
+        # A dear one with a good camera, and a cheap blind one that does not go far.
+        'robots.scout_1.sensor.true_positive': 0.99,
+        'robots.scout_1.loss_cost': 0.2,
+        'robots.scout_2.base': 62,
+        'robots.scout_3.base_position': [18.5, 1.2],
+        'robots.scout_3.sensor.true_positive': 0.5,
+        'robots.scout_3.sensor.false_positive': 0.5,
+        'robots.scout_3.max_steps': 6,
+        'recorded': True,
+    }
+
+
+def start(field, parameters):
+    """Start the nodes of the mission."""
+    awaited = {
+        'recorder': [],
+        'estimator': ['planner', 'recorder'],
+        'agent': ['planner', 'estimator', 'recorder'],
+        'planner': ['agent', 'estimator', 'recorder'],
+    }
+    for name in NODES:
+        field.start(name, {**parameters, 'await_nodes': awaited[name]}, '/m')
+
+
+def test_a_mission_of_two_bases_goes_on_after_its_nodes_were_killed(field, parameters):
+    log = str(field.folder / 'mission.mcap')
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    reports = {agent: field.listen(DeploymentReport, f'/m/{agent}/report') for agent in AGENTS}
+    start(field, {**parameters, 'file': log})
+    field.until(lambda: sum(map(len, reports.values())) >= 4, 'four reports', patience=180)
+    for name in NODES:
+        field.kill(f'/m/{name}')
+    assert len(replay(log).evidence.reports) < ROBOTS
+    assert_other_bases_are_refused(parameters, log)
+    beliefs.clear()
+    start(field, {**parameters, 'resume': log})
+    done = f'done: {ROBOTS} of {ROBOTS} robots deployed'
+    field.until(lambda: field.state('/m/planner') == done, done, patience=180)
+    field.until(lambda: beliefs and beliefs[-1].deployments == ROBOTS, 'last belief')
+    assert set(field.processes.stop().values()) == {0}
+
+    expected = core_mission(parameters)
+    last = read_belief_maps(beliefs[-1])
+    assert last.grid.bases == {0, 62}
+    assert {agent: last.base_of(agent) for agent in AGENTS} == BASES
+    assert last.belief.joint.tobytes() == expected[-1].belief.joint.tobytes()
+    assert last.belief.hazard[[0, 62]].tolist() == [0.0, 0.0]
+    report = replay(log)
+    assert report.reproduced
+    assert report.evidence.refused == []
+    for key in report.evidence.reports:
+        seen = report.evidence.observation(key)
+        for path in (report.evidence.path(key), seen.path):
+            assert path[0] == path[-1] == BASES[key.agent]
+    observations = read_history(log).observations
+    assert len(observations) == ROBOTS
+    assert_page_shows_bases(read_mission(log))
+
+
+def assert_page_shows_bases(mission):
+    """See both bases on the maps, where they are in metres, and the paths from each."""
+    assert main([str(mission.log), '--out', str(mission.log.parent / 'report')]) == 0
+    drawn = json.loads(map_plot(mission.grid))['data'][-1]
+    assert drawn['marker']['symbol'] == 'square'
+    assert [*zip(drawn['x'], drawn['y'])] == [(10.5, -4.5), (18.5, 1.5)]
+    assert {(each.key.agent, int(each.path[0])) for each in mission.sorties} == {*BASES.items()}
+
+
+def assert_other_bases_are_refused(parameters, log):
+    """See that a mission is not gone on with from other bases, and of which agent that is."""
+    moved = with_defaults({**parameters, 'robots.scout_1.base': 62, 'robots.scout_2.base': 0})
+    grid = grid_of(moved)
+    assert robot_types_of(moved, grid)['scout_1'].base == 62
+    with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
+        Resumption(log, grid, moved, AGENTS)
