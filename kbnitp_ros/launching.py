@@ -46,6 +46,7 @@ RESPAWN_DELAY = 2.0  # seconds
 OPTIONS = (
     'robots',
     'max_steps',
+    'max_distance',
     'planner',
     'beam_width',
     'max_visits',

@@ -4,16 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 
 from kbnitp_ros.core import Grid
 import numpy as np
 
 
 def reach_note(
-    grid: Grid, max_steps: int, enough: float = 1.0, bases: Sequence[int | None] = (None,)
+    grid: Grid,
+    max_steps: int,
+    enough: float = 1.0,
+    bases: Sequence[int | None] = (None,),
+    max_distance: float = 0.0,
 ) -> str:
     """
-    Return how much of a field paths of at most `max_steps` reach; empty if it is enough.
+    Return how much of a field paths within these limits reach; empty if it is enough.
 
     Cells that are cut off are left out: no path reaches them, however long (see `cut_off_note`).
 
@@ -27,23 +32,28 @@ def reach_note(
         Which part of the cells, from 0 to 1.
     bases : sequence of int or None
         Where robots start; None for the base of the grid.
+    max_distance : float
+        The longest path, metres; 0 for no limit.
 
     """
     fields = [grid.at(base) for base in dict.fromkeys(bases)]
     steps = np.min([field.steps_to_base for field in fields], axis=0)
     reached, joined = (
-        np.any([field.in_reach(max_steps) for field in fields], axis=0),
+        np.any([field.in_reach(max_steps, max_distance) for field in fields], axis=0),
         steps < grid.cells,
     )
     if reached.sum() >= enough * joined.sum():
         return ''
     rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
     extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'
-    needed = 2 * int(steps[joined].max())
-    return (
-        f'{max_steps} steps reach {extent}, {reached.sum()} of {joined.sum()}: '
-        f'max_steps {needed} reaches them all'
-    )
+    most = 2 * int(steps[joined].max())
+    limits, needed = f'{max_steps} steps reach', f'max_steps {most} reaches'
+    if max_distance:
+        distance = np.min([field.distance_to_base for field in fields], axis=0)
+        metres = ceil(20.0 * distance[joined].max()) / 10.0
+        limits = f'{max_steps} steps and {max_distance:.6g} m reach'
+        needed = f'max_steps {most} and max_distance {metres} reach'
+    return f'{limits} {extent}, {reached.sum()} of {joined.sum()}: {needed} them all'
 
 
 def cut_off_note(grid: Grid) -> str:

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from kbnitp_ros.base.knowledge import Knowledge
-from kbnitp_ros.configuration import search_options, type_to_plan, value_for
+from kbnitp_ros.configuration import most_distance, search_options, type_to_plan, value_for
 from kbnitp_ros.core import (
     count_visits,
     DeploymentKey,
@@ -147,7 +147,13 @@ class Rounds:
             options,
             in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
             visited=self._visited - count_visits(self._grid, noted),
-            keepout=keepout_cells(self._grid, most_steps, [each.base for each in types], refused),
+            keepout=keepout_cells(
+                self._grid,
+                most_steps,
+                [each.base for each in types],
+                refused,
+                most_distance(self._values, agents),
+            ),
             bound=self._values['bound'],
         )
 

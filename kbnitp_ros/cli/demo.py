@@ -34,6 +34,7 @@ from kbnitp_ros.configuration import (
     execution_of,
     grid_of,
     MOST_AGENTS,
+    most_distance,
     most_steps,
     own_name,
     parameters_of,
@@ -157,7 +158,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     planner = parameters['planner']
     grid, most = grid_of(planner), most_steps(planner)
     bases = [base_of(planner, agent, grid) for agent in planner['agents']]
-    reach = reach_note(grid, most, bases=bases)
+    distance = most_distance(planner, planner['agents'])
+    reach = reach_note(grid, most, bases=bases, max_distance=distance)
     if reach:
         say(f'{reach}.')
     elif planner['map']:

@@ -4,6 +4,7 @@
 from kbnitp_ros.configuration.agents import (
     agents_of,
     base_of,
+    most_distance,
     most_steps,
     robot_type_of,
     robot_types_of,
@@ -63,6 +64,7 @@ __all__ = [
     'execution_of',
     'goal_of',
     'grid_of',
+    'most_distance',
     'most_steps',
     'nearest',
     'own_name',

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -56,6 +56,12 @@ def most_steps(values: Mapping[str, Any]) -> int:
     return most
 
 
+def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
+    """Return how long the path of any of these agents' robots may be, metres; 0: no limit."""
+    distances = [value_for(values, 'max_distance', agent) for agent in agents]
+    return max(distances) if all(distances) else 0.0
+
+
 def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
     """
     Return the base that an agent has of its own; None if it has that of all.
@@ -85,6 +91,7 @@ def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotTyp
     given = {
         **{each.name: f'sensor.{each.name}' for each in fields(SensorModel)},
         'max_steps': 'max_steps',
+        'max_distance': 'max_distance',
         'loss_cost': 'loss_cost',
     }
     return RobotType(

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import isclose
 from typing import Any
 
-from kbnitp_ros.core import check_sought, Goal, GOALS, Grid, Stop
+from kbnitp_ros.core import check_sought, Goal, GOALS, Grid, SearchOptions, Stop
 from kbnitp_ros.maps import read_map
 import numpy as np
 
@@ -85,9 +85,18 @@ def stop_of(values: Mapping[str, Any]) -> Stop:
     return Stop(values['stop.gain'], values['stop.losses'])
 
 
-def check_goal(values: Mapping[str, Any], grid: Grid) -> None:
+def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
     """
     Check that the goal can be sought and reached, and that the mission can be over by its stops.
+
+    Parameters
+    ----------
+    values : mapping
+        Of the parameters of the planner, by name.
+    grid : Grid
+        The field.
+    options : iterable of SearchOptions
+        Of the searches for the robots of each agent.
 
     Raises
     ------
@@ -97,6 +106,7 @@ def check_goal(values: Mapping[str, Any], grid: Grid) -> None:
     """
     goal = goal_of(values, grid)
     stop_of(values).check(goal, values['robots'])
-    check_sought(goal, values['planner'], values['bound'])
+    for each in options:
+        check_sought(goal, each, values['bound'])
     if goal is not None:
         goal.check(grid, values['max_steps'])

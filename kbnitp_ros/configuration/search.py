@@ -17,6 +17,7 @@ from kbnitp_ros.core import (
     PathFinder,
     RobotType,
     SearchOptions,
+    SensorModel,
 )
 
 # The options whose parameters have other names.
@@ -45,9 +46,9 @@ def type_to_plan(
     values: Mapping[str, Any], agent: str, grid: Grid, believed: Mapping[str, RobotType]
 ) -> RobotType:
     """Return the type of an agent's robots: sensors as believed, the rest as parameters say."""
-    own = robot_type_of(values, agent, grid)
     sensors = believed.get(agent, ORDINARY)
-    return replace(sensors, max_steps=own.max_steps, loss_cost=own.loss_cost, base=own.base)
+    as_believed = {each.name: getattr(sensors, each.name) for each in fields(SensorModel)}
+    return replace(robot_type_of(values, agent, grid), **as_believed)
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
@@ -66,13 +67,14 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     Raises
     ------
     ValueError
-        If it does not seek the objective; with an estimate, if it takes too much; if the goal
-        cannot be reached or the stops contradict each other.
+        If it does not seek the objective or keep the distance, or the distance allows no step;
+        with an estimate, if it takes too much; if the goal cannot be reached or the stops
+        contradict each other.
 
     """
-    check_goal(values, grid)
     types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
     options = search_options(values)
+    check_goal(values, grid, [options.of_type(each) for each in types])
     check_team(PathFinder(grid, options), types)
     if values['bound'] or options.planner == 'exact':
         for each in types:

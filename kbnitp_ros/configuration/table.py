@@ -120,6 +120,17 @@ TABLE = (
         'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS), per_agent=True
     ),
     Parameter(
+        'max_distance',
+        0.0,
+        'How long a path may be, metres: a diagonal step is 1.41 times as long as a straight one, '
+        'a stay has no length; for the planners beam, relaxed and exact and the goal map; 0 for '
+        'no limit.',
+        ('planner',),
+        limits=(0.0, 1e9),
+        read_only=False,
+        per_agent=True,
+    ),
+    Parameter(
         'sensor.lethality',
         0.5,
         'Probability that a hazard strikes a robot that steps into its cell. The sensor '

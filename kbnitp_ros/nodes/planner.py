@@ -15,7 +15,13 @@ from kbnitp_ros.base.reachability import cut_off_note, reach_note
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.base.search import Search, Situation
-from kbnitp_ros.configuration import agents_of, base_of, check_search, most_steps
+from kbnitp_ros.configuration import (
+    agents_of,
+    base_of,
+    check_search,
+    most_distance,
+    most_steps,
+)
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.beliefs import Snapshot
@@ -104,8 +110,9 @@ class PlannerNode(FieldNode):
         """Say what no path comes to; a warning if that is most of the field."""
         log, max_steps = self.get_logger(), most_steps(self.values)
         bases = [base_of(self.values, agent, self.grid) for agent in self._agents]
-        if note := reach_note(self.grid, max_steps, bases=bases):
-            is_most = bool(reach_note(self.grid, max_steps, MOST, bases))
+        distance = most_distance(self.values, self._agents)
+        if note := reach_note(self.grid, max_steps, 1.0, bases, distance):
+            is_most = bool(reach_note(self.grid, max_steps, MOST, bases, distance))
             (log.warning if is_most else log.info)(note)
         if note := cut_off_note(self.grid):
             log.info(note)

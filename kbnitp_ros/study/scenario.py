@@ -90,6 +90,7 @@ class Planning:
     max_steps: Count
     width: Count
     max_visits: Count
+    max_distance: Annotated[float, (0.0, 1e9)] = 0.0
 
 
 @dataclass(frozen=True)

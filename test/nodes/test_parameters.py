@@ -13,6 +13,7 @@ from kbnitp_ros.configuration import (
     estimator_of,
     grid_of,
     LEARN,
+    most_distance,
     most_steps,
     NODES,
     parameter_of,
@@ -187,8 +188,10 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     given = {
         'agents': ['scout_1', 'scout_2'],
         'max_steps': 12,
+        'max_distance': 9.5,
         'robots': 20,
         'robots.scout_2.max_steps': 7,
+        'robots.scout_2.max_distance': 5.0,
         'robots.scout_2.loss_cost': 2.0,
         'robots.scout_2.step_period': 3.0,
     }
@@ -198,7 +201,9 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert [value_for(values, 'max_steps', agent) for agent in values['agents']] == [12, 7]
     assert value_for(values, 'step_period', 'scout_2') == 3.0
     assert most_steps(values) == 12
-    own = RobotType(max_steps=7, loss_cost=2.0)
+    assert most_distance(values, values['agents']) == 9.5
+    assert most_distance(values | {'max_distance': 0.0}, values['agents']) == 0.0
+    own = RobotType(max_steps=7, max_distance=5.0, loss_cost=2.0)
     assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType(), 'scout_2': own}
     (fixed, free) = node.set_parameters(
         [

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import time
 
-from base import Base
+from base import Base, GRID
 from kbnitp_msgs.msg import Decision, Progress
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.messages.deployments import read_path, report_message
+import numpy as np
 import pytest
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
@@ -108,3 +109,18 @@ def test_where_nothing_is_to_be_learnt_no_robot_is_sent(field):
     base.until_state('nothing is worth a robot: no plan is expected to bring more than')
     base.do('end_mission')
     base.until_state('done: 0 of 4 robots deployed, ended by the operator')
+
+
+def test_robots_keep_the_distance_of_their_agent_and_one_that_allows_no_step_is_refused(field):
+    own = {'robots.scout_2.max_distance': 2.0}
+    base = Base(field, ['scout_1', 'scout_2'], max_distance=4.0, **own)
+    for agent, longest in (('scout_1', 4.0), ('scout_2', 2.0)):
+        base.until_sent(1, agent)
+        (way,) = base.sent(agent)
+        assert 0.0 < GRID.path_length(np.array(way)) <= longest
+    refused = field.set_parameter('/planner', 'max_distance', 1.5)
+    assert not refused.successful
+    assert 'max_distance is 1.5 m, which allows no step' in refused.reason
+    assert 'it must be at least 2 m, or 0 for no limit' in refused.reason
+    refused = field.set_parameter('/planner', 'planner', 'coverage')
+    assert 'which the planner coverage does not keep' in refused.reason

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from kbnitp_ros.core.decision.flights import Situation
 from kbnitp_ros.core.decision.goals import Goal, GOALS
@@ -108,7 +107,8 @@ def plan_round(
         )
         return Round(planned.plans, tuple(plan.information for plan in planned.plans))
 
-    check_sought(goal, options.planner, bound)
+    for robot_type in team.types:
+        check_sought(goal, options.of_type(robot_type), bound)
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
@@ -138,18 +138,24 @@ def plan_round(
     return Round(tuple(plans), tuple(gains))
 
 
-def check_sought(goal: Goal | None, planner: str | Callable[..., Any], bound: bool) -> None:
+def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None:
     """
     Check that what is asked of a plan goes with the goal.
 
     Raises
     ------
     ValueError
-        If the planner is exact or a bound is asked for, which are of information, and there is a
-        goal.
+        If the planner is exact or a bound is asked for, which are of information, or paths are of
+        a limited length, which those for a goal do not keep, and there is a goal.
 
     """
-    for name, is_asked in (('planner is exact', planner == 'exact'), ('bound is true', bound)):
+    if goal is not None and options.max_distance:
+        raise ValueError(
+            f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '
+            'do not keep: choose the goal map, or leave max_distance at 0'
+        )
+    is_exact = options.planner == 'exact'
+    for name, is_asked in (('planner is exact', is_exact), ('bound is true', bound)):
         if goal is not None and is_asked:
             raise ValueError(
                 f'{name}, which is for the most information, and the goal is {goal.name}: '

@@ -8,7 +8,7 @@ from kbnitp_ros.core.field.compiled import compiled, while_compiling
 from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
-from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.metrics import brier_score, log_loss
 from kbnitp_ros.core.field.observation import (
     as_path,
@@ -55,6 +55,7 @@ __all__ = [
     'frozen',
     'log_loss',
     'log_predicted_survival',
+    'longest',
     'lost_after_contact',
     'of_each',
     'probability',

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, sqrt
 
 from kbnitp_ros.core.field.check import whole_number
 from kbnitp_ros.core.field.observation import as_path
@@ -17,6 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 # next, which may be computed in several steps.
 APART = 1000
 EPSILON = float(np.finfo(np.float64).eps)
+
+# By what part a path may be longer than allowed, since sums of step lengths are rounded.
+ROUNDING = 1e-9
+
+# How many rows up and columns to the right each column of `Grid.neighbor_table` leads.
+STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
 # What a text shows of a grid, and how many of its blocked cells.
 TOLD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
@@ -181,7 +187,7 @@ class Grid:
         rows of blocked cells are all -1.
         """
         row, col = np.divmod(np.arange(self.cells), self.width)
-        step_row, step_col = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
+        step_row, step_col = STEPS
         to_row = row[:, None] + step_row
         to_col = col[:, None] + step_col
         inside = (to_row >= 0) & (to_row < self.height) & (to_col >= 0) & (to_col < self.width)
@@ -195,6 +201,13 @@ class Grid:
             table[beside & diagonal] = -1
         table.flags.writeable = False
         return table
+
+    @cached_property
+    def step_lengths(self) -> NDArray[np.float64]:
+        """Metres of a step by each column of `neighbor_table`, shape (9,); 0 of a stay."""
+        lengths: NDArray[np.float64] = np.hypot(*STEPS) * self.resolution
+        lengths.flags.writeable = False
+        return lengths
 
     def neighbors(self, cell: int) -> NDArray[np.intp]:
         """
@@ -240,7 +253,23 @@ class Grid:
             distance += 1
         return steps
 
-    def in_reach(self, max_steps: int) -> NDArray[np.bool_]:
+    @cached_property
+    def distance_to_base(self) -> NDArray[np.float64]:
+        """Least distance from each cell to the base, shape (cells,), metres; inf if cut off."""
+        distance = np.full(self.cells, np.inf)
+        distance[self.base] = 0.0
+        nearer = np.array([self.base])
+        while nearer.size:
+            around = self.neighbor_table[nearer]
+            through = distance[nearer, None] + self.step_lengths
+            # What is shorter by rounding alone is not.
+            is_nearer = (around >= 0) & (through * (1.0 + ROUNDING) < distance[around])
+            np.minimum.at(distance, around[is_nearer], through[is_nearer])
+            nearer = np.unique(around[is_nearer])
+        distance.flags.writeable = False
+        return distance
+
+    def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
         """
         Return which cells a path can lead through, shape (cells,).
 
@@ -248,13 +277,26 @@ class Grid:
         ----------
         max_steps : int
             The most steps of a path, at least 0. It takes as many to a cell as back from it.
+        max_distance : float
+            The longest path, metres, likewise; 0 for no limit.
 
         """
         steps = self.steps_to_base
         in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
+        if max_distance:
+            in_reach &= 2.0 * self.distance_to_base <= longest(max_distance)
         return in_reach
 
-    def check_path(self, path: ArrayLike, max_steps: int | None = None) -> NDArray[np.intp]:
+    def path_length(self, path: NDArray[np.intp]) -> float:
+        """Return the distance that a path covers, shape (steps + 1,), metres."""
+        row, col = np.divmod(path, self.width)
+        moves = np.abs(np.diff(row)) + np.abs(np.diff(col))
+        straight, diagonal = (moves == 1).sum(), (moves == 2).sum()
+        return float((straight + sqrt(2.0) * diagonal) * self.resolution)
+
+    def check_path(
+        self, path: ArrayLike, max_steps: int | None = None, max_distance: float = 0.0
+    ) -> NDArray[np.intp]:
         """
         Return `path` as an array of cells if a robot can take it.
 
@@ -264,12 +306,14 @@ class Grid:
             Cells, the base first and last, each a neighbour of the one before.
         max_steps : int, optional
             The most steps allowed.
+        max_distance : float
+            The longest path allowed, metres; 0 for no limit.
 
         Raises
         ------
         ValueError
             If it is empty, leaves the grid, enters a blocked cell, jumps, does not start and end
-            at the base, or is longer than `max_steps`.
+            at the base, or is longer than `max_steps` or `max_distance`.
 
         """
         cells = as_path(path)
@@ -297,6 +341,10 @@ class Grid:
             raise ValueError(
                 f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
                 f'a step stays or leads to one of {self.neighbors(int(cells[step])).tolist()}'
+            )
+        if max_distance and (length := self.path_length(cells)) > longest(max_distance):
+            raise ValueError(
+                f'path is {length:.6g} m long: at most max_distance = {max_distance:.6g} m may be'
             )
         return cells
 
@@ -336,3 +384,8 @@ class Grid:
             )
         cells: NDArray[np.intp] = place.astype(np.intp) @ (1, self.width)
         return cells
+
+
+def longest(max_distance: float) -> float:
+    """Return the greatest sum of step lengths within a distance allowed, both in metres."""
+    return max_distance * (1.0 + ROUNDING)

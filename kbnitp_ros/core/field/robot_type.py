@@ -27,6 +27,8 @@ class RobotType:
         As of a `SensorModel`. A number of their own is known, whatever is learnt of the others.
     max_steps : int, optional
         The most steps of their paths, at least 1.
+    max_distance : float, optional
+        How long their paths may be, metres, at least 0; 0 for no limit.
     loss_cost : float, optional
         What a lost one is worth, nats, at least 0.
     base : int, optional
@@ -45,6 +47,7 @@ class RobotType:
     true_positive: float | None = None
     false_positive: float | None = None
     max_steps: int | None = None
+    max_distance: float | None = None
     loss_cost: float | None = None
     base: int | None = None
 
@@ -54,7 +57,7 @@ class RobotType:
             if name in LEAST:
                 checked = whole_number(name, value, LEAST[name])
             else:
-                checked = cost(name, value) if name == 'loss_cost' else probability(name, value)
+                checked = (probability if name in SENSORS else cost)(name, value)
             object.__setattr__(self, name, checked)
 
     @property

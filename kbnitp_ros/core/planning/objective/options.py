@@ -64,6 +64,9 @@ class SearchOptions:
         at least 1e-8: values are rounded.
     branches : int
         It ends as well when it has divided the paths so often, at least 1.
+    max_distance : float
+        How long a path may be, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
+        times as long as a straight one, and a stay has no length. Baselines refuse it.
 
     Raises
     ------
@@ -82,11 +85,13 @@ class SearchOptions:
     minimum_survival: float = 0.0
     tolerance: float = 1e-6
     branches: int = 100
+    max_distance: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ('max_steps', 'width', 'max_visits', 'branches'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
-        object.__setattr__(self, 'loss_cost', cost('loss_cost', self.loss_cost))
+        for name in ('max_distance', 'loss_cost'):
+            object.__setattr__(self, name, cost(name, getattr(self, name)))
         survival = probability('minimum_survival', self.minimum_survival)
         object.__setattr__(self, 'minimum_survival', survival)
         least, most = TOLERANCES

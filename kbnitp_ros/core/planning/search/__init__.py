@@ -3,6 +3,7 @@
 
 from kbnitp_ros.core.planning.search.plan import check_bounded, Plan, plan, plan_alone
 from kbnitp_ros.core.planning.search.planners import (
+    check_distance,
     count_visits,
     NoPathError,
     PathFinder,
@@ -15,6 +16,7 @@ __all__ = [
     'PathFinder',
     'Plan',
     'check_bounded',
+    'check_distance',
     'count_visits',
     'plan',
     'plan_alone',

@@ -45,6 +45,12 @@ class Reach(NamedTuple):
         After so many steps the robot is in one of the first so many cells.
     start : ndarray of int, shape (max_steps + 2,)
         Where the cells of each step begin in what goes by steps and then cells; then its length.
+    length : ndarray, shape (9,)
+        Metres of a step by each column of `neighbors`; all 0 where paths may be of any length.
+    home : ndarray, shape (n,)
+        Metres of the shortest way home from each cell, or 0 likewise.
+    longest : float
+        Metres that a path may have, or 0 likewise.
 
     """
 
@@ -52,6 +58,9 @@ class Reach(NamedTuple):
     neighbors: Places
     within: Places
     start: Places
+    length: Floats
+    home: Floats
+    longest: float
 
 
 class Gains(NamedTuple):
@@ -123,6 +132,8 @@ class Labels(NamedTuple):
         Of each row.
     mark : ndarray of int, shape (rows,)
         Equal for equal visits.
+    length : ndarray, shape (rows,)
+        Metres, as of `Reach.length`.
     seen : ndarray of int, shape (rows, 9)
         The visits to the cells around.
     kept : ndarray of int, shape (cells,)
@@ -132,6 +143,7 @@ class Labels(NamedTuple):
 
     products: Products
     mark: NDArray[np.int64]
+    length: Floats
     seen: NDArray[np.int32]
     kept: NDArray[np.int64]
 
@@ -146,6 +158,8 @@ class Ranking(NamedTuple):
         In units; -inf for none.
     mark : ndarray of int, shape (places,)
         Of the label.
+    length : ndarray, shape (places,)
+        Of the label, metres.
     origin : ndarray of int, shape (places,)
         16 * slot + column of `Reach.neighbors`, of the label that is extended.
 
@@ -153,6 +167,7 @@ class Ranking(NamedTuple):
 
     score: Floats
     mark: NDArray[np.int64]
+    length: Floats
     origin: NDArray[np.int64]
 
 
@@ -245,14 +260,15 @@ def visit(
 
 
 @compiled
-def insert(score: float, mark: int, origin: int, best: Ranking) -> None:
+def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
     """
     Put a candidate among the best, the best first, unless one of them has its mark.
 
-    It must be better than the last of them; of equal ones the earlier is the better. Those of
-    equal marks have equal scores.
+    It must be as good as the last of them; of equal ones the earlier is the better. Those of
+    equal marks have equal scores, and of these the shorter is kept: what may follow it is all that
+    may follow the longer one.
     """
-    scores, marks, origins = best
+    scores, marks, lengths, origins = best
     low, high = 0, scores.size
     while low < high:
         middle = (low + high) // 2
@@ -263,24 +279,46 @@ def insert(score: float, mark: int, origin: int, best: Ranking) -> None:
     twin = low - 1
     while twin >= 0 and scores[twin] == score:
         if marks[twin] == mark:
+            if length < lengths[twin]:
+                lengths[twin], origins[twin] = length, origin
             return
         twin -= 1
+    if low == scores.size:
+        return
     for slot in range(scores.size - 1, low, -1):
         scores[slot] = scores[slot - 1]
         marks[slot] = marks[slot - 1]
+        lengths[slot] = lengths[slot - 1]
         origins[slot] = origins[slot - 1]
-    scores[low], marks[low], origins[low] = score, mark, origin
+    scores[low], marks[low], lengths[low], origins[low] = score, mark, length, origin
+
+
+@compiled
+def place_within(length: float, rank: int, left: int, reach: Reach, completions: Floats) -> int:
+    """
+    Return the place of the completion of most steps from a cell that is no longer than this.
+
+    It has at most `left` steps; the place is -1 if there is none.
+    """
+    while left >= 0 and rank < reach.within[left]:
+        place: int = reach.start[left] + rank
+        if completions[place, -1] <= length:
+            return place
+        left -= 1
+    return -1
 
 
 @compiled
 def find_best(
     rank: int,
     around: Places,
+    reach: Reach,
     marks: NDArray[np.int64],
     gains: Gains,
     objective: LabelObjective,
     labels: Labels,
-    completion: Floats,
+    completions: Floats,
+    left: int,
     by_value: Ranking,
     by_heuristic: Ranking,
 ) -> None:
@@ -292,7 +330,8 @@ def find_best(
 
     .. math:: E[-q \ln q] \approx -\bar q \ln \bar q - \operatorname{Var}(q) / (2 \bar q),
 
-    and by the same with a completion, whose moments multiply (equation :eq:`heuristic`).
+    and by the same with a completion, whose moments multiply (equation :eq:`heuristic`). Labels
+    are left out on which the robot could not come home within the length allowed.
 
     Parameters
     ----------
@@ -300,12 +339,17 @@ def find_best(
         The cell.
     around : ndarray of int, shape (9,)
         Where labels come from, -1 where there are none.
+    reach : Reach
+        Of the search.
     marks : ndarray of int, shape (cells,)
         What a visit adds to the mark of a label.
     gains, objective, labels
         Of the search; the labels are those of the step before.
-    completion : ndarray, shape (powers + 4,)
-        Of the cell: its moments times their weights, E[p], P0, and the terms of both.
+    completions : ndarray, shape (sum of within, powers + 5)
+        By steps and then cells: the moments of one times their weights, E[p], P0, the terms of
+        both, and its length.
+    left : int
+        The steps that a completion may have.
     by_value, by_heuristic : Ranking
         The result: the best by their value, and by their value with the completion.
 
@@ -321,8 +365,8 @@ def find_best(
         score[slot] = -inf
     for slot in range(heuristic.size):
         heuristic[slot] = -inf
-    completion_mean, completion_survival = completion[powers], completion[powers + 1]
-    completion_spread, completion_term = completion[powers + 2], completion[powers + 3]
+    is_limited = reach.longest > 0.0
+    place = reach.start[left] + rank if heuristic.size else 0
     for column in range(9):
         if around[column] < 0:
             continue
@@ -331,11 +375,16 @@ def find_best(
             before = seen[row, 8 - column]
             if before >= max_visits:
                 continue
+            length = labels.length[row] + reach.length[column]
+            if length + reach.home[rank] > reach.longest:
+                continue
+            if is_limited and heuristic.size:
+                place = place_within(reach.longest - length, rank, left, reach, completions)
             left_open, left_open_completed = 0.0, 0.0
             for k in range(powers):
                 moment = factor[row, k] * gain_factor[rank, before, k]
                 left_open += weight[k] * moment
-                left_open_completed += completion[k] * moment
+                left_open_completed += completions[place, k] * moment
             lost, lost_square, brought = 0.0, 0.0, 0.0
             for outcome in range(chance.size):
                 survival = (
@@ -358,18 +407,21 @@ def find_best(
                 # Over several outcomes -q ln q is averaged to second order; its curvature is -1/q.
                 value -= 0.5 * (lost_square - lost * lost) / lost
             value = floor(value * units + 0.5)
-            if value > score[-1]:
-                insert(value, next_mark, 16 * slot + column, by_value)
-            if not heuristic.size:
+            # A twin of the last may be shorter.
+            if value > score[-1] or (is_limited and value == score[-1]):
+                insert(value, next_mark, length, 16 * slot + column, by_value)
+            if not heuristic.size or place < 0:
                 continue
-            brought = completion_survival * (brought + (1.0 - lost) * completion_term)
-            lost = 1.0 - (1.0 - lost) * completion_survival
+            completed_survival = completions[place, powers + 1]
+            completed_term = completions[place, powers + 3]
+            brought = completed_survival * (brought + (1.0 - lost) * completed_term)
+            lost = 1.0 - (1.0 - lost) * completed_survival
             value = brought + surprisal(lost) - left_open_completed - loss_cost * lost
-            value = floor(
-                (value + mean * completion_mean * (spread + completion_spread)) * units + 0.5
-            )
-            if value > heuristic[-1]:
-                insert(value, next_mark, 16 * slot + column, by_heuristic)
+            mean *= completions[place, powers]
+            spread += completions[place, powers + 2]
+            value = floor((value + mean * spread) * units + 0.5)
+            if value > heuristic[-1] or (is_limited and value == heuristic[-1]):
+                insert(value, next_mark, length, 16 * slot + column, by_heuristic)
 
 
 @compiled
@@ -381,13 +433,13 @@ def merge(
 ) -> int:
     """Write the origins and marks of the best, those that are both once; return how many."""
     kept = 0
-    score, mark, origin = by_value
+    score, mark, _, origin = by_value
     for slot in range(score.size):
         if score[slot] > -inf:
             found[kept], found_mark[kept] = origin[slot], mark[slot]
             kept += 1
     by_value_only = kept
-    score, mark, origin = by_heuristic
+    score, mark, _, origin = by_heuristic
     for slot in range(score.size):
         if score[slot] == -inf or kept == found.size:
             break
@@ -402,9 +454,14 @@ def merge(
 
 @compiled
 def write_completion(
-    labels: Labels, row: int, gains: Gains, objective: LabelObjective, completion: Floats
+    labels: Labels,
+    row: int,
+    length: float,
+    gains: Gains,
+    objective: LabelObjective,
+    completion: Floats,
 ) -> None:
-    """Write the completion along a label, and by one step into the base, as in `find_best`."""
+    """Write the completion along a label, and by one step, as in `find_best`; its length."""
     factor, term = labels.products
     gain_factor, gain_term = gains
     weight, chance = objective.weight, objective.chance
@@ -413,6 +470,7 @@ def write_completion(
         completion[k] = weight[k] * factor[row, k] * gain_factor[0, 0, k]
     completion[powers] = factor[row, 0] * gain_factor[0, 0, 0]
     completion[powers + 2] = term[row, 0] + gain_term[0, 0, 0]
+    completion[powers + 4] = length
     completion[powers + 1], completion[powers + 3] = 0.0, 0.0
     for outcome in range(chance.size):
         survival = factor[row, powers + outcome] * gain_factor[0, 0, powers + outcome]
@@ -442,13 +500,14 @@ def write_completions(
     """
     start = reach.start[step]
     for rank in range(reach.within[step]):
-        via = -1
+        via, length = -1, 0.0
         for column in range(9):
             origin = reach.neighbors[rank, column]
             if 0 <= origin < reach.within[step - 1] and best_value[origin] > best_completion[rank]:
                 via, best_completion[rank] = origin, best_value[origin]
+                length = labels.length[origin] + reach.length[column]
         if via >= 0:
-            write_completion(labels, via, gains, objective, completions[start + rank])
+            write_completion(labels, via, length, gains, objective, completions[start + rank])
         else:
             # One of fewer steps is as good.
             completions[start + rank] = completions[reach.start[step - 1] + rank]
@@ -483,6 +542,7 @@ def no_labels(cells: int, width: int, gains: Gains) -> Labels:
     return Labels(
         Products(np.empty((rows, gains.factor.shape[2])), np.empty((rows, gains.term.shape[2]))),
         np.zeros(rows, np.int64),
+        np.zeros(rows),
         np.zeros((rows, 9), np.int32),
         np.zeros(cells, np.int64),
     )
@@ -491,7 +551,9 @@ def no_labels(cells: int, width: int, gains: Gains) -> Labels:
 @compiled
 def no_ranking(places: int) -> Ranking:
     """Return room for so many extensions."""
-    return Ranking(np.empty(places), np.empty(places, np.int64), np.empty(places, np.int64))
+    return Ranking(
+        np.empty(places), np.empty(places, np.int64), np.empty(places), np.empty(places, np.int64)
+    )
 
 
 @compiled
@@ -534,7 +596,7 @@ def search(
         How many labels each cell may have.
     by_heuristic : int
         See above, less than `width`.
-    completions : ndarray, shape (sum of within, powers + 4)
+    completions : ndarray, shape (sum of within, powers + 5)
         A completion of at most so many steps from each cell that it may start in, as in
         `find_best`, by steps and then cells. It is read if there are rows by heuristic, and
         otherwise written; no rows if there is none to be known.
@@ -561,7 +623,7 @@ def search(
     steps = max_steps + 1
     trail = Trail(np.full(steps, -1), np.empty(steps, np.int64), np.zeros(cells, np.int64))
     best_value, best_completion = np.zeros(cells), np.full(cells, -inf)
-    no_completion = np.zeros(powers + 4)
+    no_completion = np.zeros((1, powers + 5))
     writes_completions = completions.shape[0] > 0 and by_heuristic == 0
     if writes_completions:
         # No steps left, and there.
@@ -575,14 +637,23 @@ def search(
             write_completions(
                 reach, step, labels, best_value, gains, objective, completions, best_completion
             )
-        start, left = reach.start[step], reach.start[max_steps - step]
+        start = reach.start[step]
         for rank in range(within[step]):
             for column in range(9):
                 origin = neighbors[rank, column]
                 around[column] = origin if origin < within[step - 1] else -1
-            completion = completions[left + rank] if by_heuristic else no_completion
             find_best(
-                rank, around, marks, gains, objective, labels, completion, by_value, heuristic
+                rank,
+                around,
+                reach,
+                marks,
+                gains,
+                objective,
+                labels,
+                completions if by_heuristic else no_completion,
+                max_steps - step,
+                by_value,
+                heuristic,
             )
             after.kept[rank] = merge(by_value, heuristic, found, found_mark)
             best_value[rank] = by_value.score[0]
@@ -592,6 +663,7 @@ def search(
                 before = labels.seen[row, 8 - column]
                 visit(labels.products, row, gains, rank, before, after.products, to)
                 after.mark[to] = found_mark[slot]
+                after.length[to] = labels.length[row] + reach.length[column]
                 origins[start * width + to] = found[slot]
                 follow(reach, trail, origins, width, step, rank, to)
                 for column in range(9):
@@ -628,12 +700,21 @@ def most_visits(path: Places, visits: NDArray[np.int64]) -> int:
 
 
 @compiled
-def leads_to(neighbors: Places, cell: int, other: int) -> bool:
-    """Return whether one step leads from a cell to another."""
-    leads = False
+def length_to(reach: Reach, cell: int, other: int) -> float:
+    """Return the length of the step from a cell to another, metres; inf if there is none."""
+    length = inf
     for column in range(9):
-        leads = leads or neighbors[cell, column] == other
-    return leads
+        if reach.neighbors[cell, column] == other:
+            length = reach.length[column]
+    return length
+
+
+@compiled
+def measure(path: Places, reach: Reach, walked: Floats) -> None:
+    """Write the length of a path up to each place, metres."""
+    walked[0] = 0.0
+    for step in range(1, path.size):
+        walked[step] = walked[step - 1] + length_to(reach, path[step - 1], path[step])
 
 
 @compiled
@@ -694,13 +775,13 @@ def out_and_back(
     Returns
     -------
     ndarray, shape (within[steps],)
-        For each cell, in units; -inf for those that have no such path.
+        For each cell, in units; -inf for those that have no such path of an allowed length.
 
     """
     values = np.full(reach.within[steps], -inf)
     visits = np.zeros(reach.neighbors.shape[0], np.int64)
     products = no_labels(1, 1, gains).products
-    path = np.empty(2 * steps + 1, np.int64)
+    path, walked = np.empty(2 * steps + 1, np.int64), np.empty(2 * steps + 1)
     start = reach.start[steps]
     for cell in range(reach.within[steps]):
         if origins[(start + cell) * width] < 0:
@@ -709,6 +790,9 @@ def out_and_back(
         trace(reach, origins, width, cell * width, path[: steps + 1])
         for step in range(steps):
             path[2 * steps - step] = path[step]
+        measure(path, reach, walked)
+        if walked[2 * steps] > reach.longest:
+            continue
         if most_visits(path, visits) <= gains.factor.shape[1]:
             take(path, 0, 0, gains, visits, products)
             values[cell] = label_value(products, 0, objective)
@@ -719,7 +803,7 @@ def out_and_back(
 def improve(
     path: Places,
     steps: int,
-    neighbors: Places,
+    reach: Reach,
     gains: Gains,
     objective: LabelObjective,
     most_between: int,
@@ -727,8 +811,8 @@ def improve(
     """
     Replace stretches of a closed path by better ones until there are none: a local search.
 
-    A stretch of up to `most_between` cells is replaced by the best of up to so many: all else
-    stays, so its value is that of the whole path.
+    A stretch of up to `most_between` cells is replaced by the best of up to so many with which
+    the path keeps to its length: all else stays, so its value is that of the whole path.
 
     Parameters
     ----------
@@ -736,7 +820,7 @@ def improve(
         Ranks of the cells, the first steps + 1 of them; it is changed.
     steps : int
         Of the path.
-    neighbors, gains, objective
+    reach, gains, objective
         As for `search`.
     most_between : int
         See above.
@@ -748,8 +832,12 @@ def improve(
 
     """
     max_visits = gains.factor.shape[1]
+    neighbors = reach.neighbors
     visits = np.zeros(neighbors.shape[0], np.int64)
     products = no_labels(most_between + 1, 1, gains).products
+    # Metres up to each place; and up to each cell of a stretch, with all that stays.
+    walked, length = np.zeros(path.size), np.zeros(most_between + 1)
+    measure(path[: steps + 1], reach, walked)
     stretch, best = np.empty(most_between + 1, np.int64), np.empty(most_between + 1, np.int64)
     column = np.empty(most_between + 1, np.int64)
     take(path[: steps + 1], 0, 0, gains, visits, products)
@@ -763,13 +851,15 @@ def improve(
             between = last - first - 1
             take(path[: steps + 1], first, last, gains, visits, products)
             most = min(most_between, path.size - 1 - steps + between)
+            length[0] = walked[first] + walked[steps] - walked[last]
             # Depth first through all stretches; row `depth` is the label with so many cells.
             depth, stretch[0], column[0] = 0, path[first], 0
             while depth >= 0:
                 cell = stretch[depth]
-                if column[depth] == 0 and leads_to(neighbors, cell, path[last]):
-                    value = label_value(products, depth, objective)
-                    if value > best_value:
+                if column[depth] == 0:
+                    closed = length[depth] + length_to(reach, cell, path[last])
+                    value = label_value(products, depth, objective) if closed < inf else -inf
+                    if value > best_value and closed <= reach.longest:
                         best_value, found = value, depth
                         best[: depth + 1] = stretch[: depth + 1]
                 if column[depth] == 9 or depth == most:
@@ -781,10 +871,11 @@ def improve(
                 column[depth] += 1
                 if there < 0 or visits[there] >= max_visits:
                     continue
-                if depth + 1 < most or leads_to(neighbors, there, path[last]):
+                if depth + 1 < most or length_to(reach, there, path[last]) < inf:
                     before = visits[there]
                     visit(products, depth, gains, there, before, products, depth + 1)
                     visits[there] += 1
+                    length[depth + 1] = length[depth] + reach.length[column[depth] - 1]
                     depth += 1
                     stretch[depth], column[depth] = there, 0
         if found >= 0:
@@ -795,6 +886,7 @@ def improve(
             for k in range(rest.size):
                 path[first + found + 1 + k] = rest[k]
             steps += found - between
+            measure(path[: steps + 1], reach, walked)
             unchanged = 0
         else:
             first, unchanged = (first + 1) % steps, unchanged + 1

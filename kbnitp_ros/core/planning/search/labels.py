@@ -63,7 +63,7 @@ def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list
     objective : Objective
         Of the robot.
     options : SearchOptions
-        Of which the search reads `max_steps`, `width` and `max_visits`.
+        Of which the search reads `max_steps`, `max_distance`, `width` and `max_visits`.
 
     Returns
     -------
@@ -99,7 +99,7 @@ class LabelSearch:
         max_visits = min(options.max_visits, max_steps)
         self._sought = objective
         outcomes = objective.outcomes.probability
-        self.reach = reach_of(grid, max_steps)
+        self.reach = reach_of(grid, options)
         earlier = objective.outcomes.states
         further = objective.outcomes.states_after(objective.model, max_visits)
         weights = powers_weights(objective.alpha, outcomes)
@@ -114,7 +114,7 @@ class LabelSearch:
         # The values of closed paths, by the marks of their visits.
         self._exact: dict[int, float] = {}
         by_heuristic = width // 2
-        completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 4))
+        completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 5))
         if by_heuristic:
             self._search(1, 0, completions)
         self._origins, self._values = self._search(width, by_heuristic, completions)
@@ -142,7 +142,10 @@ class LabelSearch:
 
         They leave two of the steps allowed to improve them by.
         """
-        steps = (self.reach.within.size - 3) // 2
+        allowed = self.reach.within.size - 1
+        if self.reach.longest:
+            allowed = min(allowed, int(self.reach.longest / self.reach.length.max()))
+        steps = (allowed - 2) // 2
         if steps < 1:
             return []
         values = out_and_back(
@@ -171,7 +174,7 @@ class LabelSearch:
             steps = improve(
                 longest,
                 path.size - 1,
-                self.reach.neighbors,
+                self.reach,
                 self.gains,
                 self.objective,
                 replaced,
@@ -242,9 +245,9 @@ def check_memory(
     factors_and_terms = powers + 1 + 2 * outcomes
     estimate = (
         # Where each label comes from, and the completions if some are kept for their heuristic.
-        labels * (4 * width + (number * (powers + 4) if width > 1 else 0))
+        labels * (4 * width + (number * (powers + 5) if width > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
-        + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 1) + 4 * 9)
+        + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 2) + 4 * 9)
         # The gains and the chances of readings, while they are made.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2

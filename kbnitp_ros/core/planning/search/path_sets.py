@@ -95,7 +95,7 @@ class Problem:
             If the path is none.
 
         """
-        reach = reach_of(grid, options.max_steps)
+        reach = reach_of(grid, options)
         visits = min(options.max_visits, options.max_steps)
         return cls(
             objective=objective,
@@ -285,6 +285,7 @@ class PathSet:
             best = np.empty(length.steps + 1, dtype=np.intp)
             value, taken = go_through(
                 self._walks(length.steps),
+                problem.reach,
                 length.multipliers,
                 worthless(self._region(length), allowed, problem.tolerance),
                 problem.worth(length.steps),

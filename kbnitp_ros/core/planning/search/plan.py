@@ -13,7 +13,7 @@ from kbnitp_ros.core.planning.objective.information import path_information, pat
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
 from kbnitp_ros.core.planning.search.bound import check_bound, upper_bound
-from kbnitp_ros.core.planning.search.planners import BASELINES, PathFinder, proven
+from kbnitp_ros.core.planning.search.planners import BASELINES, check_distance, PathFinder, proven
 from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -101,13 +101,15 @@ def plan(
     Raises
     ------
     ValueError
-        If the planner or the objective is unknown, the planner does not seek the objective, a
-        number is out of range, or the belief has another number of cells than the grid; if there
-        is no bound for the objective or the planner, or it takes more memory than is allowed.
+        If the planner or the objective is unknown, the planner does not seek the objective or keep
+        the distance, a number is out of range, the distance allows no step, or the belief has
+        another number of cells than the grid; if there is no bound for the objective or the
+        planner, or it takes more memory than is allowed.
 
     """
     search = SearchOptions(planner, max_steps, **options)
     finder = PathFinder(grid, search, np.asarray(visited))
+    check_distance(grid, search)
     if bound or planner == 'exact':
         check_bounded(grid, search)
     return plan_alone(finder, Objective.alone(grid, belief, model, search), bound)
@@ -156,4 +158,4 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
             f'planner is {options.planner}, which seeks no information, so its plans have no '
             'bound: choose the planner beam, relaxed or exact, or plan without a bound'
         )
-    check_bound(reach_of(grid, options.max_steps), options, robots)
+    check_bound(reach_of(grid, options), options, robots)

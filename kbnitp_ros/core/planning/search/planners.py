@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 from typing import cast
 
 from kbnitp_ros.core.field import Grid, Value
@@ -55,7 +56,8 @@ class PathFinder(Value):
     Raises
     ------
     ValueError
-        If the planner is unknown or does not seek the objective, or `visited` fits another grid.
+        If the planner is unknown, does not seek the objective or keep the distance, or `visited`
+        fits another grid.
 
     """
 
@@ -70,6 +72,12 @@ class PathFinder(Value):
             raise ValueError(
                 f'objective is {objective}, and the planner {planner} seeks none: choose the '
                 'planner beam or relaxed, or leave the objective at information'
+            )
+        if self.options.max_distance and planner in BASELINES:
+            raise ValueError(
+                f'max_distance is {self.options.max_distance:.6g} m, which the planner {planner} '
+                'does not keep: choose the planner beam, relaxed or exact, or leave max_distance '
+                'at 0'
             )
         object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
 
@@ -114,9 +122,10 @@ class PathFinder(Value):
             If a robot cannot take it, it is too long or visits a cell too often.
 
         """
-        cells = self.grid.check_path(path, self.options.max_steps)
+        options = self.options
+        cells = self.grid.check_path(path, options.max_steps, options.max_distance)
         visits = count_visits(self.grid, [cells])
-        most = self.options.max_visits
+        most = options.max_visits
         if visits.max() > most:
             raise ValueError(
                 f'path enters cell {visits.argmax()} {visits.max()} times: '
@@ -155,9 +164,9 @@ class PathFinder(Value):
         check_cameras(cameras)
         options = self.options
         if options.planner == 'random':
-            check_walk_memory(reach_of(self.grid, options.max_steps))
+            check_walk_memory(reach_of(self.grid, options))
         if options.planner == 'exact':
-            check_bound(reach_of(self.grid, options.max_steps), options, robots)
+            check_bound(reach_of(self.grid, options), options, robots)
         if width := LABELS.get(options.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
@@ -165,13 +174,35 @@ class PathFinder(Value):
             visits = min(options.max_visits, options.max_steps)
             counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
             check_memory(
-                reach_of(self.grid, options.max_steps),
+                reach_of(self.grid, options),
                 replace(options, width=width(options)),
                 outcomes,
                 earlier=counts**cameras,
                 further=counts ** (cameras - 1) * (counts + visits),
                 powers=powers_of(options.alpha, outcomes),
             )
+
+
+def check_distance(grid: Grid, options: SearchOptions) -> None:
+    """
+    Check that a robot can leave the base and come back within the distance.
+
+    Raises
+    ------
+    ValueError
+        If the distance allows no step, though the number of steps does.
+
+    """
+    within_steps = grid.in_reach(options.max_steps)
+    within_both = grid.in_reach(options.max_steps, options.max_distance)
+    if within_steps.sum() > 1 and within_both.sum() == 1:
+        # In millimetres, and not less.
+        least = ceil(2e3 * np.sort(grid.distance_to_base[within_steps])[1] - 1e-6) / 1e3
+        raise ValueError(
+            f'max_distance is {options.max_distance:.6g} m, which allows no step from the base '
+            f'and back in cells of {grid.resolution:.6g} m: it must be at least '
+            f'{least:.6g} m, or 0 for no limit'
+        )
 
 
 def visits_before(grid: Grid, given: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -218,7 +249,7 @@ def exact(finder: PathFinder, objective: Objective) -> list[Candidate]:
 def proven(finder: PathFinder, objective: Objective) -> Proof:
     """Return what the planner 'exact' finds, with the bound that it comes to."""
     robots = 1 if objective.outcomes.probability.size == 1 else 2
-    check_bound(reach_of(finder.grid, finder.options.max_steps), finder.options, robots)
+    check_bound(reach_of(finder.grid, finder.options), finder.options, robots)
     narrow = replace(finder, options=replace(finder.options, planner='beam'))
     good, *_ = narrow.candidates(objective)
     return best_path(finder.grid, objective, finder.options, good.path)
@@ -226,7 +257,7 @@ def proven(finder: PathFinder, objective: Objective) -> Proof:
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk, the same again for the same belief and earlier visits."""
-    reach = reach_of(finder.grid, finder.options.max_steps)
+    reach = reach_of(finder.grid, finder.options)
     check_walk_memory(reach)
     rng = generator_of(objective.belief.joint, finder.visited)
     return [Candidate.along(random_walk(reach, finder.options.max_visits, rng), objective)]

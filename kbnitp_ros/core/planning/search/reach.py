@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.field import Grid, longest
+from kbnitp_ros.core.planning.objective import SearchOptions
 from kbnitp_ros.core.planning.search.label_kernels import Reach
 import numpy as np
 
 
-def reach_of(grid: Grid, max_steps: int) -> Reach:
-    """Return the reach of paths of at most `max_steps` steps."""
-    cells = np.flatnonzero(grid.in_reach(max_steps))
+def reach_of(grid: Grid, options: SearchOptions) -> Reach:
+    """Return the reach of paths within `max_steps` and `max_distance`."""
+    max_steps, max_distance = options.max_steps, options.max_distance
+    cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
     distance = grid.steps_to_base[cells]
     order = np.argsort(distance, kind='stable')
     cells = cells[order]
@@ -19,4 +21,16 @@ def reach_of(grid: Grid, max_steps: int) -> Reach:
     step = np.arange(max_steps + 1)
     within = np.searchsorted(distance[order], np.minimum(step, max_steps - step), 'right')
     start = np.append(0, np.cumsum(within))
-    return Reach(cells, rank[grid.neighbor_table[cells]], within, start)
+    neighbors = rank[grid.neighbor_table[cells]]
+    if not max_distance:
+        # Where no length is allowed for, none is counted.
+        return Reach(cells, neighbors, within, start, np.zeros(9), np.zeros(cells.size), 0.0)
+    return Reach(
+        cells,
+        neighbors,
+        within,
+        start,
+        grid.step_lengths.copy(),
+        grid.distance_to_base[cells],
+        longest(max_distance),
+    )

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core.field import compiled
 from kbnitp_ros.core.planning.search.bound_dual_kernels import Walks
 from kbnitp_ros.core.planning.search.bound_maximum_kernels import entropy_of
+from kbnitp_ros.core.planning.search.label_kernels import Reach
 import numpy as np
 
 
@@ -103,6 +104,7 @@ def best_from(walks: Walks, multipliers: Any) -> Any:
 @compiled
 def go_through(
     walks: Walks,
+    reach: Reach,
     multipliers: Any,
     worthless: float,
     worth: Worth,
@@ -119,6 +121,8 @@ def go_through(
     ----------
     walks : Walks
         What may be visited.
+    reach : Reach
+        Of the paths: how long they may be.
     multipliers : ndarray, shape (cells + 2,)
         Of a cut.
     worthless : float
@@ -146,6 +150,7 @@ def go_through(
     walk, column = np.zeros(steps + 1, np.int64), np.zeros(steps + 1, np.int64)
     # What the visits so far leave to the sums of the cut, but for the way home.
     left, r = np.zeros(steps + 1), np.zeros(steps + 1)
+    length = np.zeros(steps + 1)
     for cell in range(cells):
         left[0] += beyond[cell, 0]
     step, taken = 0, 0
@@ -164,6 +169,9 @@ def go_through(
         if r[step + 1] > worth.most:
             continue
         if after + home[steps - step - 1, there] <= worthless:
+            continue
+        length[step + 1] = length[step] + reach.length[column[step] - 1]
+        if length[step + 1] + reach.home[there] > reach.longest:
             continue
         taken += 1
         step += 1

@@ -57,6 +57,7 @@ def keepout_cells(
     max_steps: int,
     bases: Sequence[int | None],
     rounds: Sequence[Sequence[ArrayLike]],
+    max_distance: float = 0.0,
 ) -> NDArray[np.intp]:
     """
     Return the cells that the next robots keep off after rounds of plans were refused.
@@ -71,6 +72,8 @@ def keepout_cells(
         Where each robot starts that leaves next; None for the base of the grid.
     rounds : sequence of sequence of array_like of int
         The paths that were refused, one round after another.
+    max_distance : float
+        The longest path, metres; 0 for no limit.
 
     Returns
     -------
@@ -84,7 +87,9 @@ def keepout_cells(
     def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return how many cells are left in reach of each base and, last, of any."""
         open_grid = without(grid, cells)
-        in_reach = [open_grid.at(base).in_reach(max_steps) for base in dict.fromkeys(bases)]
+        in_reach = [
+            open_grid.at(base).in_reach(max_steps, max_distance) for base in dict.fromkeys(bases)
+        ]
         in_reach.append(np.any(in_reach, axis=0))
         sizes: NDArray[np.intp] = np.sum(in_reach, axis=1)
         return sizes

@@ -19,7 +19,13 @@ from kbnitp_ros.core.field import (
 from kbnitp_ros.core.planning.objective import SearchOptions, team_information
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
 from kbnitp_ros.core.planning.objective.readings import Camera, check_cameras
-from kbnitp_ros.core.planning.search import check_bounded, PathFinder, Plan, plan_alone
+from kbnitp_ros.core.planning.search import (
+    check_bounded,
+    check_distance,
+    PathFinder,
+    Plan,
+    plan_alone,
+)
 from kbnitp_ros.core.planning.teams.allocations import allocated, ALLOCATIONS
 from kbnitp_ros.core.planning.teams.keepout import without
 from kbnitp_ros.core.planning.teams.regions import Regions
@@ -139,6 +145,8 @@ def plan_team(
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     check_cameras(len({Camera.of(robot_type.model(model)) for robot_type in types}))
     finder = PathFinder(in_use, options, np.asarray(visited))
+    for robot_type in dict.fromkeys(team.types):
+        check_distance(grid.at(robot_type.base), options.of_type(robot_type))
     has_bound = bound or options.planner == 'exact'
     if has_bound:
         for robot_type in team.types:
@@ -170,28 +178,30 @@ def plan_team(
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
     """
-    Check that paths for a team can be searched for within the memory allowed, before any is.
+    Check that paths for a team can be searched for, and within the memory allowed, before any is.
 
     Parameters
     ----------
     finder : PathFinder
-        For robots that have no limit of their own.
+        For robots that have no limits of their own.
     types : sequence of RobotType
         Of each robot that may leave or be in flight.
 
     Raises
     ------
     ValueError
-        With an estimate, if it takes more; if a base is none of the grid's; or if they have too
-        many different cameras.
+        With an estimate, if it takes more; if a base is none of the grid's; if the distance of one
+        allows no step or the planner does not keep it; or if they have too many different cameras.
 
     """
-    longest = max((finder.options.of_type(each) for each in types), key=lambda o: o.max_steps)
     # Of those that have no camera of their own the model is all the same.
     cameras = {(each.true_positive, each.false_positive) for each in types}
-    for base in {each.base for each in types}:
-        from_there = replace(finder, grid=finder.grid.at(base), options=longest)
-        from_there.check_memory(len(types), len(cameras))
+    for base, options in dict.fromkeys(
+        (each.base, finder.options.of_type(each)) for each in types
+    ):
+        own = replace(finder, grid=finder.grid.at(base), options=options)
+        check_distance(own.grid, options)
+        own.check_memory(len(types), len(cameras))
 
 
 def team_size(grid: Grid, agents: int) -> int:

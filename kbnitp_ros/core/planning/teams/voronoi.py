@@ -26,7 +26,9 @@ def allocate(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], Regi
     """
     belief = robots[0].objective.belief
     in_reach = {
-        robot: robot.finder.grid.in_reach(robot.finder.options.max_steps)
+        robot: robot.finder.grid.in_reach(
+            robot.finder.options.max_steps, robot.finder.options.max_distance
+        )
         for robot in dict.fromkeys(robots)
     }
     reach = np.stack([in_reach[robot] for robot in robots], axis=1)

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths of limited length: against all paths of small fields, and what is refused."""
+
+from dataclasses import replace
+from functools import cache
+from heapq import heappop, heappush
+from itertools import pairwise
+from math import hypot, inf, sqrt
+
+import brute_force
+from kbnitp_ros.core import (
+    Area,
+    Belief,
+    Grid,
+    keepout_cells,
+    plan,
+    plan_team,
+    RobotType,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Team,
+    World,
+)
+from kbnitp_ros.core.planning import PathFinder
+from kbnitp_ros.core.planning.objective.objective import Objective
+from laws import for_each
+import numpy as np
+import pytest
+
+# With the most steps and visits that all paths are gone through for.
+FIELDS = [
+    (Grid(3, 3), 5, 2),
+    (Grid(3, 3, base=4, resolution=0.1), 4, 3),
+    (Grid(3, 3, base=5, blocked=(4,), resolution=2.5), 6, 2),
+    (Grid(3, 3, base=8, connectivity=4), 6, 3),
+    (Grid(3, 3, base=1, blocked=(3, 7), through_corners=False), 6, 1),
+    (Grid(4, 3, blocked=(5,), resolution=0.3), 5, 2),
+    (Grid(4, 3, base=6, connectivity=4), 6, 2),
+    (Grid(4, 3, base=7), 4, 3),
+    (Grid(4, 3, base=2, blocked=(1, 3, 6)), 5, 3),
+    (Grid(4, 3, base=2, blocked=(1, 3, 6)), 6, 2),
+]
+
+
+def step_length(grid, one, other):
+    (row, col), (to_row, to_col) = divmod(one, grid.width), divmod(other, grid.width)
+    return hypot(to_row - row, to_col - col) * grid.resolution
+
+
+@cache
+def every_path(grid, most_steps, max_visits):
+    """
+    Return visits and lengths of all closed paths, and how many labels a cell may need.
+
+    Paths of the same visits, the same length and the same end are gone on with once.
+    """
+    ends, closed, needed = {(grid.base, (0,) * grid.cells, 0.0)}, set(), 1
+    for _ in range(most_steps):
+        ends = {
+            (
+                int(cell),
+                tuple(n + (each == cell) for each, n in enumerate(visits)),
+                round(length + step_length(grid, end, int(cell)), 9),
+            )
+            for end, visits, length in ends
+            for cell in grid.neighbors(end)
+            if visits[cell] < max_visits
+        }
+        closed |= {(visits, length) for end, visits, length in ends if end == grid.base}
+        labels = {(end, visits) for end, visits, _ in ends}
+        needed = max(needed, np.bincount([end for end, _ in labels]).max())
+    ways = sorted(closed)
+    return np.array([visits for visits, _ in ways]), np.array([each for _, each in ways]), needed
+
+
+def problem(seed):
+    """Draw a field, a limit that some paths keep and others do not, and a belief."""
+    rng = np.random.default_rng(seed)
+    grid, most_steps, max_visits = FIELDS[seed % len(FIELDS)]
+    visits, lengths, needed = every_path(grid, most_steps, max_visits)
+    allowed = np.unique(lengths[lengths > 0.0])
+    allowed = allowed[: max(1, 2 * allowed.size // 3)]
+    options = SearchOptions(
+        max_steps=most_steps,
+        max_visits=max_visits,
+        # Just as long as one of them now and then, which the sums of its steps may exceed.
+        max_distance=float(rng.choice(allowed) * rng.choice([1.0, 1.0, rng.uniform(1.0, 1.4)])),
+        loss_cost=float(rng.choice([0.0, 0.0, 0.5])),
+        width=2 * int(needed) + 2,
+    )
+    belief = Belief(brute_force.random_joint(rng, grid.cells, grid.base))
+    model = SensorModel(0.6 * float(rng.random()), malfunction=float(rng.choice([0.0, 0.05, 0.3])))
+    keeps = visits[lengths <= options.max_distance + 1e-8]
+    returns = brute_force.survival_of_visits(belief.joint, model, keeps)
+    information = brute_force.information_of_visits(belief.joint, model, keeps)
+    best = (information - options.loss_cost * (1.0 - returns)).max()
+    return grid, belief, model, options, best
+
+
+def length_of(grid, path):
+    return sum(step_length(grid, int(a), int(b)) for a, b in pairwise(path))
+
+
+def found_by(grid, belief, model, options, **more):
+    """Return the plan, and its value, of a path that keeps to the limits."""
+    given = {name: value for name, value in vars(options).items() if name != 'max_steps'}
+    found = plan(grid, belief, model, options.max_steps, **given, **more)
+    assert length_of(grid, grid.check_path(found.path, options.max_steps)) <= (
+        options.max_distance * (1.0 + 1e-8)
+    )
+    return found, found.information - options.loss_cost * (1.0 - found.survival)
+
+
+@for_each('seed', range(300), every=6)
+def test_a_search_that_keeps_all_labels_finds_the_best_path_of_the_length(seed):
+    grid, belief, model, options, best = problem(seed)
+    assert found_by(grid, belief, model, options)[1] == pytest.approx(best, abs=1e-8)
+
+
+@for_each('seed', range(300), every=6)
+def test_no_path_of_a_narrow_search_is_longer_or_better(seed):
+    grid, belief, model, options, best = problem(seed)
+    for width, planner in ((1, 'relaxed'), (2, 'beam'), (5, 'beam'), (16, 'beam')):
+        own = replace(options, width=width, planner=planner)
+        candidates = PathFinder(grid, own).candidates(Objective.alone(grid, belief, model, own))
+        assert candidates
+        for each in candidates:
+            assert length_of(grid, each.path) <= options.max_distance * (1.0 + 1e-8)
+            assert each.value <= best + 1e-8
+
+
+@for_each('seed', range(300), every=12)
+def test_the_planner_exact_and_the_bound_are_of_paths_of_the_length(seed):
+    grid, belief, model, options, best = problem(seed)
+    found, value = found_by(grid, belief, model, replace(options, planner='exact', width=4))
+    assert found.ended_by == 'tolerance'
+    assert value == pytest.approx(best, abs=2e-6)
+    found, _ = found_by(grid, belief, model, replace(options, width=4), bound=True)
+    assert found.upper_bound >= best - 1e-9
+
+
+def test_the_limits_of_these_problems_matter():
+    bound_by = 0
+    for seed in range(0, 300, 6):
+        grid, belief, model, options, _ = problem(seed)
+        found = plan(
+            grid,
+            belief,
+            model,
+            options.max_steps,
+            max_visits=options.max_visits,
+            loss_cost=options.loss_cost,
+        )
+        bound_by += length_of(grid, found.path) > options.max_distance * (1.0 + 1e-8)
+    assert bound_by > 15
+
+
+@for_each('seed', range(20))
+def test_robots_of_a_team_keep_their_own_lengths(seed):
+    rng = np.random.default_rng(seed)
+    grid = Grid(7, 6, base=int(rng.integers(42)), resolution=0.5)
+    belief = Belief(brute_force.random_joint(rng, grid.cells, grid.base))
+    types = (RobotType(max_distance=2.5), RobotType(max_distance=0.0), RobotType())
+    options = SearchOptions(max_steps=12, width=4, max_distance=5.0)
+    for allocation in ('greedy', 'voronoi', 'independent'):
+        team = plan_team(grid, belief, SensorModel(0.3), Team(3, allocation, types), options)
+        short, free, common = (length_of(grid, each.path) for each in team.plans)
+        assert 0.0 < short <= 2.5 + 1e-8
+        assert 0.0 < common <= 5.0 + 1e-8
+        if allocation == 'independent':
+            alone = plan(grid, belief, SensorModel(0.3), 12, width=4)
+            assert free == length_of(grid, alone.path)
+        if team.regions is not None:
+            owned = np.flatnonzero(team.regions.owner == 0)
+            assert (2.0 * distances(grid)[owned] <= 2.5 + 1e-8).all()
+
+
+def distances(grid):
+    """Return the distance of each cell from the base by Dijkstra's algorithm."""
+    distance, queue = np.full(grid.cells, inf), [(0.0, grid.base)]
+    while queue:
+        length, cell = heappop(queue)
+        if length < distance[cell]:
+            distance[cell] = length
+            for other in grid.neighbors(cell).tolist():
+                heappush(queue, (length + step_length(grid, cell, other), other))
+    return distance
+
+
+@for_each('seed', range(40))
+def test_distances_and_reach(seed):
+    rng = np.random.default_rng(seed)
+    width, height = (int(side) for side in rng.integers(1, 12, 2))
+    blocked = np.flatnonzero(rng.random(width * height) < 0.3)
+    blocked = blocked[blocked > 0]
+    grid = Grid(
+        width,
+        height,
+        resolution=float(rng.choice([1.0, 0.1, 3.7])),
+        blocked=blocked.tolist(),
+        connectivity=int(rng.choice([4, 8])),
+        through_corners=bool(rng.integers(2)),
+    )
+    expected = distances(grid)
+    np.testing.assert_allclose(grid.distance_to_base, expected, rtol=1e-9)
+    limit = float(rng.uniform(0.0, 20.0)) * grid.resolution
+    in_reach = grid.in_reach(9, limit)
+    assert (in_reach == (grid.in_reach(9) & (2.0 * expected <= limit))).all()
+    assert (grid.in_reach(9, 0.0) == grid.in_reach(9)).all()
+
+
+def test_a_distance_is_kept_to_the_rounding_of_its_sum():
+    grid = Grid(9, 1, resolution=0.1)
+    there_and_back = [0, 1, 2, 3, 2, 1, 0]
+    assert grid.path_length(np.array(there_and_back)) == pytest.approx(0.6)
+    # Three times 0.1 is more than 0.3.
+    assert grid.in_reach(8, 0.6)[3]
+    grid.check_path(there_and_back, 6, 0.6)
+    with pytest.raises(ValueError, match=r'path is 0.6 m long: at most max_distance = 0.59 m'):
+        grid.check_path(there_and_back, 6, 0.59)
+    square = Grid(2, 2)
+    assert square.path_length(np.array([0, 3, 3, 0])) == pytest.approx(2.0 * sqrt(2.0))
+
+
+def test_cells_that_refused_plans_led_to_leave_some_within_the_distance():
+    grid = Grid(9, 1)
+    refused = [[[0, 1, 2, 1, 0]]]
+    # Off these robots come to two of nine cells, and to two of three within 4 m.
+    assert keepout_cells(grid, 18, [None], refused).tolist() == []
+    assert keepout_cells(grid, 18, [None], refused, 4.0).tolist() == [2, 3]
+
+
+BELIEF = Belief.prior(Grid(3, 3), 0.2, 0.4, 0.8)
+
+
+@for_each('planner', ['random', 'coverage', 'shortest_unvisited'])
+def test_planners_that_do_not_keep_a_distance_refuse_it(planner):
+    with pytest.raises(ValueError, match=f'which the planner {planner} does not keep: choose'):
+        plan(Grid(3, 3), BELIEF, SensorModel(0.5), 6, planner, max_distance=4.0)
+
+
+def test_a_distance_that_allows_no_step_is_refused_with_the_least():
+    for grid, needed in (
+        (Grid(3, 3), '2 m'),
+        (Grid(3, 3, blocked=(1, 3)), '2.829 m'),
+        (Grid(3, 3, resolution=0.1), '0.2 m'),
+    ):
+        least = float(needed.split()[0])
+        plan(grid, BELIEF, SensorModel(0.5), 6, max_distance=least)
+        for planner in ('beam', 'relaxed', 'exact'):
+            with pytest.raises(ValueError, match=f'no step .* it must be at least {needed}, or 0'):
+                plan(grid, BELIEF, SensorModel(0.5), 6, planner, max_distance=0.99 * least)
+    # No number of steps does either.
+    plan(Grid(3, 3), BELIEF, SensorModel(0.5), 1, max_distance=0.5)
+    with pytest.raises(ValueError, match='max_distance is 1.5 m, which allows no step'):
+        plan_team(
+            Grid(3, 3),
+            BELIEF,
+            SensorModel(0.5),
+            Team(2, types=(RobotType(), RobotType(max_distance=1.5))),
+            SearchOptions(max_steps=6),
+        )
+
+
+@for_each('wrong', [-1.0, inf, float('nan'), 2e9])
+def test_distances_out_of_range_are_refused(wrong):
+    for make in (SearchOptions, RobotType):
+        with pytest.raises(ValueError, match='max_distance is .*: it must be at least 0'):
+            make(max_distance=wrong)
+
+
+def test_goals_do_not_keep_a_distance():
+    grid = Grid(3, 3)
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match='max_distance is 5 m, which paths for the goal area do'):
+        next(
+            iter(
+                run_mission(
+                    grid,
+                    BELIEF,
+                    SensorModel(0.5),
+                    World(np.zeros(9, bool), np.zeros(9, bool)),
+                    1,
+                    rng,
+                    'kappa_bnitp_sampled',
+                    SearchOptions(max_steps=6, max_distance=5.0),
+                    goal=Area([1, 2]),
+                )
+            )
+        )
