@@ -48,6 +48,12 @@ def step_length(grid, one, other):
     return hypot(to_row - row, to_col - col) * grid.resolution
 
 
+def kind_of_step(grid, one, other):
+    """Return how many coordinates a step changes: 0 for a stay, 2 for a diagonal one."""
+    (row, col), (to_row, to_col) = divmod(one, grid.width), divmod(other, grid.width)
+    return (row != to_row) + (col != to_col)
+
+
 @cache
 def every_path(grid, most_steps, max_visits):
     """
@@ -55,23 +61,25 @@ def every_path(grid, most_steps, max_visits):
 
     Paths of the same visits, the same length and the same end are gone on with once.
     """
-    ends, closed, needed = {(grid.base, (0,) * grid.cells, 0.0)}, set(), 1
+    # Straight and diagonal steps are counted, so that no sum is rounded.
+    ends, closed, needed = {(grid.base, (0,) * grid.cells, 0, 0)}, set(), 1
     for _ in range(most_steps):
         ends = {
             (
                 int(cell),
                 tuple(n + (each == cell) for each, n in enumerate(visits)),
-                round(length + step_length(grid, end, int(cell)), 9),
+                straight + (kind_of_step(grid, end, int(cell)) == 1),
+                diagonal + (kind_of_step(grid, end, int(cell)) == 2),
             )
-            for end, visits, length in ends
+            for end, visits, straight, diagonal in ends
             for cell in grid.neighbors(end)
             if visits[cell] < max_visits
         }
-        closed |= {(visits, length) for end, visits, length in ends if end == grid.base}
-        labels = {(end, visits) for end, visits, _ in ends}
+        closed |= {each[1:] for each in ends if each[0] == grid.base}
+        labels = {each[:2] for each in ends}
         needed = max(needed, np.bincount([end for end, _ in labels]).max())
-    ways = sorted(closed)
-    return np.array([visits for visits, _ in ways]), np.array([each for _, each in ways]), needed
+    visits, straight, diagonal = map(np.array, zip(*sorted(closed)))
+    return visits, (straight + diagonal * sqrt(2.0)) * grid.resolution, needed
 
 
 def problem(seed):
