@@ -15,6 +15,7 @@ import sys
 
 from cases import Benchmark, in_words
 import executors
+import kinds
 import nodes
 import numba
 import numpy as np
@@ -31,6 +32,7 @@ BENCHMARKS = (
     *planning.BENCHMARKS,
     *updates.BENCHMARKS,
     *sampling.BENCHMARKS,
+    *kinds.BENCHMARKS,
     *nodes.BENCHMARKS,
     *executors.BENCHMARKS,
     *study.BENCHMARKS,
