@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sampling clustered hazards, against the posterior by enumeration."""
 
-from itertools import product
-
 import brute_force
 from extent import FULL
 from kbnitp_ros.core import (
@@ -33,24 +31,6 @@ def prior_of(grid, density):
     return Belief.prior(grid, density, density * KAPPA + (1 - density) * BACKGROUND, KAPPA)
 
 
-def prior_weights(grid, coupling, density):
-    """Return all states of the hazards, (states, cells), and their prior probabilities."""
-    states = np.array(list(product((0, 1), repeat=grid.cells)))
-    states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
-    count = states.sum(axis=1)
-    maps = states.reshape(-1, grid.height, grid.width)
-    pairs = (maps[:, 1:] * maps[:, :-1]).sum(axis=(1, 2))
-    pairs += (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
-    low, high = -40.0, 40.0
-    for _ in range(100):
-        field = (low + high) / 2
-        weight = np.exp(field * count + coupling * pairs - max(0.0, field) * grid.cells)
-        weight /= weight.sum()
-        below = weight @ count < density * grid.may_be_hazardous.sum()
-        low, high = (field, high) if below else (low, field)
-    return states, weight
-
-
 def likelihood(states, model, observations):
     """Return the probability of all outcomes and readings, given each state of the hazards."""
     survival = np.array(brute_force.step_survival(model))
@@ -72,7 +52,7 @@ def posterior(grid, couplings, density, model, observations):
     """Return P(hazard) of each cell, and the weight of each coupling."""
     by_coupling = []
     for coupling in couplings:
-        states, weight = prior_weights(grid, coupling, density)
+        states, weight = brute_force.clustered_prior(grid, coupling, density)
         by_coupling.append(weight * likelihood(states, model, observations))
     joint = np.array(by_coupling) / np.sum(by_coupling)
     return joint.sum(axis=0) @ states, joint.sum(axis=1)
@@ -88,7 +68,7 @@ def random_mission(seed, malfunction=0.05):
     density = float(rng.uniform(0.05, 0.5))
     model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])), malfunction)
     coupling = float(rng.choice(clustering.bins.values))
-    states, weight = prior_weights(grid, coupling, density)
+    states, weight = brute_force.clustered_prior(grid, coupling, density)
     hazard = states[rng.choice(len(states), p=weight)].astype(bool)
     target = rng.random(grid.cells) < np.where(hazard, KAPPA, BACKGROUND)
     world = World(hazard, target)
@@ -189,7 +169,7 @@ def test_density_and_coupling_are_learnt_together():
     weights = np.empty((clustering.bins.values.size, bins.values.size))
     for row, coupling in enumerate(clustering.bins.values):
         for column, density in enumerate(bins.values):
-            states, weight = prior_weights(grid, coupling, density)
+            states, weight = brute_force.clustered_prior(grid, coupling, density)
             here = weight[(states == hazard).all(axis=1)].item()
             weights[row, column] = here * np.exp(bins.log_prior[column])
     weights /= weights.sum()
