@@ -63,7 +63,7 @@ def plot(
         world.check(grid)
     given = list(paths)
     walks = [
-        grid.check_path(each.path if isinstance(each, Observation) else each) for each in given
+        grid.check_any_path(each.path if isinstance(each, Observation) else each) for each in given
     ]
     if axes is None:
         # Only a figure that pyplot makes is shown by notebooks.

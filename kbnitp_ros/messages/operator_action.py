@@ -132,7 +132,7 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         read_path(grid, agent, path) for agent, path in zip(message.agents, message.paths)
     )
     for path in paths.values():
-        grid.check_path(path)
+        grid.check_any_path(path)
     return OperatorAction(
         stamp, action, int(message.robots_left), paths, int(message.steps_survived)
     )

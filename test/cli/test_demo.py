@@ -41,6 +41,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.log.evidence import last_belief, REPORT
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.report.mission import true_numbers
 from laws import for_each
@@ -388,7 +389,7 @@ def test_a_simulated_clock_is_refused(tmp_path, capsys):
 @pytest.mark.full
 def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
     page = (ROOT / 'docs/maps.md').read_text()
-    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.* --set robots\..*) --out ', page)
+    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.*max_steps=.*) --out ', page)
     done = run_demo(*shlex.split(line), '--out', tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     log = tmp_path / 'mission.mcap'
@@ -396,6 +397,19 @@ def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
     belief = last_belief(log)
     assert belief.robot_types == {'scout_2': RobotType(max_steps=6)}
     assert belief.deployments == 6
+
+
+@pytest.mark.processes
+@pytest.mark.full
+def test_a_mission_of_two_bases_as_the_page_says_it(tmp_path):
+    page = (ROOT / 'docs/maps.md').read_text()
+    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.*\.base=.*) --out ', page)
+    done = run_demo(*shlex.split(line), '--out', tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = replay(tmp_path / 'mission.mcap')
+    assert report.reproduced
+    bases = {key.agent: int(report.evidence.path(key)[0]) for key in report.evidence.paths}
+    assert bases == {'scout_1': 0, 'scout_2': 24}
 
 
 @pytest.fixture

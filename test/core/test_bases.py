@@ -169,6 +169,20 @@ def test_no_base_has_a_hazard():
         Belief.prior(CORNERS, hazard.astype(float), 0.5, 0.5)
 
 
+def test_a_path_from_any_base_is_told_from_others():
+    for path in ([0, 1, 0], [29, 28, 29]):
+        assert CORNERS.check_any_path(path).tolist() == path
+    for path, told in (
+        ([28, 29, 28], 'start at the base 0, not at cell 28'),
+        ([0, 1, 29], 'end at the base 0'),
+        ([29, 28, 0], 'end at the base 29'),
+        ([99, 1, 99], 'leaves the grid'),
+        ([], 'at least two cells'),
+    ):
+        with pytest.raises(ValueError, match=told):
+            CORNERS.check_any_path(np.array(path, dtype=int))
+
+
 # Several robots
 
 

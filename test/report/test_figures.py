@@ -5,8 +5,8 @@ from itertools import combinations
 import json
 
 from colorspacious import cspace_convert, deltaE
-from kbnitp_ros.core import Unknowns
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, MAPS, save, SERIES
+from kbnitp_ros.core import Belief, Grid, Unknowns
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, MAPS, plot, save, SERIES
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.maps_figure import maps_figure
 from kbnitp_ros.report.plots import curve_plots
@@ -57,6 +57,15 @@ def test_every_path_is_drawn(mission):
         if collection.get_alpha()
     )
     assert drawn == len(mission.ended) == 12
+
+
+def test_paths_from_all_bases_are_drawn_and_these():
+    grid = Grid(6, 5, base=0, other_bases=(29,))
+    axes = Figure().subplots(1, 3)
+    plot(grid, Belief.prior(grid, 0.2, 0.3, 0.8), paths=([0, 1, 0], [29, 28, 29]), axes=axes)
+    for panel in axes:
+        (bases,) = (line for line in panel.lines if line.get_marker() == 's')
+        assert bases.get_xydata().tolist() == [[0.5, 0.5], [5.5, 4.5]]
 
 
 def test_figures_are_at_300_dots_per_inch_with_letters_embedded(tmp_path):
@@ -150,8 +159,8 @@ def test_a_learnt_number_of_any_name_is_drawn(tmp_path, name):
     figure = progress_figure(shown, curves_of(shown))
     for file in save(figure, tmp_path / 'progress.png', 'png', 'svg'):
         assert file.stat().st_size > 1000
-    for _, plot in curve_plots(shown, curves_of(shown), np.arange(len(shown.moments))):
-        assert '<b>' not in json.dumps(json.loads(plot)['layout'])
+    for _, drawn in curve_plots(shown, curves_of(shown), np.arange(len(shown.moments))):
+        assert '<b>' not in json.dumps(json.loads(drawn)['layout'])
 
 
 def test_a_learnt_number_has_a_panel(tmp_path):

@@ -348,6 +348,20 @@ class Grid:
             )
         return cells
 
+    def check_any_path(self, path: ArrayLike) -> NDArray[np.intp]:
+        """
+        Return `path` as an array of cells if a robot of one of the bases can take it.
+
+        Raises
+        ------
+        ValueError
+            As `check_path`.
+
+        """
+        cells = as_path(path)
+        base = int(cells[0])
+        return (self.at(base) if base in self.bases else self).check_path(cells)
+
     def centers(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres of `cells`, shape (n,), in metres, as x and y, shape (n, 2)."""
         row, col = np.divmod(np.asarray(cells), self.width)
