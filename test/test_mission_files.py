@@ -252,6 +252,10 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
         finally:
             interrupt(base)
     assert_is_whole(tmp_path / 'mission.mcap', 3)
+    # The file has what is for simulated robots, which come home at once.
+    planner = read_parameters(tmp_path / 'mission.mcap')['/planner']
+    assert planner['silent_loss']
+    assert (planner['step_period'], planner['return_deadline']) == (5.0, 60.0)
 
 
 @pytest.mark.processes

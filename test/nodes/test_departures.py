@@ -65,6 +65,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     begun = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
     assert not base.heard['scout_1']
+    assert 'leaves for' not in field.said('/planner')
     base.say(State.REFUSED, 'the battery is low')
     base.until_sent(2)
     assert 'the battery is low; nothing is learnt of it' in field.said('/planner')
