@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 
-from campaign import run_missions
-from extent import FULL
+from campaign import run_departing, run_missions
+from extent import FULL, LONG
+from fickle_robot import CRASHED, UNPLUGGED
+from kbnitp_ros.nodes.robot import NEW_LINKS
+from networks import NoNetworksError
 import pytest
 from schedule import NODES, STRUCK
 
@@ -28,3 +32,22 @@ def test_missions_under_faults_end_as_if_unbroken(tmp_path):
     assert faults.keys() == STRUCK.keys()
     struck = {node for outcome in outcomes for _, node in outcome.strikes}
     assert struck == set(NODES)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    'is_apart, codes',
+    [
+        (False, {CRASHED}),
+        pytest.param(True, {CRASHED, UNPLUGGED, NEW_LINKS}, marks=LONG),
+    ],
+)
+def test_no_robot_is_lost_that_stayed_and_none_forgotten_that_left(tmp_path, is_apart, codes):
+    jobs = [(seed, 'mixed', tmp_path) for seed in (1, 2)]
+    try:
+        outcomes = run_missions(jobs, run=partial(run_departing, is_apart=is_apart))
+    except NoNetworksError as error:
+        pytest.skip(f'no networks can be made: {error}')
+    assert not [str(outcome) for outcome in outcomes if outcome.findings]
+    crashes = sum((outcome.crashes for outcome in outcomes), start=Counter())
+    assert crashes.keys() == codes
