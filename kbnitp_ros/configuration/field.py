@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import isfinite
 from typing import Any
 
 from kbnitp_ros.configuration.agents import base_of
@@ -12,7 +13,7 @@ from kbnitp_ros.configuration.names import own_name
 from kbnitp_ros.configuration.table import LONGEST_SIDE
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import Map, read_map
-from kbnitp_ros.messages.grids import told_resolution
+from kbnitp_ros.messages.grids import told_resolution, told_yaw
 
 
 def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
@@ -43,8 +44,10 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
         'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
     }
     if field is not None:
-        # As wide as it is told, so that all nodes have one grid.
-        field = replace(field, resolution=told_resolution(field.resolution))
+        # As it is told, so that all nodes have one grid.
+        field = replace(
+            field, resolution=told_resolution(field.resolution), yaw=told_yaw(field.yaw)
+        )
         grid = field.grid(
             side or None,
             position or None,
@@ -58,11 +61,17 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
                 f'{LONGEST_SIDE} a side may be; set a coarser grid.resolution'
             )
         return with_bases(grid, values)
+    origin = values['grid.origin']
+    if len(origin) not in (2, 3) or not all(map(isfinite, origin)):
+        raise ValueError(
+            f'parameter grid.origin is {list(origin)}: it must be [x, y] or [x, y, yaw], finite'
+        )
     grid = Grid(
         width=values['grid.width'],
         height=values['grid.height'],
         resolution=side or 1.0,
-        origin=values['grid.origin'],
+        origin=origin[:2],
+        yaw=told_yaw(*origin[2:] or (0.0,)),
     )
     base = int(grid.cells_at([position])[0]) if position else values['grid.base']
     grid = replace(grid, base=base, blocked=values['grid.blocked'], **steps)

@@ -13,7 +13,7 @@ from kbnitp_ros.maps import read_probabilities
 MAPS = ('hazard', 'target', 'kappa')
 
 # In what fields must be the same for what is believed of one to be believed of the other.
-SAME = ('width', 'height', 'resolution', 'origin', 'blocked')
+SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 
 def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:

@@ -96,7 +96,8 @@ TABLE = (
     Parameter(
         'grid.origin',
         (0.0, 0.0),
-        'Lower-left corner of cell 0 in metres, x and y in the frame map.',
+        'Lower-left corner of cell 0 in metres, x and y in the frame map; a third number is the '
+        'angle from the x axis of that frame to the rows, counterclockwise, in rad.',
         GRID,
         element=float,
     ),

@@ -13,6 +13,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
+from matplotlib.transforms import Affine2D, Transform
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -115,7 +116,13 @@ def draw_map(
     image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
     colours = LinearSegmentedColormap.from_list(title, scale.stops(prior))
     drawn = axes.imshow(
-        image, origin='lower', cmap=colours, vmin=0.0, vmax=1.0, extent=extent(grid)
+        image,
+        origin='lower',
+        cmap=colours,
+        vmin=0.0,
+        vmax=1.0,
+        extent=extent(grid),
+        transform=turned(axes, grid),
     )
     axes.figure.colorbar(drawn, ax=axes, shrink=0.7)
     draw_field(axes, grid)
@@ -123,24 +130,32 @@ def draw_map(
 
 
 def extent(grid: Grid) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top of a grid in metres."""
+    """Return left, right, bottom and top of a grid in metres, as if it were not turned."""
     left, bottom = grid.origin
     right, top = left + grid.width * grid.resolution, bottom + grid.height * grid.resolution
     return left, right, bottom, top
 
 
+def turned(axes: Axes, grid: Grid) -> Transform:
+    """Return where axes show what is placed as if the grid were not turned."""
+    return Affine2D().rotate_around(*grid.origin, grid.yaw) + axes.transData
+
+
 def draw_field(axes: Axes, grid: Grid) -> None:
     """Draw bases, blocked cells and, where there are few, the lines between cells."""
     left, right, bottom, top = extent(grid)
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
+    corners = grid.in_metres([(x, y) for x in (0, grid.width) for y in (0, grid.height)])
+    axes.set_xlim(*np.sort(corners[:, 0])[[0, -1]])
+    axes.set_ylim(*np.sort(corners[:, 1])[[0, -1]])
     axes.set_aspect('equal')
     axes.add_patch(PathPatch(outlines(grid, ~grid.free), facecolor='0.6', linewidth=0))
     if max(grid.width, grid.height) <= MOST_LINED:
         columns = left + np.arange(1, grid.width) * grid.resolution
         rows = bottom + np.arange(1, grid.height) * grid.resolution
-        axes.vlines(columns, bottom, top, color='0.75', linewidth=0.4)
-        axes.hlines(rows, left, right, color='0.75', linewidth=0.4)
+        line: dict[str, Any] = {'color': '0.75', 'linewidth': 0.4}
+        line['transform'] = turned(axes, grid)
+        axes.vlines(columns, bottom, top, **line)
+        axes.hlines(rows, left, right, **line)
     x, y = grid.centers(sorted(grid.bases)).T
     axes.plot(x, y, 's', color='white', markeredgecolor='black', zorder=5, linestyle='')
     axes.set_xlabel('x (m)')
@@ -151,11 +166,12 @@ def draw_field(axes: Axes, grid: Grid) -> None:
 
 def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Path:
     """Return the outlines of some cells as one path, which has one hatching."""
-    corner = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) - 0.5
-    centers = grid.centers(np.flatnonzero(cells)).reshape(-1, 1, 2)
+    around = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+    row, col = np.divmod(np.flatnonzero(cells), grid.width)
+    corners = np.stack([col, row], axis=-1).reshape(-1, 1, 2) + around
     codes = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-    vertices = (centers + corner * grid.resolution).reshape(-1, 2)
-    return Path(vertices, codes * len(centers)) if len(centers) else Path(np.empty((0, 2)))
+    vertices = grid.in_metres(corners).reshape(-1, 2)
+    return Path(vertices, codes * len(corners)) if len(corners) else Path(np.empty((0, 2)))
 
 
 def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:

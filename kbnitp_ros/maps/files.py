@@ -45,6 +45,8 @@ class MapFile:
         Side of a pixel in metres.
     origin : tuple of float
         Lower-left corner of the map in metres.
+    yaw : float
+        The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
     negate : bool
         Whether white is occupied.
     occupied_thresh, free_thresh : float
@@ -57,6 +59,7 @@ class MapFile:
     image: Path
     resolution: float
     origin: tuple[float, float]
+    yaw: float
     negate: bool
     occupied_thresh: float
     free_thresh: float
@@ -80,8 +83,8 @@ def read_map(yaml_path: str | Path) -> Map:
     Raises
     ------
     MapError
-        If a file is missing or corrupt, a value is missing or out of range, the image is of
-        another format or larger than `MOST_PIXELS`, or the origin is rotated.
+        If a file is missing or corrupt, a value is missing or out of range, or the image is of
+        another format or larger than `MOST_PIXELS`.
 
     """
     file = read_map_file(Path(yaml_path))
@@ -91,7 +94,7 @@ def read_map(yaml_path: str | Path) -> Map:
     else:
         data = occupancy(darkness(gray, file.negate), file)
         data[~opaque] = UNKNOWN
-    return Map(data, file.resolution, file.origin)
+    return Map(data, file.resolution, file.origin, file.yaw)
 
 
 def darkness(gray: NDArray[np.uint8], negate: bool) -> NDArray[np.float32]:
@@ -151,8 +154,6 @@ def read_map_file(path: Path) -> MapFile:
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f'origin of {path} is {origin!r}: it must be [x, y, yaw], in m and rad')
     x, y, yaw = (number('origin', coordinate) for coordinate in origin)
-    if yaw:
-        raise MapError(f'origin of {path} is rotated by {yaw}: only maps with yaw 0 can be used')
     mode = value('mode', 'trinary')
     if mode not in MODES:
         raise MapError(f'mode of {path} is {mode!r}: known are {", ".join(MODES)}')
@@ -168,6 +169,7 @@ def read_map_file(path: Path) -> MapFile:
         image=path.parent / str(value('image')),
         resolution=number('resolution', value('resolution')),
         origin=(x, y),
+        yaw=yaw,
         negate=bool(negate),
         occupied_thresh=occupied,
         free_thresh=free,

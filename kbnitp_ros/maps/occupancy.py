@@ -29,6 +29,8 @@ class Map:
         Side of a pixel in metres, positive.
     origin : tuple of float
         Lower-left corner of the map in metres.
+    yaw : float
+        The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
 
     Raises
     ------
@@ -40,6 +42,7 @@ class Map:
     data: NDArray[np.int8]
     resolution: float
     origin: tuple[float, float]
+    yaw: float = 0.0
 
     def __post_init__(self) -> None:
         if self.data.ndim != 2 or not self.data.size:
@@ -48,6 +51,8 @@ class Map:
             raise MapError(f'resolution is {self.resolution}: it must be positive, in metres')
         if not all(map(isfinite, self.origin)):
             raise MapError(f'origin is {self.origin}: it must be finite, in metres')
+        if not isfinite(self.yaw):
+            raise MapError(f'yaw is {self.yaw}: it must be finite, in rad')
 
     def grid(
         self,
@@ -62,7 +67,8 @@ class Map:
         """
         Return the grid over the map; the cells with an occupied pixel are blocked.
 
-        Cells start at the map's origin. Those that reach beyond its far edges are unknown there.
+        Cells start at the map's origin and follow its rows and columns. Those that reach beyond
+        its far edges are unknown there.
 
         Parameters
         ----------
@@ -95,7 +101,7 @@ class Map:
             )
         rows, columns = (ceil(count / pixels - ON_THE_EDGE) for count in self.data.shape)
         blocked = self._blocked(rows, columns, pixels, unknown_blocks)
-        bare = Grid(columns, rows, resolution=side, origin=self.origin)
+        bare = Grid(columns, rows, resolution=side, origin=self.origin, yaw=self.yaw)
         if base_position is not None:
             base = int(bare.cells_at([base_position])[0])
         if 0 <= base < bare.cells and blocked.flat[base]:
@@ -113,6 +119,7 @@ class Map:
             blocked=np.flatnonzero(blocked).tolist(),
             connectivity=connectivity,
             through_corners=through_corners,
+            yaw=self.yaw,
         )
 
     def _blocked(

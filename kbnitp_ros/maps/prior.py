@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from math import remainder, tau
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,7 +11,7 @@ from kbnitp_ros.core import Grid
 from kbnitp_ros.files import open_file
 from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.files import darkness, MOST_PIXELS, read_image, read_map_file, scaled
-from kbnitp_ros.maps.overlap import shares
+from kbnitp_ros.maps.overlap import ON_THE_EDGE, shares
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
@@ -22,10 +23,10 @@ def read_probabilities(
     """
     Return a probability for each cell of a grid, from a file.
 
-    A YAML file of map_server, in mode scale, lies where it says: a pixel as dark as
-    `occupied_thresh` is 1, one as light as `free_thresh` is 0. A .npy file of rows and columns,
-    row 0 at the bottom, lies over the whole grid. A cell's probability is the mean over the part
-    of it that the map covers, each pixel by its share of the area.
+    A YAML file of map_server, in mode scale, lies where it says, turned as the grid is: a pixel as
+    dark as `occupied_thresh` is 1, one as light as `free_thresh` is 0. A .npy file of rows and
+    columns, row 0 at the bottom, lies over the whole grid. A cell's probability is the mean over
+    the part of it that the map covers, each pixel by its share of the area.
 
     Parameters
     ----------
@@ -46,8 +47,8 @@ def read_probabilities(
     Raises
     ------
     MapError
-        If the file cannot be read, holds a value outside [0, 1], or is an array of another shape
-        than the grid and `resample` is false.
+        If the file cannot be read, holds a value outside [0, 1], is a map that is turned
+        otherwise than the grid, or an array of another shape while `resample` is false.
 
     """
     path = Path(path)
@@ -65,7 +66,7 @@ def read_probabilities(
             grid.height * grid.resolution / rows,
             grid.width * grid.resolution / columns,
         )
-        origin = grid.origin
+        first = grid.in_cells(grid.origin)
     else:
         file = read_map_file(path)
         if file.mode != 'scale':
@@ -74,15 +75,18 @@ def read_probabilities(
         probability = scaled(darkness(gray, file.negate), file).astype(np.float64).clip(0.0, 1.0)
         probability[~opaque] = np.nan
         resolution = (file.resolution, file.resolution)
-        origin = file.origin
+        if abs(remainder(file.yaw - grid.yaw, tau)) * max(grid.width, grid.height) > ON_THE_EDGE:
+            raise MapError(
+                f'origin of {path} is turned by {file.yaw} rad, and the field by {grid.yaw}: the '
+                'map of a prior must have the rows of the field'
+            )
+        rows, columns = probability.shape
+        image = Grid(columns, rows, resolution=file.resolution, origin=file.origin, yaw=grid.yaw)
+        first = image.in_cells(grid.origin)
     by_row, by_column = (
-        shares(cells, grid.resolution / pixel, (start - begin) / pixel, pixels)
-        for cells, pixel, start, begin, pixels in zip(
-            (grid.height, grid.width),
-            resolution,
-            reversed(grid.origin),
-            reversed(origin),
-            probability.shape,
+        shares(cells, grid.resolution / pixel, begin, pixels)
+        for cells, pixel, begin, pixels in zip(
+            (grid.height, grid.width), resolution, reversed(first), probability.shape
         )
     )
     covered = by_row @ ~np.isnan(probability) @ by_column.T

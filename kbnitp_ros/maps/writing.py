@@ -43,7 +43,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
         'image': image.name,
         'mode': 'scale',
         'resolution': grid.resolution,
-        'origin': [*grid.origin, 0.0],
+        'origin': [*grid.origin, grid.yaw],
         'negate': 0,
         'occupied_thresh': 1.0,
         'free_thresh': 0.0,

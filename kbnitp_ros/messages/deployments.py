@@ -13,6 +13,7 @@ from itertools import count
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
+from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import (
     check_frame,
     from_stamp,
@@ -46,7 +47,7 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TO
     Parameters
     ----------
     grid : Grid
-        Where the cells' centres are.
+        Where the cells' centres are; the poses are turned as its rows are.
     cells : array_like of int, shape (steps + 1,)
         The path, the base first and last.
     stamp : int
@@ -55,15 +56,17 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TO
         When the mission began, in nanoseconds.
 
     """
-    from geometry_msgs.msg import PoseStamped
+    from geometry_msgs.msg import PoseStamped, Quaternion
     from nav_msgs.msg import Path
 
     begun = header(mission or stamp)
     positions = grid.centers(cells).tolist()
+    orientation = Quaternion(**vars(orientation_fields(grid.yaw)))
     poses = [PoseStamped() for _ in positions]
     for each, (x, y) in zip(poses, positions):
         each.header = begun
         each.pose.position.x, each.pose.position.y = x, y
+        each.pose.orientation = orientation
     return Path(header=header(stamp), poses=poses)
 
 

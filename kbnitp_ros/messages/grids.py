@@ -4,12 +4,12 @@ What a grid message means, said once.
 
 Cells are in row-major order, row 0 at the bottom, as in the core. A probability is shown as whole
 percent, 0 to 100; a cell that no robot can enter is -1. The origin is the lower-left corner of
-cell 0 and is never rotated.
+cell 0, turned about the z axis as the rows are.
 """
 
 from __future__ import annotations
 
-from math import isfinite
+from math import atan2, cos, hypot, isfinite, pi, remainder, sin, tau
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Grid
@@ -23,10 +23,28 @@ if TYPE_CHECKING:
 
 UNKNOWN = -1
 
+# How far a quaternion may be from length 1, as tf2 has it.
+UNIT = 1e-2
+
+# A micrometre at a thousand kilometres. A quaternion tells an angle to some 1e-16 rad.
+YAW_DECIMALS = 12
+
 
 def told_resolution(resolution: float) -> float:
     """Return a cell's side in metres as messages, which have a float32, tell it: 0.1 as 0.1."""
     return float(str(np.float32(resolution)))
+
+
+def told_yaw(yaw: float) -> float:
+    """Return an angle in rad as messages, which have a quaternion, tell it: in (-pi, pi]."""
+    told = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
+    # Either half turn is the same, and is rounded to more than pi.
+    return abs(told) if abs(told) > pi else told
+
+
+def orientation_fields(yaw: float) -> Fields:
+    """Return the fields of the geometry_msgs/Quaternion of an angle about the z axis, in rad."""
+    return Fields(x=0.0, y=0.0, z=sin(yaw / 2), w=cos(yaw / 2))
 
 
 def metadata_fields(grid: Grid) -> Fields:
@@ -37,9 +55,7 @@ def metadata_fields(grid: Grid) -> Fields:
         resolution=float(np.float32(grid.resolution)),
         width=grid.width,
         height=grid.height,
-        origin=Fields(
-            position=Fields(x=x, y=y, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0)
-        ),
+        origin=Fields(position=Fields(x=x, y=y, z=0.0), orientation=orientation_fields(grid.yaw)),
     )
 
 
@@ -57,7 +73,8 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
     Raises
     ------
     ValueError
-        If a value is not finite, the origin is rotated, or there is no such grid.
+        If a value is not finite, the origin is turned about another axis than z, or there is no
+        such grid.
 
     """
     origin = info.origin
@@ -69,14 +86,20 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
     for name, value in numbers.items():
         if not isfinite(value):
             raise ValueError(f'{name} is {value}: it must be finite, in metres')
-    rotation = (origin.orientation.x, origin.orientation.y, origin.orientation.z)
-    if any(rotation):
-        raise ValueError(f'info.origin.orientation has x, y, z = {rotation}: it must be 0, 0, 0')
+    turn = origin.orientation
+    # Who does not turn the origin may leave all four at 0.
+    is_turned = turn.z != 0.0
+    if turn.x or turn.y or (is_turned and not abs(hypot(turn.z, turn.w) - 1.0) < UNIT):
+        raise ValueError(
+            f'info.origin.orientation has x, y, z, w = {(turn.x, turn.y, turn.z, turn.w)}: it '
+            'must be a unit quaternion with x and y 0, a turn about the z axis'
+        )
     return Grid(
         width=info.width,
         height=info.height,
         resolution=told_resolution(info.resolution),
         origin=(origin.position.x, origin.position.y),
+        yaw=told_yaw(2.0 * atan2(turn.z, turn.w)) if is_turned else 0.0,
         **rest,
     )
 
@@ -132,7 +155,9 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
     return np.where(percent == UNKNOWN, np.nan, percent / 100.0)
 
 
-def read_map_message(message: Any) -> tuple[NDArray[np.int8], float, tuple[float, float]]:
+def read_map_message(
+    message: Any,
+) -> tuple[NDArray[np.int8], float, tuple[float, float], float]:
     """
     Return the map of the field that a nav_msgs/OccupancyGrid shows, such as map_server's.
 
@@ -144,6 +169,8 @@ def read_map_message(message: Any) -> tuple[NDArray[np.int8], float, tuple[float
         Side of a pixel in metres.
     origin : tuple of float
         Lower-left corner of the map in metres.
+    yaw : float
+        How its rows are turned, in rad.
 
     Raises
     ------
@@ -155,7 +182,7 @@ def read_map_message(message: Any) -> tuple[NDArray[np.int8], float, tuple[float
     check_frame('header.frame_id', message.header.frame_id)
     pixels = read_map_metadata(message.info)
     data = _data(message, pixels).reshape(pixels.height, pixels.width)
-    return data, pixels.resolution, pixels.origin
+    return data, pixels.resolution, pixels.origin, pixels.yaw
 
 
 def _data(message: Any, grid: Grid) -> NDArray[np.int8]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import header
 from tf2_msgs.msg import TFMessage
 
@@ -16,7 +17,7 @@ def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
     Parameters
     ----------
     grid : Grid
-        Where the cell's centre is.
+        Where the cell's centre is; the robot is turned as its rows are.
     agent : str
         Whose robot it is.
     cell : int
@@ -26,7 +27,9 @@ def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
 
     """
     ((x, y),) = grid.centers([cell]).tolist()
-    transform = Transform(translation=Vector3(x=x, y=y), rotation=Quaternion(w=1.0))
+    transform = Transform(
+        translation=Vector3(x=x, y=y), rotation=Quaternion(**vars(orientation_fields(grid.yaw)))
+    )
     return TFMessage(
         transforms=[
             TransformStamped(

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from math import ceil, cos, hypot, sin
+from math import ceil, hypot
 import time
 from typing import Any
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import header, shown
 from kbnitp_ros.nodes.lifecycle import Lifecycle, PERIOD
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
@@ -74,7 +75,7 @@ def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
             header=header(stamp),
             pose=Pose(
                 position=Point(x=x, y=y),
-                orientation=Quaternion(z=sin(yaw / 2), w=cos(yaw / 2)),
+                orientation=Quaternion(**vars(orientation_fields(yaw))),
             ),
         )
         for (x, y), yaw in zip(points.tolist(), [*directions[:1], *directions])

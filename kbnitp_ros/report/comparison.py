@@ -34,6 +34,7 @@ def check_one_field(first: Mission, second: Mission) -> None:
     fields = [
         f'{grid.width}x{grid.height} cells of {grid.resolution:g} m from '
         f'({grid.origin[0]:g}, {grid.origin[1]:g})'
+        + (f', turned by {grid.yaw:g} rad' if grid.yaw else '')
         for grid in (first.grid, second.grid)
     ]
     if fields[0] != fields[1]:

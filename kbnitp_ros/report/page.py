@@ -20,7 +20,15 @@ from kbnitp_ros.report.answers import findings_of, losses_of, used_up_at, used_u
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
 from kbnitp_ros.report.mission import counted, Mission
-from kbnitp_ros.report.plots import cell_plot, curve_plots, map_plot, OBSTACLE, TRACES, WALKS
+from kbnitp_ros.report.plots import (
+    as_drawn,
+    cell_plot,
+    curve_plots,
+    map_plot,
+    OBSTACLE,
+    TRACES,
+    WALKS,
+)
 from kbnitp_ros.report.tables import rows
 from kbnitp_ros.report.tiles import Tile, tiles_of
 import numpy as np
@@ -322,12 +330,18 @@ def data_of(
 
 def field_of(grid: Grid) -> dict[str, Any]:
     """Return what a page is to know of the field."""
+    corner, along, across = grid.in_metres([(0, 0), (1, 0), (0, 1)])
+    x, y = as_drawn(grid).origin
     return {
         'width': grid.width,
         'height': grid.height,
         'resolution': grid.resolution,
-        'x': grid.origin[0],
-        'y': grid.origin[1],
+        # Of the corner as it is drawn, and of that and a step along and across in the frame.
+        'x': x,
+        'y': y,
+        'corner': corner.tolist(),
+        'along': (along - corner).tolist(),
+        'across': (across - corner).tolist(),
         'bases': sorted(grid.bases),
         'blocked': sorted(grid.blocked),
     }

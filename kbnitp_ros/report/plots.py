@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from html import escape
-from math import isnan
+from math import cos, isnan, pi, sin
+from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES
@@ -27,6 +29,9 @@ WALKS = {
 
 # Of cells that no robot can enter: on light paper and on a dark screen.
 OBSTACLE = '#808080'
+
+# Of the arrows that tell how a map is turned, in pixels: their length, and the room above the map.
+ARROW, ABOVE = 20, 64
 
 # The height of a panel of curves, in pixels.
 PANEL = 280
@@ -54,6 +59,16 @@ def map_plot(
         A way to draw.
 
     """
+    directions = directions_of(grid)
+    place = (
+        'along the rows %{x:.4g} m, across %{y:.4g} m'
+        if grid.yaw
+        else 'x %{x:.4g} m, y %{y:.4g} m'
+    )
+    along, across = (
+        ('along the rows (m)', 'across the rows (m)') if grid.yaw else ('x (m)', 'y (m)')
+    )
+    grid = as_drawn(grid)
     left, right, bottom, top = extent(grid)
     image = np.full(grid.cells, np.nan) if values is None else np.where(grid.free, values, np.nan)
     cells = heatmap(grid, image)
@@ -61,7 +76,7 @@ def map_plot(
         zmin=least,
         zmax=most,
         colorbar={'thickness': 10, 'len': 0.9},
-        hovertemplate='x %{x:.4g} m, y %{y:.4g} m: %{z:.3f}<extra></extra>',
+        hovertemplate=f'{place}: %{{z:.3f}}<extra></extra>',
     )
     lined = {'mode': 'lines', 'x': [], 'y': [], 'hoverinfo': 'skip'}
     marked = {'mode': 'markers', 'x': [], 'y': [], 'hoverinfo': 'skip'}
@@ -108,18 +123,48 @@ def map_plot(
         template='none',
         showlegend=False,
         dragmode=False,
-        margin={'l': 40, 'r': 10, 't': 8, 'b': 36},
-        xaxis={**axis, 'range': [left, right], 'title': {'text': 'x (m)', 'standoff': 4}},
+        margin={'l': 40, 'r': 10, 't': ABOVE if directions else 8, 'b': 36},
+        xaxis={**axis, 'range': [left, right], 'title': {'text': along, 'standoff': 4}},
         yaxis={
             **axis,
             'range': [bottom, top],
-            'title': {'text': 'y (m)', 'standoff': 4},
+            'title': {'text': across, 'standoff': 4},
             'scaleanchor': 'x',
         },
         plot_bgcolor='rgba(0,0,0,0)',
         paper_bgcolor='rgba(0,0,0,0)',
+        annotations=[arrow(name, angle) for name, angle in directions.items()],
     )
     return str(figure.to_json())
+
+
+def as_drawn(grid: Grid) -> Grid:
+    """
+    Return a grid as a page draws it.
+
+    Plotly has no maps that are turned: rows of a turned grid go to the right, and metres count
+    from its corner.
+    """
+    return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
+
+
+def directions_of(grid: Grid) -> dict[str, float]:
+    """Return which ways arrows beside a map point, in rad from the right; none if it is clear."""
+    return {'x': -grid.yaw, 'y': pi / 2 - grid.yaw} if grid.yaw else {}
+
+
+def arrow(name: str, angle: float) -> dict[str, Any]:
+    """Return an arrow above the left edge of a map, its name at its head."""
+    at = {
+        'xref': 'paper',
+        'yref': 'paper',
+        'x': 0,
+        'y': 1,
+        'xshift': ABOVE / 2,
+        'yshift': ABOVE / 2,
+    }
+    head = {'ax': ARROW * cos(angle), 'ay': -ARROW * sin(angle), 'arrowside': 'start'}
+    return {**at, **head, 'text': name, 'arrowcolor': OBSTACLE, 'arrowhead': 2}
 
 
 def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:

@@ -362,6 +362,8 @@ def heading(agent: str, grid: Grid) -> dict[str, Any]:
     blocked = ','.join(map(str, sorted(grid.blocked)))
     field = {name: getattr(grid, name) for name in FIELD}
     field |= {'origin': list(grid.origin), 'blocked': sha256(blocked.encode()).hexdigest()[:16]}
+    if grid.yaw:
+        field['yaw'] = grid.yaw
     return {'journal': VERSION, 'agent': agent, 'grid': field}
 
 

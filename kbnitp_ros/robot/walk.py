@@ -109,7 +109,7 @@ class Walk:
     def _off_middle(self, x: float, y: float) -> float:
         """Return how far a position is from the middle of the cell, along x or y, in its sides."""
         row, col = divmod(self.cell, self.grid.width)
-        place = (np.array([x, y]) - self.grid.origin) / self.grid.resolution - (col, row)
+        place = self.grid.in_cells([x, y]) - (col, row)
         return float(np.abs(place - 0.5).max())
 
     def sees_its_cell(self, x: float, y: float) -> bool:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
 from itertools import groupby
 import json
 from math import hypot
@@ -59,6 +60,9 @@ class Fleet:
         What robots and their detectors are set to.
     lifecycle : bool
         Whether the nodes of Nav2 tell their states.
+    placed : tuple of three float
+        Where the corner of the simulated world lies in the frame map, x and y in metres, and how
+        the world is turned there in rad.
 
     """
 
@@ -72,8 +76,12 @@ class Fleet:
         mission='',
         detection_type='bool',
         lifecycle=True,
+        placed=(0.0, 0.0, 0.0),
     ):
         self.field = field
+        self.grid = replace(GRID, origin=placed[:2], yaw=placed[2])
+        self.parameters = {**FIELD, 'grid.origin': list(placed)}
+        self._placed = placed
         self._lifecycle = lifecycle
         self.names = names
         self._speed = speed
@@ -100,6 +108,7 @@ class Fleet:
             'speed': self._speed,
             'lifecycle': self._lifecycle,
             'wrong': wrong,
+            'placed': self._placed,
             'track': str(self._track),
         }
         file = self.field.folder / 'simulation.json'
@@ -116,7 +125,7 @@ class Fleet:
     def start(self, name='scout_1', remapped=None, **parameters):
         """Start a robot node."""
         given = {
-            **FIELD,
+            **self.parameters,
             'agent': name,
             'await_nodes': ['test'],
             'nav_namespace': name,
@@ -206,7 +215,7 @@ class Fleet:
     def send(self, number, cells, name='scout_1', mission=5):
         """Send a robot along a path that is on disk."""
         key = self.key(number, name)
-        path = path_message(GRID, cells, key.stamp, mission)
+        path = path_message(self.grid, cells, key.stamp, mission)
         self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(path)
         recorded = Recorded(stamp=path.header.stamp, content=content_hash(path))
         self._talker(Recorded, f'/{name}/recorded', qos.EVIDENCE).publish(recorded)

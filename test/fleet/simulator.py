@@ -7,7 +7,8 @@ Robots on differential drives among obstacles, simulated by ir-sim, behind the a
 The configuration is JSON: width, height and blocked of a field of 1 m cells; robots, by namespace,
 the x and y where each begins; targets, the cells where detectors see something; detection_type, as
 the parameter of robots; speed in m/s; lifecycle, whether the nodes of Nav2 tell their states;
-wrong, what is injected at first; and track, the file that the true positions go to. Each robot
+wrong, what is injected at first; placed, where the corner of the simulated world lies in the frame
+map, x, y and yaw; and track, the file that the true positions, in that world, go to. Each robot
 has a world of its own with the same obstacles, since all leave from one base. Its namespace has
 tf, tf_static, detections, the three actions and the states of the nodes that serve them; and
 inject, on which a text tells what is to go wrong with the next goal:
@@ -23,6 +24,7 @@ With an exclamation mark, such as reject!, with all goals until another text com
 
 from __future__ import annotations
 
+from cmath import exp
 from collections import deque
 from functools import partial
 import json
@@ -88,17 +90,33 @@ ACTIONS = {
 }
 
 
+def in_map(placed, x, y):
+    """Return where a point of the simulated world is in the frame map."""
+    begin_x, begin_y, turn = placed
+    at = complex(begin_x, begin_y) + exp(1j * turn) * complex(x, y)
+    return at.real, at.imag
+
+
+def in_world(placed, x, y):
+    """Return where a point of the frame map is in the simulated world."""
+    begin_x, begin_y, turn = placed
+    at = exp(-1j * turn) * (complex(x, y) - complex(begin_x, begin_y))
+    return at.real, at.imag
+
+
 class Goal:
     """What a robot is driving."""
 
-    def __init__(self, handle, kind, wrong):
+    def __init__(self, handle, kind, wrong, placed):
         self.handle = handle
         self.kind = kind
         self.wrong = wrong
         self.begun = time.monotonic()
         request = handle.request
         poses = request.path.poses if kind is FollowPath else request.poses
-        self.points = [(each.pose.position.x, each.pose.position.y) for each in poses]
+        self.points = [
+            in_world(placed, each.pose.position.x, each.pose.position.y) for each in poses
+        ]
 
 
 class Robot:
@@ -198,7 +216,7 @@ class Robot:
         """Drive a goal from now on; the one before is given up for it, as Nav2 does."""
         if self._goal is not None:
             self._end('abort', 'preempted by another goal')
-        self._goal = Goal(handle, kind, self._take_wrong())
+        self._goal = Goal(handle, kind, self._take_wrong(), self._config['placed'])
 
     def _end(self, how, why=''):
         """Say how a goal ended: to rclpy it is executed only now, all at once."""
@@ -260,12 +278,17 @@ class Robot:
         x, y, yaw = self.place
         self._track.write(f'{json.dumps([self._namespace, x, y])}\n')
         self._track.flush()
+        placed = self._config['placed']
+        map_x, map_y = in_map(placed, x, y)
+        map_yaw = yaw + placed[2]
         moved_x, moved_y, turned = ODOM
-        dx, dy = x - moved_x, y - moved_y
+        dx, dy = map_x - moved_x, map_y - moved_y
         seen_x = dx * cos(turned) + dy * sin(turned)
         seen_y = dy * cos(turned) - dx * sin(turned)
         self._tf.publish(self._transform('map', 'odom', moved_x + self._jump, moved_y, turned))
-        self._tf.publish(self._transform('odom', 'base_footprint', seen_x, seen_y, yaw - turned))
+        self._tf.publish(
+            self._transform('odom', 'base_footprint', seen_x, seen_y, map_yaw - turned)
+        )
         cell = int(y) * self._config['width'] + int(x)
         sees = cell in self._config['targets']
         if not self._is_array:

@@ -24,7 +24,14 @@ def random_map(rng):
     """Draw a map of up to 30x30 pixels, a fifth of them unknown or occupied, in clumps."""
     coarse = rng.choice([0, 0, 0, 0, 0, 0, 50, 100, -1], rng.integers(1, 11, 2))
     data = coarse.repeat(rng.integers(1, 4), axis=0).repeat(rng.integers(1, 4), axis=1)
-    return Map(data.astype(np.int8), 0.25, (-3.0, 1.5))
+    yaw = rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
+    return Map(data.astype(np.int8), 0.25, (-3.0, 1.5), yaw)
+
+
+def turned(points, angle):
+    """Return points x, y turned about 0."""
+    at = np.exp(1j * angle) * (points @ (1, 1j))
+    return np.stack([at.real, at.imag], axis=-1)
 
 
 def touched_pixels(field, points):
@@ -32,7 +39,7 @@ def touched_pixels(field, points):
     values = []
     for start, end in pairwise(points):
         along = np.linspace(start, end, 201)
-        pixel = (along - np.array(field.origin)) / field.resolution
+        pixel = turned(along - np.array(field.origin), -field.yaw) / field.resolution
         # A line on the edge of a pixel touches both.
         for nudge in ((-1e-9, -1e-9), (-1e-9, 1e-9), (1e-9, -1e-9), (1e-9, 1e-9)):
             column, row = np.floor(pixel + nudge).astype(int).T
@@ -46,7 +53,8 @@ def random_grid(rng, connectivity, unknown_blocks):
     side = rng.choice([0.25, 0.5, 0.6, 0.75, 1.0])
     while True:
         field = random_map(rng)
-        place = rng.uniform(0, 1, 2) * field.data.shape[::-1] * field.resolution + field.origin
+        size = np.array(field.data.shape[::-1]) * field.resolution
+        place = turned(rng.uniform(0, 1, 2) * size, field.yaw) + field.origin
         try:
             return field, field.grid(side, tuple(place), connectivity, unknown_blocks)
         except MapError:

@@ -20,7 +20,7 @@ READ = IMPORT + 'read_array(pathlib.Path(sys.argv[1]))'
 YAML = """
 image: map.png
 resolution: {resolution}
-origin: [{x}, {y}, 0]
+origin: [{x}, {y}, {yaw}]
 negate: 0
 occupied_thresh: {occupied}
 free_thresh: {free}
@@ -28,11 +28,15 @@ mode: {mode}
 """
 
 
-def write(folder, pixels, resolution=1.0, x=0.0, y=0.0, occupied=1.0, free=0.0, mode='scale'):
+def write(
+    folder, pixels, resolution=1.0, x=0.0, y=0.0, occupied=1.0, free=0.0, mode='scale', yaw=0.0
+):
     Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / 'map.png')
     path = folder / 'map.yaml'
     path.write_text(
-        YAML.format(resolution=resolution, x=x, y=y, occupied=occupied, free=free, mode=mode)
+        YAML.format(
+            resolution=resolution, x=x, y=y, occupied=occupied, free=free, mode=mode, yaw=yaw
+        )
     )
     return path
 
@@ -84,6 +88,25 @@ def test_means_are_weighted_by_area(tmp_path, seed):
             if 0 <= r < fine.shape[0] and 0 <= c < fine.shape[1]
         ]
         assert found[cell] == pytest.approx(np.mean(points) if points else 0.25, abs=1e-6)
+
+
+@for_each('seed', range(30))
+def test_a_map_that_is_turned_with_its_grid_gives_the_same(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, rng.integers(1, 12, 2))
+    yaw, (x, y) = rng.uniform(-np.pi, np.pi), rng.uniform(-2, 2, 2)
+    corner = np.exp(1j * yaw) * complex(x, y)
+    straight = Grid(5, 4, resolution=0.7)
+    turned = Grid(5, 4, resolution=0.7, yaw=yaw)
+    expected = read_probabilities(write(tmp_path, pixels, 0.3, x, y), straight, 0.25)
+    path = write(tmp_path, pixels, 0.3, corner.real, corner.imag, yaw=yaw + 2 * np.pi)
+    assert read_probabilities(path, turned, 0.25) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_map_that_is_turned_otherwise_is_refused(tmp_path):
+    path = write(tmp_path, [[0]], yaw=0.2)
+    with pytest.raises(MapError, match='turned by 0.2 rad, and the field by 0.1.*rows of the fie'):
+        read_probabilities(path, Grid(2, 2, yaw=0.1), 0.5)
 
 
 def test_an_array_lies_over_the_whole_grid(tmp_path):

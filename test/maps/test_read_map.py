@@ -159,6 +159,14 @@ def test_a_coloured_image_counts_by_its_brightness(tmp_path):
     assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[0, 0, 100]]
 
 
+def test_a_turned_map_lies_as_it_says(tmp_path):
+    write(tmp_path, np.full((2, 3), 254))
+    found = read_map(write_yaml(tmp_path, resolution=0.5, origin=[4, -1, 0.3]))
+    assert (found.origin, found.yaw) == ((4.0, -1.0), 0.3)
+    grid = found.grid(unknown_blocks=False)
+    assert (grid.origin, grid.yaw) == ((4.0, -1.0), 0.3)
+
+
 @for_each(
     'changes, message',
     [
@@ -169,7 +177,7 @@ def test_a_coloured_image_counts_by_its_brightness(tmp_path):
         ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
         ({'resolution': None}, 'no resolution'),
         ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
-        ({'origin': [0, 0, 0.1]}, 'origin.*rotated by 0.1'),
+        ({'origin': [0, 0, '.nan']}, 'origin.*finite'),
         ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
         ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
         ({'negate': 2}, 'negate.*2.*0 or 1'),

@@ -2,7 +2,7 @@
 """What a grid message means."""
 
 from array import array
-from math import inf, nan
+from math import inf, nan, pi
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,6 +11,7 @@ from kbnitp_ros.messages.grids import (
     occupancy_grid,
     read_map_metadata,
     read_occupancy_grid,
+    told_yaw,
 )
 from laws import for_each
 from nav_msgs.msg import MapMetaData, OccupancyGrid
@@ -37,6 +38,7 @@ def grids(draw):
         resolution=draw(st.sampled_from([0.05, 0.1, 0.3, 0.7, 1.0, 2.5, 1 / 3, 12.3])),
         origin=(draw(st.floats(-1e6, 1e6)), draw(st.floats(-1e6, 1e6))),
         blocked=blocked,
+        yaw=told_yaw(draw(st.floats(-10.0, 10.0) | st.sampled_from([pi, -pi, pi / 2, 0.0]))),
     )
 
 
@@ -61,12 +63,13 @@ def map_metadata(grid):
 
 @given(grids())
 def test_a_value_is_shown_where_its_cell_lies(grid):
-    """A viewer draws value i of the data at the origin plus (column, row) times the resolution."""
+    """A viewer draws value i of the data at (column, row) times the resolution from the origin."""
     info = over_the_wire(map_metadata(grid))
     row, column = np.divmod(np.arange(grid.cells), info.width)
-    x = info.origin.position.x + (column + 0.5) * info.resolution
-    y = info.origin.position.y + (row + 0.5) * info.resolution
-    assert grid.cells_at(np.stack([x, y], axis=1)).tolist() == list(range(grid.cells))
+    turn = info.origin.orientation
+    along = complex(turn.w, turn.z) ** 2 * (column + 0.5 + 1j * (row + 0.5)) * info.resolution
+    at = complex(info.origin.position.x, info.origin.position.y) + along
+    assert grid.cells_at(np.stack([at.real, at.imag], axis=1)).tolist() == list(range(grid.cells))
 
 
 @for_each(
@@ -109,14 +112,29 @@ def test_probabilities_come_back_to_half_a_percent(grid, seed):
 def test_a_grid_comes_back(grid):
     told = over_the_wire(map_metadata(grid))
     same = read_map_metadata(told, base=grid.base, blocked=grid.blocked)
-    assert (same.width, same.height, same.base, same.blocked, same.origin) == (
+    assert (same.width, same.height, same.base, same.blocked, same.origin, same.yaw) == (
         grid.width,
         grid.height,
         grid.base,
         grid.blocked,
         grid.origin,
+        grid.yaw,
     )
     assert same.resolution == pytest.approx(grid.resolution, rel=1e-7)
+
+
+@given(st.floats(-1e3, 1e3))
+def test_an_angle_is_told_to_a_part_of_a_million_million(yaw):
+    told = told_yaw(yaw)
+    assert -pi < told < pi + 1e-11
+    assert abs(np.exp(1j * told) - np.exp(1j * yaw)) < 1e-11
+    assert told_yaw(told) == told
+
+
+def test_an_orientation_that_nobody_set_is_no_turn():
+    info = MapMetaData(resolution=1.0, width=1, height=1)
+    info.origin.orientation.w = 0.0
+    assert read_map_metadata(info) == Grid(1, 1)
 
 
 @for_each('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
@@ -158,8 +176,10 @@ def test_the_map_to_be_spoiled_can_be_read():
         ('info.resolution', -1.0, 'resolution is -1.0: it must be positive'),
         ('info.origin.position.x', nan, 'info.origin.position.x is nan: it must be finite'),
         ('info.origin.position.y', -inf, 'info.origin.position.y is -inf: it must be finite'),
-        ('info.origin.orientation.z', 0.7, 'info.origin.orientation has x, y, z = .* 0.7'),
-        ('info.origin.orientation.x', nan, 'info.origin.orientation has x, y, z = .*nan'),
+        ('info.origin.orientation.z', 0.7, 'info.origin.orientation has x, y, z, w = .* 0.7, 1.0'),
+        ('info.origin.orientation.z', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
+        ('info.origin.orientation.y', 0.1, 'info.origin.orientation.*a turn about the z axis'),
+        ('info.origin.orientation.x', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
         ('info.width', 0, 'grid width is 0: it must be a whole number at least 1'),
         ('info.width', 3, r'data has 4 values: it must have width \* height = 3 \* 2 = 6'),
         ('info.height', 1, r'data has 4 values: it must have width \* height = 2 \* 1 = 2'),

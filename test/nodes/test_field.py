@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from array import array
+from cmath import exp
 from copy import deepcopy
 from dataclasses import replace
 from itertools import product
+from math import cos, sin
 
 from extent import some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
@@ -18,6 +20,7 @@ from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import pytest
+from tf2_msgs.msg import TFMessage
 from unbroken import core_mission
 
 # Seen from above, at 0.5 m a pixel: # is occupied, ? unknown.
@@ -78,7 +81,8 @@ def served(file):
     message.info.height, message.info.width = read.data.shape
     message.info.resolution = read.resolution
     message.info.origin.position.x, message.info.origin.position.y = read.origin
-    message.info.origin.orientation.w = 1.0
+    message.info.origin.orientation.z = sin(read.yaw / 2)
+    message.info.origin.orientation.w = cos(read.yaw / 2)
     message.data = array('b', read.data.tobytes())
     return message
 
@@ -121,14 +125,14 @@ BAD_MAPS = {
 }
 
 
-def assert_is_mission_on_the_map(parameters, paths, reports, beliefs):
+def assert_is_mission_on_the_map(parameters, paths, reports, beliefs, grid=GRID):
     """See that a mission's messages are those that core makes on the grid."""
     expected = core_mission(parameters)
     assert len(paths) == len(reports) == len(expected)
     for path, belief, deployment in zip(paths, beliefs[1:], expected):
         snapshot = read_belief_maps(belief)
-        assert snapshot.grid == GRID
-        assert read_path(GRID, 'scout_1', path)[1].tolist() == deployment.plan.path.tolist()
+        assert snapshot.grid == grid
+        assert read_path(grid, 'scout_1', path)[1].tolist() == deployment.plan.path.tolist()
         assert snapshot.belief.joint.tobytes() == deployment.belief.joint.tobytes()
 
 
@@ -172,6 +176,40 @@ def test_a_mission_on_a_map_that_is_served(field, file):
     server.publish(served(file))
     until_over(field, messages)
     assert_is_mission_on_the_map({**PARAMETERS, 'map': str(file)}, *messages)
+
+
+def test_a_mission_on_a_map_that_is_turned(field, file):
+    """Its cells, and so all beliefs, are those of the straight map; positions turn with it."""
+    straight = {**PARAMETERS, 'map': str(file)}
+    turn, begin = 0.7, complex(-2.0, 3.0)
+    base = begin + exp(1j * turn) * 0.5 * (1 + 1j)
+    turned = file.with_name('turned.yaml')
+    turned.write_text(YAML.replace('3.0, 0.0]', f'3.0, {turn}]'))
+    log = field.folder / 'mission.mcap'
+    messages = heard(field)
+    shown = field.listen(OccupancyGrid, '/m/belief/hazard')
+    poses = field.listen(TFMessage, '/tf', volatile=True)
+    parameters = {
+        **PARAMETERS,
+        'grid.base_position': [base.real, base.imag],
+        'map_topic': 'map',
+        'publish_pose': True,
+    }
+    field.start_mission(parameters, '/m', log)
+    field.talk(OccupancyGrid, '/m/map', qos.LATCHED).publish(served(turned))
+    until_over(field, messages)
+    assert_is_mission_on_the_map(straight, *messages, grid=replace(GRID, yaw=turn))
+    orientations = [
+        shown[-1].info.origin.orientation,
+        poses[-1].transforms[0].transform.rotation,
+        messages[0][-1].poses[0].pose.orientation,
+    ]
+    for each in orientations:
+        assert complex(each.w, each.z) ** 2 == pytest.approx(exp(1j * turn))
+    x, y = (getattr(messages[0][0].poses[0].pose.position, axis) for axis in 'xy')
+    assert complex(x, y) == pytest.approx(base)
+    assert set(field.processes.stop().values()) == {0}
+    assert replay(log).reproduced
 
 
 def test_a_map_that_changes_changes_no_mission(field, file):

@@ -29,6 +29,17 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
     assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
+def test_a_robot_walks_a_turned_field(field):
+    fleet = Fleet(field, placed=(40.0, -7.0, 2.1))
+    reports = fleet.reports()
+    fleet.simulate()
+    fleet.start(driver='navigate_through_poses')
+    report = fleet.report_of(reports, fleet.send(1, ROUND))
+    assert [cell for cell, _ in report.readings] == ROUND[1:]
+    fleet.see_that_it_is_true(report)
+    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
+
+
 def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
     fleet = Fleet(field, detection_type='detection2d_array')
     reports = fleet.reports()

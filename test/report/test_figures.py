@@ -6,13 +6,14 @@ import json
 
 from colorspacious import cspace_convert, deltaE
 from kbnitp_ros.core import Belief, Grid, Unknowns
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, MAPS, plot, save, SERIES
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SERIES
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.maps_figure import maps_figure
 from kbnitp_ros.report.plots import curve_plots
 from kbnitp_ros.report.progress_figure import draw_number, progress_figure
 from laws import for_each
 from legible import as_seen, check_lines, check_texts, VISIONS
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 import mission_log
@@ -44,6 +45,24 @@ def test_cells_that_nobody_visited_are_hatched(mission):
             light, dark = (patch for patch in axes.patches if patch.get_hatch())
             for hatched in (light, dark):
                 assert len(hatched.get_path().vertices) == 5 * unvisited
+
+
+def test_a_turned_field_is_drawn_where_it_lies():
+    """The colour at the centre of each cell, wherever that is, is that of its value."""
+    grid = Grid(6, 4, 8, 0.5, (20.0, -7.0), blocked=[15], yaw=0.6)
+    values = np.random.default_rng(3).random(grid.cells)
+    figure = Figure(dpi=200)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    draw_map(axes, grid, values, MAPS['hazard'], 'hazard')
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())
+    column, row = axes.transData.transform(grid.centers(np.arange(grid.cells))).astype(int).T
+    seen = picture[picture.shape[0] - 1 - row, column] / 255
+    told = axes.images[0].cmap(values)
+    shown = np.delete(np.arange(grid.cells), [grid.base, 15])
+    assert seen[shown] == pytest.approx(told[shown], abs=0.01)
+    assert seen[15, :3] == pytest.approx(0.6, abs=0.01)
 
 
 def test_every_path_is_drawn(mission):

@@ -2,6 +2,7 @@
 """The page of a mission in a real browser: what it shows is what is in the log, for everybody."""
 
 import csv
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -224,6 +225,36 @@ def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, sho
         'document.getElementById("cell-plot").data[1].y[0] !== undefined'
         ' && document.getElementById("column").value === "0"'
     )
+
+
+def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_path):
+    grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
+    mission = read_mission(single(tmp_path / 'mission.mcap', 8, grid=grid))
+    file = tmp_path / 'report.html'
+    file.write_text(page_of(mission, curves_of(mission))[0])
+    page = opened(file=file)
+    page.locator('#row').fill('2')
+    page.locator('#row').press('Enter')
+    cell = 2 * grid.width + int(page.locator('#column').input_value())
+    x, y = (float(f'{each:.6g}') for each in grid.centers([cell])[0])
+    page.wait_for_function(
+        f'document.getElementById("cell").textContent.includes("At x {x:g} m, y {y:g} m")'
+    )
+    drawn = page.evaluate('document.getElementById("hazard").layout')
+    assert (drawn['xaxis']['range'], drawn['yaxis']['range']) == (
+        [0, grid.width * grid.resolution],
+        [0, grid.height * grid.resolution],
+    )
+    assert drawn['xaxis']['title']['text'] == 'along the rows (m)'
+    # The arrows of the frame's axes point where those are among rows and columns; pixels go down.
+    arrows = {each['text']: complex(each['ax'], -each['ay']) for each in drawn['annotations']}
+    for name, axis in (('x', 1.0), ('y', 1j)):
+        assert arrows[name] / abs(arrows[name]) == pytest.approx(axis * np.exp(-0.7j))
+    (square,) = page.evaluate(
+        'document.getElementById("hazard").data.filter((each) => each.marker?.symbol === "square")'
+    )
+    row, column = divmod(grid.base, grid.width)
+    assert (square['x'][0], square['y'][0]) == (column + 0.5, row + 0.5)
 
 
 def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):

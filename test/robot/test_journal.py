@@ -116,7 +116,8 @@ def test_a_journal_of_another_robot_is_refused_by_name(tmp_path):
 def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_path):
     path = tmp_path / 'journal'
     kept = []
-    for number, grid in enumerate((GRID, Grid(5, 3, blocked=[5]), Grid(4, 3, blocked=[6]))):
+    fields = (GRID, Grid(5, 3, blocked=[5]), Grid(4, 3, blocked=[6]), Grid(4, 3, yaw=0.1))
+    for number, grid in enumerate(fields):
         journal = opened(path, grid=grid)
         assert not journal.deployments
         assert {each.read_bytes() for each in tmp_path.glob('7/*')} == set(kept)

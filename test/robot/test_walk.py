@@ -46,3 +46,25 @@ def test_a_robot_that_was_not_seen_for_long_enough_has_made_its_way():
                 walk.follow(5.5, 0.5, time)
         assert walk.cell == 5
         assert bool(walk.doubt) == is_doubted
+
+
+@for_each('seed', range(20))
+def test_a_walk_in_a_turned_field_is_the_same(seed):
+    rng = np.random.default_rng(seed)
+    yaw, corner = rng.uniform(-np.pi, np.pi), complex(*rng.uniform(-50, 50, 2))
+    steps = rng.uniform(-0.4, 0.4, (200, 2))
+    places = np.clip(10.5 + steps.cumsum(axis=0), 0.1, 19.9)
+    moved = corner + np.exp(1j * yaw) * (places @ (1, 1j))
+    turned = Grid(20, 20, origin=(corner.real, corner.imag), yaw=yaw)
+    walks = [Walk(grid, 210, PATIENCE) for grid in (GRID, turned)]
+    been = set()
+    for number, at in enumerate(moved):
+        x, y = places[number]
+        ways = [
+            walk.follow(*place, number * TICK)
+            for walk, place in zip(walks, [(x, y), (at.real, at.imag)])
+        ]
+        assert ways[0] == ways[1]
+        been |= set(ways[0])
+        assert walks[0].sees_its_cell(x, y) == walks[1].sees_its_cell(at.real, at.imag)
+    assert len(been) > 1

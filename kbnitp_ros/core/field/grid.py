@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite, sqrt
+from math import cos, isfinite, sin, sqrt
 
 from kbnitp_ros.core.field.check import whole_number
 from kbnitp_ros.core.field.observation import as_path
@@ -25,7 +25,16 @@ ROUNDING = 1e-9
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
 # What a text shows of a grid, and how many of its blocked cells.
-TOLD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
+TOLD = (
+    'width',
+    'height',
+    'base',
+    'resolution',
+    'origin',
+    'yaw',
+    'connectivity',
+    'through_corners',
+)
 SHOWN = 8
 
 
@@ -35,11 +44,12 @@ class Grid:
     A rectangle of square cells with a base that robots leave from and return to.
 
     Cells are numbered ``row * width + col``, row 0 at the bottom, as in nav_msgs/OccupancyGrid.
+    The rows and columns may be turned in the frame that positions are told in.
 
     Parameters
     ----------
     width, height : int
-        Cells along x and y, at least 1 each.
+        Cells in a row and in a column, at least 1 each.
     base : int
         The cell that paths start and end in; free, and free of hazard.
     resolution : float
@@ -56,12 +66,14 @@ class Grid:
     other_bases : iterable of int
         The bases of robots that have one of their own (`at`), as free as `base` and as free of
         hazard.
+    yaw : float
+        The angle from the frame's x axis to the rows, counterclockwise, in rad.
 
     Raises
     ------
     ValueError
-        If a size, a base, the resolution, the origin, a blocked cell or the connectivity is not
-        as above.
+        If a size, a base, the resolution, the origin, a blocked cell, the connectivity or the
+        yaw is not as above.
 
     """
 
@@ -74,6 +86,7 @@ class Grid:
     connectivity: int = 8
     through_corners: bool = True
     other_bases: Iterable[int] = ()
+    yaw: float = 0.0
 
     def __post_init__(self) -> None:
         width = whole_number('grid width', self.width, 1)
@@ -101,6 +114,8 @@ class Grid:
             )
         if self.connectivity not in (4, 8):
             raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
+        if not isfinite(self.yaw):
+            raise ValueError(f'yaw is {self.yaw}: it must be finite, in rad')
         for name, value in (
             ('width', width),
             ('height', height),
@@ -109,6 +124,7 @@ class Grid:
             ('origin', origin),
             ('blocked', blocked),
             ('other_bases', frozenset(others) - {base}),
+            ('yaw', float(self.yaw)),
         ):
             object.__setattr__(self, name, value)
 
@@ -362,12 +378,51 @@ class Grid:
         base = int(cells[0])
         return (self.at(base) if base in self.bases else self).check_path(cells)
 
+    def in_metres(self, places: ArrayLike) -> NDArray[np.float64]:
+        """
+        Return where points of the grid lie in the frame.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 2)
+            Column and row, real numbers: (0, 0) is the lower-left corner of cell 0, and (0.5, 0.5)
+            its centre.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            x and y in metres.
+
+        """
+        points: NDArray[np.float64] = turned(
+            np.asarray(places) * self.resolution, self.yaw
+        ) + np.array(self.origin)
+        return points
+
+    def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
+        """
+        Return where points of the frame lie in the grid; the inverse of `in_metres`.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., 2)
+            x and y in metres.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Column and row, real numbers; they may lie beyond the grid.
+
+        """
+        places: NDArray[np.float64] = (
+            turned(np.asarray(points) - np.array(self.origin), -self.yaw) / self.resolution
+        )
+        return places
+
     def centers(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres of `cells`, shape (n,), in metres, as x and y, shape (n, 2)."""
         row, col = np.divmod(np.asarray(cells), self.width)
-        place = np.stack([col, row], axis=-1) + 0.5
-        centers: NDArray[np.float64] = place * self.resolution + np.array(self.origin)
-        return centers
+        return self.in_metres(np.stack([col, row], axis=-1) + 0.5)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """
@@ -388,13 +443,14 @@ class Grid:
         if array.ndim != 2 or array.shape[1] != 2:
             raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')
         with np.errstate(invalid='ignore', over='ignore'):
-            place = np.floor((array - np.array(self.origin)) / self.resolution)
+            place = np.floor(self.in_cells(array))
             inside = ((place >= 0) & (place < (self.width, self.height))).all(axis=1)
         if not inside.all():
             x, y = array[np.argmin(inside)]
+            turn = f', turned by {self.yaw} rad' if self.yaw else ''
             raise ValueError(
                 f'point ({x}, {y}) is outside the grid of {self.width} x {self.height} cells of '
-                f'{self.resolution} m from {self.origin}'
+                f'{self.resolution} m from {self.origin}{turn}'
             )
         cells: NDArray[np.intp] = place.astype(np.intp) @ (1, self.width)
         return cells
@@ -403,3 +459,10 @@ class Grid:
 def longest(max_distance: float) -> float:
     """Return the greatest sum of step lengths within a distance allowed, both in metres."""
     return max_distance * (1.0 + ROUNDING)
+
+
+def turned(vectors: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """Return vectors x, y, shape (..., 2), turned counterclockwise by an angle in rad."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    c, s = cos(angle), sin(angle)
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)

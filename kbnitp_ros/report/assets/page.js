@@ -29,10 +29,17 @@ async function start() {
   let isNamed = false;
 
   const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
+  // Where a cell is drawn, and where it lies in the frame of the map: rows of a turned field are drawn to the right.
   const center = (each) => [
     mission.grid.x + (each % width + 0.5) * mission.grid.resolution,
     mission.grid.y + (Math.floor(each / width) + 0.5) * mission.grid.resolution,
   ];
+
+  function position(each) {
+    const { corner, along, across } = mission.grid;
+    return corner.map((begin, place) => begin + (each % width + 0.5) * along[place]
+      + (Math.floor(each / width) + 0.5) * across[place]);
+  }
 
   function map(moment, name) {
     const rows = [];
@@ -132,7 +139,7 @@ async function start() {
       + `${mission.truth.target[cell] ? 'a target' : 'no target'}.` : '';
     const first = mission.visited[cell];
     const visited = first >= 0 && first <= now ? '' : ' No robot was sent here so far.';
-    const [x, y] = center(cell).map((each) => Number(each.toPrecision(6)));
+    const [x, y] = position(cell).map((each) => Number(each.toPrecision(6)));
     const told = blocked.has(cell) ? 'blocked, no robot can enter.' : `${values}.${truth}${visited}`;
     page('cell').textContent = `At x ${x} m, y ${y} m: ${told}`;
   }

@@ -195,6 +195,44 @@ def test_a_center_is_in_its_cell_wherever_a_grid_may_lie(resolution, origin, cel
         assert grid.cells_at(grid.centers([cell])).tolist() == [cell]
 
 
+@given(
+    st.floats(-10.0, 10.0),
+    st.floats(0.01, 100.0),
+    st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
+)
+def test_cells_follow_rows_that_are_turned(yaw, resolution, origin):
+    """A turn is a product of complex numbers."""
+    grid = Grid(4, 3, resolution=resolution, origin=origin, yaw=yaw)
+    row, column = np.divmod(np.arange(12), 4)
+    along = np.exp(1j * yaw) * resolution * (column + 0.5 + 1j * (row + 0.5))
+    expected = complex(*origin) + along
+    centers = grid.centers(np.arange(12))
+    assert np.abs(centers @ (1, 1j) - expected).max() <= 1e-9
+    assert grid.cells_at(np.stack([expected.real, expected.imag], axis=1)).tolist() == [*range(12)]
+    places = np.stack([column, row], axis=1) + 0.5
+    assert grid.in_cells(centers) == pytest.approx(places, abs=1e-6)
+    assert grid.in_metres(grid.in_cells(centers)) == pytest.approx(centers, abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_without_a_turn_positions_are_the_same_to_the_bit(seed):
+    rng = np.random.default_rng(seed)
+    resolution, origin = float(rng.uniform(1e-3, 10)), tuple(rng.uniform(-1e4, 1e4, 2).tolist())
+    grid = Grid(40, 30, resolution=resolution, origin=origin)
+    row, column = np.divmod(np.arange(grid.cells), 40)
+    place = np.stack([column, row], axis=-1) + 0.5
+    assert grid.centers(np.arange(grid.cells)).tobytes() == (place * resolution + origin).tobytes()
+    points = rng.uniform(-1e4, 1e4, (100, 2))
+    assert grid.in_cells(points).tobytes() == ((points - origin) / resolution).tobytes()
+
+
+def test_a_point_outside_a_turned_grid_is_refused_with_the_turn():
+    grid = Grid(4, 3, yaw=np.pi / 2)
+    assert grid.cells_at([(-0.5, 3.5)]).tolist() == [3]
+    with pytest.raises(ValueError, match='outside the grid.*turned by 1.57'):
+        grid.cells_at([(0.5, 0.5)])
+
+
 def test_grids_compare_and_cannot_be_changed():
     grid = Grid(4, 3, base=2, blocked=[7, 5])
     assert grid == Grid(4, 3, base=2, blocked=(5, 7))
@@ -261,8 +299,8 @@ def test_the_longest_path_has_max_steps_moves():
 def test_a_grid_is_told_in_a_line_however_much_of_it_is_blocked():
     few, many = Grid(3, 2, base=4, blocked=(2, 0)), Grid(90, 90, blocked=range(1, 6000, 2))
     assert str(few) == (
-        'Grid(width=3, height=2, base=4, resolution=1.0, origin=(0.0, 0.0), connectivity=8, '
-        'through_corners=True, blocked=[0, 2])'
+        'Grid(width=3, height=2, base=4, resolution=1.0, origin=(0.0, 0.0), yaw=0.0, '
+        'connectivity=8, through_corners=True, blocked=[0, 2])'
     )
     assert str(many).endswith('blocked=[1, 3, 5, 7, 9, 11, 13, 15, ... 3000 in all])')
     assert str(Grid(4, 4)).endswith('blocked=[])')
