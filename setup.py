@@ -27,7 +27,7 @@ if {'bdist_wheel', 'dist_info', 'editable_wheel'} & set(sys.argv):
 
 shown = ['matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
 studies = ['joblib', 'threadpoolctl']
-logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'zstandard']
+logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'pyproj', 'zstandard']
 
 setup(
     name=package_name,

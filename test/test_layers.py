@@ -49,7 +49,7 @@ BELOW = {
         'core.planning.teams',
     },
     'messages': {'core'},
-    'maps': {'files', 'core'},
+    'maps': {'files', 'plugins', 'core'},
     'bag': {'files'},
     'log': {'core', 'messages', 'bag'},
     'robot': {'files', 'core', 'messages'},

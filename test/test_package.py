@@ -40,6 +40,7 @@ PYTHON_PACKAGES = {
     'plotly': (None, 'plotly'),
     'pyagrum': (None, 'pyagrum'),
     'pyarrow': (None, 'pyarrow'),
+    'pyproj': ('python3-pyproj', 'pyproj'),
     'pytest': ('python3-pytest', 'pytest'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'threadpoolctl': (None, 'threadpoolctl'),

@@ -10,6 +10,7 @@ from kbnitp_ros.configuration.agents import (
     robot_types_of,
     value_for,
 )
+from kbnitp_ros.configuration.datum import datum_of
 from kbnitp_ros.configuration.estimator import estimator_of
 from kbnitp_ros.configuration.field import grid_of
 from kbnitp_ros.configuration.goal import check_goal, goal_of, stop_of
@@ -59,6 +60,7 @@ __all__ = [
     'check_own',
     'check_search',
     'clustering_of',
+    'datum_of',
     'dynamics_of',
     'estimator_of',
     'execution_of',

@@ -101,6 +101,15 @@ TABLE = (
         GRID,
         element=float,
     ),
+    Parameter(
+        'datum',
+        (),
+        'Latitude and longitude of the origin of the frame map, WGS84 in degrees, and the angle '
+        'from east to its x axis, counterclockwise, in rad, as for robot_localization; empty for '
+        'none.',
+        ('estimator', 'robot'),
+        element=float,
+    ),
     Parameter('grid.blocked', (), 'Cells that no robot can enter.', GRID, element=int),
     Parameter(
         'grid.connectivity',

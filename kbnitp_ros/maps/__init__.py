@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps as map_server reads them, and the grids and prior beliefs made of them."""
 
+from kbnitp_ros.maps.datum import Datum
 from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.files import MOST_PIXELS, read_map
 from kbnitp_ros.maps.occupancy import Map
 from kbnitp_ros.maps.prior import read_probabilities
+from kbnitp_ros.maps.site import read_site, Site
 from kbnitp_ros.maps.writing import levels_of, write_probabilities
 
 __all__ = [
     'MOST_PIXELS',
+    'Datum',
     'Map',
     'MapError',
+    'Site',
     'levels_of',
     'read_map',
     'read_probabilities',
+    'read_site',
     'write_probabilities',
 ]

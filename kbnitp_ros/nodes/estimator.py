@@ -14,6 +14,7 @@ from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.base.clustered_density import density_note
 from kbnitp_ros.configuration import (
     agents_of,
+    datum_of,
     estimator_of,
     MOST_AGENTS,
     robot_types_of,
@@ -54,6 +55,8 @@ class EstimatorNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('estimator')
+        # The report reads it in the log: what is wrong is said before the mission.
+        datum_of(self.values)
         estimator = estimator_of(self.values, self.grid)
         robot_types = {
             agent: robot_type

@@ -37,6 +37,8 @@ class Finding:
         That there is one, in [0, 1].
     looks, seen : int
         How many readings were taken in the cell, and how many of these reported a target.
+    latitude, longitude : float or None
+        Where its centre is on the earth, WGS84 in degrees; None without a datum.
 
     """
 
@@ -47,6 +49,8 @@ class Finding:
     probability: float
     looks: int
     seen: int
+    latitude: float | None
+    longitude: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +94,18 @@ def findings_of(mission: Mission) -> list[Finding]:
         *(('target', cell, each.probability) for cell, each in known.items()),
         *(('hazard', cell, float(belief.hazard[cell])) for cell in suspected),
     ]
-    centers = grid.centers(np.arange(grid.cells)).tolist()
+    listed = sorted(
+        (each for each in found if each[2] >= LISTED), key=lambda each: (-each[2], each[:2])
+    )
+    centers = grid.centers([cell for _, cell, _ in listed])
+    places = [(None, None)] * len(listed)
+    if mission.datum is not None:
+        places = mission.datum.on_earth(centers).tolist()
     return [
         Finding(
-            kind,
-            cell,
-            x=centers[cell][0],
-            y=centers[cell][1],
-            probability=probability,
-            looks=known[cell].looks,
-            seen=known[cell].found,
+            kind, cell, x, y, probability, known[cell].looks, known[cell].found, *places[number]
         )
-        for kind, cell, probability in sorted(found, key=lambda each: (-each[2], each[:2]))
-        if probability >= LISTED
+        for number, ((kind, cell, probability), (x, y)) in enumerate(zip(listed, centers.tolist()))
     ]
 
 

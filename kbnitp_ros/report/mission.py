@@ -30,7 +30,9 @@ from kbnitp_ros.log.configuration import read_parameters, RUN
 from kbnitp_ros.log.departures import read_departures
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
+from kbnitp_ros.maps import Datum, Site
 from kbnitp_ros.messages.models import Known
+from kbnitp_ros.report.site import datum_of, site_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -145,6 +147,10 @@ class Mission:
         How many robots have left and are not reported.
     decision : Decision or None
         What may be relied on of the goal in the end.
+    datum : Datum or None
+        Where on the earth the field is, if that is on record.
+    site : Site or None
+        The image of the field's map, if that is at hand.
 
     """
 
@@ -159,6 +165,8 @@ class Mission:
     notes: list[str]
     in_flight: int
     decision: Decision | None
+    datum: Datum | None
+    site: Site | None
 
     @property
     def assumed(self) -> dict[str, float]:
@@ -221,6 +229,8 @@ def read_mission(
     LogError
         If it cannot be read, no robot had left, or beliefs are missing although neither estimator
         nor recorder was restarted.
+    ValueError
+        If its datum is no place on the earth.
 
     """
     history = read_history(log, progress)
@@ -233,6 +243,8 @@ def read_mission(
     first = history.heard[0].snapshot
     departures = read_departures(log)
     in_flight = sum(not departures.is_at_base(key) for key in evidence.without_report)
+    parameters = read_parameters(log)
+    site, unseen = site_of(parameters, history.grid)
     return Mission(
         log=Path(log),
         grid=history.grid,
@@ -246,10 +258,12 @@ def read_mission(
         deployments=deployments_of(history, keys, moments),
         world=history.world,
         run=read_metadata(log).get(RUN, {}),
-        parameters=read_parameters(log),
-        notes=[*notes, *notes_of(log, evidence, in_flight)],
+        parameters=parameters,
+        notes=[*notes, *notes_of(log, evidence, in_flight), *filter(None, [unseen])],
         in_flight=in_flight,
         decision=history.decision,
+        datum=datum_of(parameters),
+        site=site,
     )
 
 

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from html import escape
 from importlib.resources import files
 import json
+from math import pi
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -57,6 +58,13 @@ LANE = (
 )
 
 
+# The switch of the map that lies under the others, where there is one.
+SITE = (
+    '<p class="hint"><label><input type="checkbox" id="site" checked> Show the image of the map '
+    'under the beliefs</label></p>'
+)
+
+
 @dataclass(frozen=True)
 class Column:
     """
@@ -95,6 +103,12 @@ FINDINGS = (
     Column('probability', 'probability', 3),
     Column('looks', 'looks'),
     Column('target read', 'seen'),
+)
+
+# Of fields that are somewhere on the earth; seven decimals are a centimetre.
+ON_EARTH = (
+    Column('latitude (°)', 'latitude', 7),
+    Column('longitude (°)', 'longitude', 7),
 )
 
 
@@ -169,8 +183,11 @@ def filled(
         lost=LOST.colour,
         obstacle=OBSTACLE,
         lane=LANE if mission.decision is not None and mission.decision.path.size else '',
-        finding_headings=''.join(map(heading, FINDINGS)),
-        findings='\n'.join(map(finding_row, map(vars, findings_of(mission)))),
+        finding_headings=''.join(map(heading, finding_columns(mission))),
+        findings='\n'.join(
+            finding_row(vars(each), finding_columns(mission)) for each in findings_of(mission)
+        ),
+        site=SITE if mission.site else '',
         panels='\n'.join(panel_place(*each) for each in enumerate(labels)),
         headings=''.join(heading(column) for column in columns_of(mission)),
         rows='\n'.join(row(table[each], each, kept, mission) for each in shown),
@@ -271,16 +288,20 @@ def save_button(plot: str, what: str) -> str:
 def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
     """Return all plots as one JSON object that can stand in a page."""
     lane = None if mission.decision is None else mission.decision.path
-    plots = {name: map_plot(mission.grid, lane=lane) for name in MAPS}
+    north = None if mission.datum is None else pi / 2 - mission.datum.heading
+    plots = {name: map_plot(mission.grid, lane=lane, north=north) for name in MAPS}
     losses = losses_of(mission)
-    plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())))
+    plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())), north=north)
     if is_used_up(mission):
-        plots['used-up'] = map_plot(mission.grid, used_up_of(mission))
+        plots['used-up'] = map_plot(mission.grid, used_up_of(mission), north=north)
     if mission.world:
         hazard, target = (each.astype(np.float64) for each in vars(mission.world).values())
         truth = {'hazard': hazard, 'target': target}
         truth['kappa'] = np.where(hazard > 0.0, target, np.nan)
-        plots |= {f'true-{name}': map_plot(mission.grid, values) for name, values in truth.items()}
+        plots |= {
+            f'true-{name}': map_plot(mission.grid, values, north=north)
+            for name, values in truth.items()
+        }
     plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     plots['cell'] = cell_plot()
     inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
@@ -312,6 +333,8 @@ def data_of(
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
     return {
         'grid': field_of(grid),
+        'site': mission.site
+        and {name: getattr(mission.site, name) for name in ('source', 'width', 'height')},
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
         'scales': scales_of(mission),
         'assumed': mission.assumed,
@@ -471,9 +494,14 @@ def kind(column: Column) -> str:
     return f' class="{" ".join(names)}"' if names else ''
 
 
-def finding_row(values: Mapping[str, Any]) -> str:
+def finding_columns(mission: Mission) -> tuple[Column, ...]:
+    """Return the columns of the table of findings."""
+    return (*FINDINGS, *(ON_EARTH if mission.datum else ()))
+
+
+def finding_row(values: Mapping[str, Any], columns: Iterable[Column]) -> str:
     """Return a row of the table of findings, which leads to its cell."""
-    cells = ''.join(cell(column, values[column.name]) for column in FINDINGS)
+    cells = ''.join(cell(column, values[column.name]) for column in columns)
     return f'<tr data-cell="{values["cell"]}">{cells}</tr>'
 
 

@@ -43,6 +43,7 @@ def map_plot(
     most: float = 1.0,
     least: float = 0.0,
     lane: NDArray[np.intp] | None = None,
+    north: float | None = None,
 ) -> str:
     """
     Return a map as Plotly's JSON; the page gives it its colours.
@@ -57,9 +58,11 @@ def map_plot(
         The largest value that there can be, and the smallest.
     lane : ndarray of int, shape (steps + 1,), optional
         A way to draw.
+    north : float, optional
+        The angle from the frame's x axis to north, in rad.
 
     """
-    directions = directions_of(grid)
+    directions = directions_of(grid, north)
     place = (
         'along the rows %{x:.4g} m, across %{y:.4g} m'
         if grid.yaw
@@ -148,9 +151,12 @@ def as_drawn(grid: Grid) -> Grid:
     return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
 
 
-def directions_of(grid: Grid) -> dict[str, float]:
-    """Return which ways arrows beside a map point, in rad from the right; none if it is clear."""
-    return {'x': -grid.yaw, 'y': pi / 2 - grid.yaw} if grid.yaw else {}
+def directions_of(grid: Grid, north: float | None) -> dict[str, float]:
+    """Return which ways the arrows beside a map point, in rad from the right, by their names."""
+    directions = {'x': 0.0, 'y': pi / 2} if grid.yaw else {}
+    if north is not None:
+        directions['N'] = north
+    return {name: angle - grid.yaw for name, angle in directions.items()}
 
 
 def arrow(name: str, angle: float) -> dict[str, Any]:

@@ -194,6 +194,7 @@ def test_a_mission_on_a_map_that_is_turned(field, file):
         'grid.base_position': [base.real, base.imag],
         'map_topic': 'map',
         'publish_pose': True,
+        'step_period': 0.01,
     }
     field.start_mission(parameters, '/m', log)
     field.talk(OccupancyGrid, '/m/map', qos.LATCHED).publish(served(turned))

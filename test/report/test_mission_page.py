@@ -10,16 +10,23 @@ import shutil
 import subprocess
 import sys
 
+from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.core import Dynamics, Observation
+from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
 from kbnitp_ros.report import comparison_of, curves_of, Pair, read_mission
 from kbnitp_ros.report.answers import findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.page import page_of
-from mission_log import GRID, record
+from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
 import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
+from pyproj import Geod
 import pytest
+
+# As the parameter has it: latitude and longitude in degrees, and the heading in rad.
+DATUM = (55.944904, -3.186693, 0.4)
+EARTH = Geod(ellps='WGS84')
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -254,7 +261,96 @@ def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_pat
         'document.getElementById("hazard").data.filter((each) => each.marker?.symbol === "square")'
     )
     row, column = divmod(grid.base, grid.width)
-    assert (square['x'][0], square['y'][0]) == (column + 0.5, row + 0.5)
+    assert (square['x'][0], square['y'][0]) == pytest.approx(
+        (0.1 * column + 0.05, 0.1 * row + 0.05)
+    )
+
+
+@pytest.fixture(scope='module')
+def surveyed(tmp_path_factory):
+    """Return a mission on a turned map with a datum, and the file of its page."""
+    folder = tmp_path_factory.mktemp('surveyed')
+    Image.fromarray(np.full((4, 5), 254, np.uint8)).save(folder / 'map.png')
+    (folder / 'map.yaml').write_text(
+        'image: map.png\nresolution: 0.1\norigin: [30.0, -8.0, 0.7]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.196\n'
+    )
+    parameters = {'datum': list(DATUM), 'map': str(folder / 'map.yaml')}
+    grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
+    with LogWriter(folder / 'mission.mcap') as log:
+        log.add_metadata(f'{PARAMETERS}/estimator', parameters_record(parameters))
+        record_to(log, sent_by_single(12, grid=grid).sent)
+    mission = read_mission(folder / 'mission.mcap')
+    page = folder / 'report.html'
+    page.write_text(page_of(mission, curves_of(mission))[0])
+    return mission, page
+
+
+def test_what_was_found_is_told_on_the_earth(opened, surveyed):
+    mission, file = surveyed
+    page = opened(file=file, is_strict=True)
+    with page.expect_download() as download:
+        page.get_by_role('button', name='CSV').first.click()
+    with Path(download.value.path()).open(newline='') as told:
+        table = list(csv.DictReader(told))
+    with page.expect_download() as download:
+        page.get_by_role('button', name='GeoJSON').click()
+    collection = json.loads(Path(download.value.path()).read_text())
+    # As RFC 7946 has it: the coordinates of WGS84 alone, and nothing of another frame.
+    assert set(collection) == {'type', 'name', 'features'}
+    findings = findings_of(mission)
+    assert len(findings) == len(collection['features']) == len(table) > 1
+    latitude, longitude, heading = DATUM
+    for each, feature, row in zip(findings, collection['features'], table):
+        azimuth = 90.0 - np.degrees(heading + np.arctan2(each.y, each.x))
+        x, y = (float(row[f'{axis} (m)']) for axis in 'xy')
+        assert (x, y) == (each.x, each.y)
+        at = EARTH.fwd(longitude, latitude, azimuth, np.hypot(x, y))[:2]
+        for found in (
+            feature['geometry']['coordinates'],
+            (float(row['longitude (°)']), float(row['latitude (°)'])),
+        ):
+            assert EARTH.inv(*found, *at)[2] < 0.1
+    north = next(
+        complex(each['ax'], -each['ay'])
+        for each in page.evaluate('document.getElementById("hazard").layout.annotations')
+        if each['text'] == 'N'
+    )
+    # East lies by the heading clockwise of the frame's x axis, which lies so of the rows.
+    assert north / abs(north) == pytest.approx(1j * np.exp(-1j * (heading + 0.7)))
+
+
+def test_the_image_of_the_map_lies_under_the_cells(opened, surveyed):
+    mission, file = surveyed
+    page = opened(file=file)
+    images = """name => document.getElementById(name).layout.images
+        .filter((each) => each.layer === "below")"""
+    for name in ('hazard', 'true-target'):
+        (image,) = page.evaluate(images, name)
+        assert image['source'] == mission.site.source
+        assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
+            (0.0, 0.4, 0.5, 0.4)
+        )
+        opacity = f'document.getElementById("{name}").data[0].opacity'
+        assert page.evaluate(opacity) < 1
+        page.get_by_label('image of the map').uncheck()
+        assert page.evaluate(images, name) == []
+        assert page.evaluate(opacity) == 1
+        page.get_by_label('image of the map').check()
+
+
+def test_a_map_that_is_not_at_hand_is_told(surveyed, tmp_path):
+    mission, file = surveyed
+    for content, why in ((None, 'cannot be read'), ('origin: [30.0, -8.0, 0.6]', 'does not lie')):
+        told = file.with_name('map.yaml')
+        known = told.read_text()
+        told.unlink()
+        if content:
+            told.write_text(known.replace('origin: [30.0, -8.0, 0.7]', content))
+        again = read_mission(mission.log)
+        assert again.site is None
+        assert any('The map is not shown' in note and why in note for note in again.notes)
+        told.write_text(known)
 
 
 def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):

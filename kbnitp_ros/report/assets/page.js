@@ -69,6 +69,19 @@ async function start() {
     return { x, y };
   }
 
+  // The image of the map lies under cells that let it through.
+  const isSiteShown = () => Boolean(mission.site) && page('site').checked;
+  const site = () => (isSiteShown() ? [{
+    source: mission.site.source, xref: 'x', yref: 'y', sizing: 'stretch', layer: 'below',
+    x: mission.grid.x, y: mission.grid.y + mission.site.height,
+    sizex: mission.site.width, sizey: mission.site.height,
+  }] : []);
+  function overlaid({ data }) {
+    data.filter((trace) => trace.type === 'heatmap').forEach((trace) => {
+      trace.opacity = isSiteShown() ? 0.6 : 1;
+    });
+  }
+
   function overlays(moment) {
     const { deployment, survived, known, out } = mission.moments[moment];
     if (!isAsked) return {};
@@ -114,12 +127,15 @@ async function start() {
   }
 
   function drawMaps() {
-    const images = hatching(mission.grid, mission.visited.map((first) => first >= 0 && first <= now));
+    const images = [
+      ...site(), ...hatching(mission.grid, mission.visited.map((first) => first >= 0 && first <= now)),
+    ];
     const traces = overlays(now);
     NAMES.forEach((name) => {
       const { data, layout } = plots[name];
       data[0].z = map(now, name);
       coloured(name);
+      overlaid(plots[name]);
       mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
       Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
     });
@@ -233,17 +249,21 @@ async function start() {
     look(row * width + column);
   }
 
-  // Points in metres in the frame of the map, as its readers have to be told: there is no geodetic datum.
+  // Longitude and latitude as RFC 7946 has it; of a field without a datum metres in the frame of the map, as its readers
+  // have to be told.
   function geojson() {
     const [heads, ...rows] = [...page('findings').rows].map((row) => [...row.cells]);
     const names = heads.map((each) => each.textContent);
+    const isOnEarth = names.includes('longitude (°)');
+    const axes = (isOnEarth ? ['longitude (°)', 'latitude (°)'] : ['x (m)', 'y (m)']).map((name) => names.indexOf(name));
     const features = rows.map((cells) => {
       const values = cells.map((each) => each.dataset.value);
       const numbers = values.map((value, place) => (place ? Number(value) : value));
       const properties = Object.fromEntries(names.map((name, place) => [name, numbers[place]]));
-      return { type: 'Feature', geometry: { type: 'Point', coordinates: [numbers[1], numbers[2]] }, properties };
+      return { type: 'Feature', geometry: { type: 'Point', coordinates: axes.map((axis) => numbers[axis]) }, properties };
     });
-    return JSON.stringify({ type: 'FeatureCollection', name: mission.name, frame: 'map', unit: 'm', features }, null, 1);
+    const frame = isOnEarth ? {} : { frame: 'map', unit: 'm' };
+    return JSON.stringify({ type: 'FeatureCollection', name: mission.name, ...frame, features }, null, 1);
   }
 
   const TAKES = {
@@ -266,7 +286,8 @@ async function start() {
   function paint() {
     STILL.forEach((id) => {
       coloured(id);
-      Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), shapes: frame() }, config);
+      overlaid(plots[id]);
+      Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), images: site(), shapes: frame() }, config);
     });
     drawCurves();
     show(now);
@@ -293,6 +314,7 @@ async function start() {
   page('play').addEventListener('click', play);
   page('column').addEventListener('change', named);
   page('row').addEventListener('change', named);
+  if (mission.site) page('site').addEventListener('change', paint);
   ['deployments', 'findings'].forEach((id) => sortable(page(id)));
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
