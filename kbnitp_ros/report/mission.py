@@ -32,7 +32,7 @@ from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
 from kbnitp_ros.maps import Datum, Site
 from kbnitp_ros.messages.models import Known
-from kbnitp_ros.report.site import datum_of, site_of
+from kbnitp_ros.report.place import datum_of, site_of
 import numpy as np
 from numpy.typing import NDArray
 
