@@ -108,7 +108,7 @@ def assert_page_shows_bases(mission):
     drawn = json.loads(map_plot(mission.grid))['data'][-1]
     assert drawn['marker']['symbol'] == 'square'
     assert [*zip(drawn['x'], drawn['y'])] == [(10.5, -4.5), (18.5, 1.5)]
-    assert {(each.key.agent, int(each.path[0])) for each in mission.sorties} == {*BASES.items()}
+    assert {(each.key.agent, int(each.path[0])) for each in mission.deployments} == {*BASES.items()}
 
 
 def assert_other_bases_are_refused(parameters, log):
@@ -118,3 +118,13 @@ def assert_other_bases_are_refused(parameters, log):
     assert robot_types_of(moved, grid)['scout_1'].base == 62
     with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
         Resumption(log, grid, moved, AGENTS)
+
+
+def test_a_planner_refuses_beliefs_of_agents_of_other_bases(field, parameters):
+    """The same two bases, each that of another agent."""
+    swapped = {'robots.scout_1.base': 62, 'robots.scout_2.base': 0}
+    awaiting = {'await_nodes': ['planner'], 'recorded': False}
+    field.start('estimator', {**parameters, **swapped, **awaiting}, '/m')
+    field.start('planner', {**parameters, 'await_nodes': ['estimator'], 'recorded': False}, '/m')
+    told = field.until_refused('/m/planner', 1)
+    assert 'the base of scout_1 is 62: the parameters say 0' in told
