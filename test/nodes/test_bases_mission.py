@@ -108,7 +108,9 @@ def assert_page_shows_bases(mission):
     drawn = json.loads(map_plot(mission.grid))['data'][-1]
     assert drawn['marker']['symbol'] == 'square'
     assert [*zip(drawn['x'], drawn['y'])] == [(10.5, -4.5), (18.5, 1.5)]
-    assert {(each.key.agent, int(each.path[0])) for each in mission.deployments} == {*BASES.items()}
+    assert {(each.key.agent, int(each.path[0])) for each in mission.deployments} == {
+        *BASES.items()
+    }
 
 
 def assert_other_bases_are_refused(parameters, log):

@@ -60,7 +60,7 @@ def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@for_each('name', ['teams', 'loss_cost', 'behavioral', 'prior_maps'])
+@for_each('name', ['teams', 'loss_cost', 'behavioral', 'prior_maps', 'bases'])
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
@@ -71,7 +71,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', ['teams', 'loss_cost', 'behavioral', 'planners', 'prior_maps'])
+@for_each('name', ['teams', 'loss_cost', 'behavioral', 'planners', 'prior_maps', 'bases'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -103,6 +103,7 @@ def test_every_figure_is_shown():
         'last_contact_log_loss.png',
         'last_contact_reliability.png',
         'prior_maps_log_loss.png',
+        'bases_log_loss.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -611,3 +612,18 @@ def test_every_study_of_the_page_has_a_page_of_tables():
     assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
     for scenario in linked:
         assert '../results.md#' in (DOCS / f'tables/{scenario}.md').read_text()
+
+
+def test_what_a_second_base_is_worth():
+    low, high = rows_of('bases', 1)
+    assert numbers(low['value'])[0] == 2.5
+    assert numbers(high['value'])[0] == 1.8
+    assert numbers(low['fewer']) == (5.0, 1.3, 9.8)
+    assert numbers(high['fewer']) == (4.4, -0.9, 9.0)
+    assert numbers(low['sent from one'])[0] - numbers(low['sent from two'])[0] == 5.0
+    for lethality, lost, entropy in (('0.1', 0.8, 3.3), ('0.5', 1.6, 3.8)):
+        one, two = (row for row in rows_of('bases') if row['lethality'] == lethality)
+        for column, less in (('robots lost', lost), ('entropy', entropy)):
+            # Of differences of rounded numbers.
+            drop = numbers(one[column])[0] - numbers(two[column])[0]
+            assert abs(drop - less) <= 0.11
