@@ -54,11 +54,11 @@ coverage: build .venv/.dev .venv/.npm
 linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
-# What takes no seconds, no processes and no npm: for every edit.
+# What takes no seconds, no processes and no npm: for every edit. Tests, which pytest compiles, and
+# nodes start sooner where Python may keep what it compiled.
 test-quick: build .venv/.dev
-	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
+	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
 
-# Nodes start sooner where Python may keep what it compiled.
 test: build .venv/.dev .venv/.npm
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
 

@@ -3,6 +3,7 @@
 
 import ast
 from collections import Counter
+from functools import cache
 import re
 
 from documented import ROOT
@@ -20,11 +21,14 @@ def citations(source):
                 yield label, getattr(node, 'name', 'module')
 
 
-CITED = {
-    (label, f'{path.relative_to(ROOT)}: {name}')
-    for path in sorted((ROOT / 'kbnitp_ros').rglob('*.py'))
-    for label, name in citations(path.read_text())
-}
+@cache
+def cited():
+    """Return all (label, what cites it) of the package."""
+    return {
+        (label, f'{path.relative_to(ROOT)}: {name}')
+        for path in sorted((ROOT / 'kbnitp_ros').rglob('*.py'))
+        for label, name in citations(path.read_text())
+    }
 
 
 def test_a_citation_is_found_in_any_docstring():
@@ -44,8 +48,8 @@ def test_each_label_stands_once():
 
 
 def test_what_is_cited_stands_in_the_page():
-    assert sorted(cited for cited in CITED if cited[0] not in LABELS) == []
+    assert sorted(each for each in cited() if each[0] not in LABELS) == []
 
 
 def test_every_numbered_equation_is_cited_by_what_computes_it():
-    assert sorted(set(LABELS) - {label for label, _ in CITED}) == []
+    assert sorted(set(LABELS) - {label for label, _ in cited()}) == []

@@ -53,40 +53,44 @@ class Ignorant(KnownModel):
 
 
 LEARNING = Learning(Unknowns(lethality=(0.0, 1.0)))
-LEARNT = mission('kappa_bnitp_sampled', learning=LEARNING)
-VALUES = [
-    GRID,
-    PRIOR,
-    MODEL,
-    WORLD,
-    OPTIONS,
-    LEARNING,
-    LEARNT,
-    LEARNT[0],
-    LEARNT[0].parameters['lethality'],
-    LEARNT[0].observation,
-    plan_team(GRID, PRIOR, MODEL, Team(2, 'voronoi'), OPTIONS),
-    Team(2),
-    core.Execution(detour=0.1).traverse(WORLD, GRID, LEARNT[0].plan.path, MODEL, 3),
-    core.Truth(),
-    core.RobotType(),
-]
 
 
-@for_each('value', VALUES)
-def test_a_copy_is_equal_and_another_value_is_not(value):
-    for copied in (pickle.loads(pickle.dumps(value)), deepcopy(value)):
-        assert (copied == value) is True
-        assert type(copied) is type(value)
-    assert (value == object()) is False
-    assert len(repr(value)) < 700
+@pytest.fixture(scope='module')
+def learnt():
+    """Return a mission that learnt the lethality."""
+    return mission('kappa_bnitp_sampled', learning=LEARNING)
 
 
-def test_beliefs_that_differ_in_the_last_bit_are_different():
+def test_a_copy_is_equal_and_another_value_is_not(learnt):
+    for value in (
+        GRID,
+        PRIOR,
+        MODEL,
+        WORLD,
+        OPTIONS,
+        LEARNING,
+        learnt,
+        learnt[0],
+        learnt[0].parameters['lethality'],
+        learnt[0].observation,
+        plan_team(GRID, PRIOR, MODEL, Team(2, 'voronoi'), OPTIONS),
+        Team(2),
+        core.Execution(detour=0.1).traverse(WORLD, GRID, learnt[0].plan.path, MODEL, 3),
+        core.Truth(),
+        core.RobotType(),
+    ):
+        for copied in (pickle.loads(pickle.dumps(value)), deepcopy(value)):
+            assert (copied == value) is True
+            assert type(copied) is type(value)
+        assert (value == object()) is False
+        assert len(repr(value)) < 700
+
+
+def test_beliefs_that_differ_in_the_last_bit_are_different(learnt):
     joint = PRIOR.joint.copy()
     joint[3] = np.nextafter(joint[3], 1.0)
     assert Belief(joint) != PRIOR
-    assert LEARNT[0] != LEARNT[1]
+    assert learnt[0] != learnt[1]
 
 
 def test_estimators_are_copied_with_all_they_know():
@@ -154,20 +158,20 @@ def test_a_wrong_type_is_named(make, words):
         make()
 
 
-def test_a_mission_is_a_table():
-    table = LEARNT.to_dataframe()
+def test_a_mission_is_a_table(learnt):
+    table = learnt.to_dataframe()
     assert table.index.tolist() == [1, 2, 3, 4]
-    assert table['survived'].tolist() == [each.observation.survived for each in LEARNT]
-    assert table['path'].tolist() == [each.plan.path.tolist() for each in LEARNT]
-    assert table['lethality'].tolist() == [each.parameters['lethality'].mean for each in LEARNT]
+    assert table['survived'].tolist() == [each.observation.survived for each in learnt]
+    assert table['path'].tolist() == [each.plan.path.tolist() for each in learnt]
+    assert table['lethality'].tolist() == [each.parameters['lethality'].mean for each in learnt]
     assert table['hazard_log_loss'].iloc[-1] == core.log_loss(
-        LEARNT[-1].belief.hazard, WORLD.hazard
+        learnt[-1].belief.hazard, WORLD.hazard
     )
     assert len(mission(robots=0).to_dataframe()) == 0
 
 
-def test_a_belief_is_drawn_with_the_truth_and_paths():
-    axes = plot(GRID, PRIOR, WORLD, [[0, 1, 0], LEARNT[0].observation])
+def test_a_belief_is_drawn_with_the_truth_and_paths(learnt):
+    axes = plot(GRID, PRIOR, WORLD, [[0, 1, 0], learnt[0].observation])
     assert [each.get_title() for each in axes] == ['hazard', 'target', 'kappa']
     # The base, two paths and the true hazards.
     assert len(axes[0].lines) == 4
