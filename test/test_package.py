@@ -56,6 +56,9 @@ ACTIONS = {
     'NavigateThroughPoses': '4e680a34fd27772095da6ffdb32ae348adbc3d948248d38cf8d5ca3fc7a3a6c4',
 }
 
+# Of its message, as rosbags computes it from the definition in the branch jazzy.
+COSTMAP_FILTER_INFO = '61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8'
+
 # Imported only by those who ask for them.
 OPTIONAL = {'distributed', 'pandas', 'ray', 'sphinx'}
 
@@ -237,6 +240,13 @@ def test_robots_are_driven_by_the_actions_of_nav2(action):
     hashes = json.loads(share.joinpath(f'action/{action}.json').read_text())['type_hashes']
     (own,) = (each['hash_string'] for each in hashes if each['type_name'].endswith(f'/{action}'))
     assert own == f'RIHS01_{ACTIONS[action]}'
+
+
+def test_costmap_filters_are_told_by_the_message_of_nav2():
+    share = Path(get_package_share_directory('nav2_msgs'))
+    hashes = json.loads(share.joinpath('msg/CostmapFilterInfo.json').read_text())['type_hashes']
+    own = {each['type_name']: each['hash_string'] for each in hashes}
+    assert own['nav2_msgs/msg/CostmapFilterInfo'] == f'RIHS01_{COSTMAP_FILTER_INFO}'
 
 
 def test_colcon_runs_the_tests_with_pytest():

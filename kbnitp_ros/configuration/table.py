@@ -268,6 +268,30 @@ TABLE = (
         choices=METHODS,
     ),
     Parameter(
+        'filter.type',
+        -1,
+        'Type of a costmap filter of Nav2 whose mask is belief/hazard, for the topic '
+        'belief/costmap_filter_info: 0 for a KeepoutFilter, 1 for a SpeedFilter in percent, 2 for '
+        'one in m/s; -1 for none.',
+        ('estimator',),
+        limits=(0, 2),
+        off=-1,
+    ),
+    Parameter(
+        'filter.base',
+        0.0,
+        'What 0 percent of hazard means to that filter: 0 for a KeepoutFilter, or a speed limit.',
+        ('estimator',),
+        limits=(-1e6, 1e6),
+    ),
+    Parameter(
+        'filter.multiplier',
+        1.0,
+        'What each percent of hazard adds to filter.base: 1 for a KeepoutFilter.',
+        ('estimator',),
+        limits=(-1e6, 1e6),
+    ),
+    Parameter(
         'learn',
         (),
         'Numbers that are not known but learnt, by kappa_bnitp_sampled. Robots are then planned '

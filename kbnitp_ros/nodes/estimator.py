@@ -26,6 +26,7 @@ from kbnitp_ros.log.deployments import is_of_mission, read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.messages.costmap_filters import check_filter, filter_info
 from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
@@ -73,6 +74,8 @@ class EstimatorNode(FieldNode):
         agents = agents_of(self.values, self.grid)
         # In this order whoever knows of belief knows of its views as well.
         self._views = Views(self, agents)
+        if self.values['filter.type'] >= 0:
+            self._tell_nav2()
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
             if estimator.parameters
@@ -108,6 +111,17 @@ class EstimatorNode(FieldNode):
         self._unconverged = ''
         self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
+
+    def _tell_nav2(self) -> None:
+        """Have Nav2's costmap filters take the map of hazards for their mask."""
+        from nav2_msgs.msg import CostmapFilterInfo
+
+        filter_type, base = self.values['filter.type'], self.values['filter.base']
+        multiplier = self.values['filter.multiplier']
+        check_filter(filter_type, base, multiplier)
+        told = self.create_publisher(CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED)
+        mask = self.resolve_topic_name('belief/hazard')
+        told.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _restore(self, log: str) -> None:
         """
