@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import json
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import grid_of, robot_types_of
+from kbnitp_ros.configuration.prior import earlier_belief
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.report import read_mission
 from kbnitp_ros.report.plots import map_plot
+import numpy as np
 import pytest
 from unbroken import core_mission, with_defaults
 
@@ -100,6 +103,7 @@ def test_a_mission_of_two_bases_goes_on_after_its_nodes_were_killed(field, param
     observations = read_history(log).observations
     assert len(observations) == ROBOTS
     assert_page_shows_bases(read_mission(log))
+    assert_a_later_mission_may_have_others(log, last)
 
 
 def assert_page_shows_bases(mission):
@@ -111,6 +115,17 @@ def assert_page_shows_bases(mission):
     assert {(each.key.agent, int(each.path[0])) for each in mission.deployments} == {
         *BASES.items()
     }
+
+
+def assert_a_later_mission_may_have_others(log, last):
+    """See that what was a base stays free of hazard, and what becomes one is."""
+    grid = replace(last.grid, base=8, other_bases=(54,))
+    prior = earlier_belief(log, grid)
+    bases = [0, 8, 54, 62]
+    assert prior.hazard[bases].tolist() == [0.0] * 4
+    assert (last.belief.hazard[[8, 54]] > 0.0).all()
+    others = np.delete(np.arange(grid.cells), bases)
+    assert prior.joint[others].tobytes() == last.belief.joint[others].tobytes()
 
 
 def assert_other_bases_are_refused(parameters, log):
