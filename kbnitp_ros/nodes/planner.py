@@ -209,7 +209,7 @@ class PlannerNode(FieldNode):
         """Send the next robots, unless something must come first."""
         now = self._circumstances()
         if obstacle := now.obstacle:
-            self._tell(obstacle)
+            self._tell(now, obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
                 self._proposals.withdraw()
             late = self._dispatch.late.awaited
@@ -226,17 +226,17 @@ class PlannerNode(FieldNode):
             self._deploy()
             return
         if not plans:
-            self._tell(Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS)
+            obstacle = Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS
+            self._tell(self._circumstances(), obstacle)
             return
         if self.values['approval'] and not self._are_approved(plans):
-            self._tell(Obstacle.UNAPPROVED)
+            self._tell(self._circumstances(), Obstacle.UNAPPROVED)
             return
         self._proposals.withdraw()
         self._send(plans, newest.mission)
 
-    def _tell(self, obstacle: Obstacle) -> None:
+    def _tell(self, now: Circumstances, obstacle: Obstacle) -> None:
         """Tell what keeps robots from leaving, and at once another state of the mission."""
-        now = self._circumstances()
         names = FullNames(self.resolve_topic_name, self.resolve_service_name)
         what = describe_obstacle(now, obstacle, names)
         self.diagnostics.state = done(what) if obstacle.is_end else waiting_for(what)
