@@ -2,7 +2,7 @@
 """What may be relied on, where robots go for it, and when to stop."""
 
 from kbnitp_ros.core.decision.area import Area
-from kbnitp_ros.core.decision.decision import Decision
+from kbnitp_ros.core.decision.decision import Decision, FEWEST_LEFT_OUT
 from kbnitp_ros.core.decision.flights import Flight, Situation
 from kbnitp_ros.core.decision.goals import Goal, GOALS
 from kbnitp_ros.core.decision.hazard_draws import DRAWS, HazardDraws
@@ -14,6 +14,7 @@ from kbnitp_ros.core.decision.targets import Target, targets
 
 __all__ = [
     'DRAWS',
+    'FEWEST_LEFT_OUT',
     'GOALS',
     'Area',
     'Decision',

@@ -9,9 +9,10 @@ from typing import ClassVar
 
 from kbnitp_ros.core.decision.decision import check_confidence, Decision
 from kbnitp_ros.core.decision.flights import Flight, flights_over, Situation
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.decision.lanes import DECIMALS
 from kbnitp_ros.core.field import binary_entropy, Grid, SensorModel, whole_number
+from kbnitp_ros.core.planning import Camera, positives
 import numpy as np
 
 
@@ -20,8 +21,8 @@ class Area:
     """
     Cells that are to be free of hazards.
 
-    A robot flies where its return or loss is expected to tell most of the hazards of the area,
-    cell by cell.
+    A robot flies where its return or loss, and what it then reads of targets, is expected to tell
+    most of the hazards of the area, cell by cell.
 
     Parameters
     ----------
@@ -82,8 +83,18 @@ class Area:
         allowed = situation.is_allowed(survival)
         if not allowed.any():
             return None
-        here = situation.draws.hazardous[:, list(self.cells)].astype(np.float64)
-        gain = expected_certainty(here, survival, situation.outcomes)
+        cells = list(self.cells)
+        here = situation.draws.hazardous[:, cells].astype(np.float64)
+        visits = np.array(
+            [np.bincount(path[1:], minlength=situation.grid.cells) for path in paths]
+        )
+        gain = expected_certainty(here, survival, situation.outcomes) + expected_from_readings(
+            here,
+            survival * situation.outcomes.sum(axis=0),
+            visits[:, cells],
+            situation.belief.joint[cells],
+            situation.model,
+        )
         best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
         return Flight(paths[best], max(0.0, float(gain[best])))
 
@@ -118,4 +129,43 @@ def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floa
         chance, hazards = back.sum(axis=1), back @ here
         gain += before - entropies(chance, hazards)
         gain -= entropies(each.sum() - chance, all_hazards - hazards)
+    return gain
+
+
+def expected_from_readings(
+    here: Floats, returned: Floats, visits: Path, joint: Floats, model: SensorModel
+) -> Floats:
+    """
+    Return by how much readings are expected to lower entropies of cells, (flights,) nats.
+
+    Equation :eq:`area-readings`.
+
+    Parameters
+    ----------
+    here : ndarray, shape (draws, cells)
+        1 where a cell has a hazard.
+    returned : ndarray, shape (flights, draws)
+        The probability of each draw together with the return of the robot.
+    visits : ndarray of int, shape (flights, cells)
+        How often the robot reads each cell.
+    joint : ndarray, shape (cells, 2, 2)
+        P(Z = z, X = x), of which P(X | Z) counts.
+    model : SensorModel
+        What its sensor is believed to be like.
+
+    """
+    chance = returned.sum(axis=1)
+    hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
+    of_hazard = joint.sum(axis=2, keepdims=True)
+    target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
+    likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
+    told = np.zeros_like(hazard)
+    for count in np.unique(visits[visits > 0]).tolist():
+        safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
+        with_hazard = hazard[..., None] * hazardous
+        reading = with_hazard + (1.0 - hazard)[..., None] * safe
+        given = with_hazard / np.where(reading > 0.0, reading, 1.0)
+        left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
+        told += (visits == count) * (binary_entropy(hazard) - left)
+    gain: Floats = chance * told.sum(axis=1)
     return gain

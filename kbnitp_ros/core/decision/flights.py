@@ -19,8 +19,9 @@ MOST_OUTCOMES = 64
 
 # To how many of some cells, the most uncertain ones, ways there and back are compared.
 DIRECT = 16
-# How many paths of a search for information on all hazards are compared with these.
-SEARCHED = 48
+# How many paths of a search for information on all hazards, and of one for information on the
+# targets as well, are compared with these.
+SEARCHED = 24
 
 
 class Flight(NamedTuple):
@@ -54,6 +55,8 @@ class Situation:
         The base of the mission, where lanes start.
     draws : HazardDraws
         What is known of the hazards.
+    belief : Belief
+        What is known of the targets: P(X | Z) of each cell.
     model : SensorModel
         What the robot is believed to be like.
     options : SearchOptions
@@ -66,6 +69,7 @@ class Situation:
     grid: Grid
     start: int
     draws: HazardDraws
+    belief: Belief
     model: SensorModel
     options: SearchOptions
     outcomes: Floats
@@ -90,23 +94,25 @@ class Situation:
 
 
 def flights_over(situation: Situation, over: Sequence[int]) -> list[Path]:
-    """Return closed paths for information on all hazards, and to some cells and back."""
+    """Return closed paths for information on the field, and to some cells and back."""
     grid, draws, options = situation.grid, situation.draws, situation.options
     hazard = draws.p_hazard()
     none = np.zeros(grid.cells)
-    belief = Belief.from_maps(hazard, none, none)
-    objective = Objective.alone(grid, belief, situation.model, options)
-    searched = PathFinder(grid, options).candidates(objective)[:SEARCHED]
+    searched = [
+        candidate
+        for belief in (Belief.from_maps(hazard, none, none), situation.belief)
+        for candidate in PathFinder(grid, options).candidates(
+            Objective.alone(grid, belief, situation.model, options)
+        )[:SEARCHED]
+    ]
     with np.errstate(divide='ignore'):
         cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
     cells = np.array(over)
     cells = cells[grid.in_reach(options.max_steps)[cells]]
     open_first = cells[np.argsort(-binary_entropy(hazard[cells]), kind='stable')]
-    lanes = [
-        cheapest_lanes(grid, cost[None], grid.base, cell, options.max_steps // 2)[0]
-        for cell in open_first[:DIRECT].tolist()
-        if cell != grid.base
-    ]
+    ends = open_first[open_first != grid.base][:DIRECT]
+    costs = np.tile(cost, (ends.size, 1))
+    [lanes] = cheapest_lanes(grid, costs, grid.base, ends, [options.max_steps // 2])
     direct = [there_and_back(lane, lane) for lane in lanes]
     return [each.path for each in searched] + [
         path for path in direct if np.bincount(path[1:]).max() <= options.max_visits

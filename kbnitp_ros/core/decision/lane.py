@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from kbnitp_ros.core.decision.decision import check_confidence, Decision
@@ -13,7 +14,7 @@ from kbnitp_ros.core.decision.hazard_draws import Floats, HazardDraws, Path
 from kbnitp_ros.core.decision.lanes import (
     check_way,
     DECIMALS,
-    lanes_between,
+    lanes_within,
     safest_path,
     there_and_back,
 )
@@ -84,7 +85,7 @@ class Lane:
 
     def flight(self, situation: Situation) -> Flight | None:
         """Return the flight to make next; None if the robot may make none."""
-        paths = self._flights(situation)
+        lanes, paths = self._flights(situation)
         if not paths:
             return None
         survival = situation.draws.fates(paths, situation.model)
@@ -93,32 +94,30 @@ class Lane:
             return None
         paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
         survival = survival[allowed]
-        grid, draws, most = situation.grid, situation.draws, situation.options.max_steps
-        lanes = lanes_between(grid, draws, situation.start, self.to, most)
-        gain = expected_best(draws.are_free(lanes), survival, situation.outcomes)
+        free = situation.draws.are_free(lanes)
+        gain = expected_best(free, survival, situation.outcomes)
         value = gain + WORTH * information(survival, situation.outcomes)
         best = int(np.argmax(np.round(value, DECIMALS)))
         return Flight(paths[best], max(0.0, float(gain[best])))
 
-    def _flights(self, situation: Situation) -> list[Path]:
-        """Return closed paths to the goal, or as far towards it as a robot comes back from."""
+    def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
+        """Return lanes, and closed paths to the goal, or as far as a robot comes back from."""
         grid, draws, options = situation.grid, situation.draws, situation.options
         start, most = situation.start, options.max_steps
         least = int(grid.steps_from(start, grid.free)[self.to])
         if least >= grid.cells:
-            return []
+            return [], []
+        half, longest = most // 2, max(least, most)
         if start != grid.base:
-            lanes = lanes_between(grid, draws, start, self.to, max(least, most))
-            return flights_over(situation, np.unique(np.concatenate(lanes)).tolist())
-        half = most // 2
+            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
+            return lanes, flights_over(situation, np.unique(np.concatenate(lanes)).tolist())
         if least > half:
-            lanes = lanes_between(grid, draws, start, self.to, max(least, most))
+            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
             paths = [there_and_back(lane[: half + 1], lane[: half + 1]) for lane in lanes]
         else:
-            far, near, nearest = (
-                best_lanes(draws, lanes_between(grid, draws, start, self.to, limit), count)
-                for limit, count in ((most - least, OUT), (half, BACK), (least, BACK))
-            )
+            limits = longest, most - least, half, least
+            lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
+            far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
             # Whichever of two lanes is taken first, the fate of the robot tells the same.
             paths = [
                 there_and_back(out, back)
@@ -127,7 +126,7 @@ class Lane:
                 if len(out) + len(back) - 2 <= most
             ]
         different = {path.tobytes(): path for path in paths}
-        return [
+        return lanes, [
             path
             for path in different.values()
             if np.bincount(path[1:]).max() <= options.max_visits

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.field import Grid, SensorModel, whole_number
 import numpy as np
+from numpy.typing import ArrayLike
 
 # How many lanes are compared, besides the one of least cost by the cells' own probabilities.
 LANES = 48
@@ -19,6 +21,8 @@ TOGETHER = 16
 STEP_COST = 1e-4
 # The logarithm of the least probability that a cell is free counts as no less than this.
 LEAST = -30.0
+# The most costs of ways to cells that are held together.
+MOST_TOGETHER = 1 << 25
 # Values closer than this many decimals are ties, so rounding never decides.
 DECIMALS = 9
 
@@ -44,9 +48,11 @@ class SafestPath:
     survival: float
 
 
-def cheapest_lanes(grid: Grid, costs: Floats, start: int, to: int, max_steps: int) -> list[Path]:
+def cheapest_lanes(
+    grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
+) -> list[list[Path]]:
     """
-    Return a cheapest way for each of several costs.
+    Return a cheapest way for each of several costs, within each of several limits.
 
     Parameters
     ----------
@@ -54,48 +60,92 @@ def cheapest_lanes(grid: Grid, costs: Floats, start: int, to: int, max_steps: in
         The field.
     costs : ndarray, shape (lanes, cells)
         Of each step into a cell, at least 0.
-    start, to : int
-        Its first and its last cell, which is in reach.
-    max_steps : int
-        The most steps that it may have.
+    start : int
+        The first cell.
+    to : int or array_like of int, shape (lanes,)
+        The last one, which is in reach.
+    limits : sequence of int
+        The most steps that a way may have.
 
     Returns
     -------
-    list of ndarray of int, each of shape (steps + 1,)
+    list of list of ndarray of int, each of shape (steps + 1,)
+        Of each limit the way of each cost.
 
     """
-    lanes = np.arange(len(costs))
-    from_cells = grid.neighbor_table.T
-    entered = np.pad(costs, ((0, 0), (0, 1)), constant_values=np.inf)
-    best = np.full(entered.shape, np.inf)
-    best[:, start] = 0.0
-    at_goal = [best[:, to]]
-    came_by = []
-    for _ in range(min(max_steps, grid.cells - 1)):
-        ways = best[:, from_cells]
-        by = ways.argmin(axis=1)
-        best = np.take_along_axis(ways, by[:, None], axis=1)[:, 0]
-        best = np.pad(best, ((0, 0), (0, 1)), constant_values=np.inf) + entered
-        came_by.append(by.astype(np.int8))
-        at_goal.append(best[:, to])
-    steps = np.argmin(at_goal, axis=0)
-    paths = []
-    for lane in lanes.tolist():
-        path = [to]
-        for step in range(int(steps[lane]) - 1, -1, -1):
-            path.append(int(from_cells[came_by[step][lane, path[-1]], path[-1]]))
-        paths.append(np.array(path[::-1], dtype=np.intp))
-    return paths
+    goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
+    most = min(max(limits), grid.cells - 1)
+    together = max(1, MOST_TOGETHER // ((most + 1) * (grid.cells + 1)))
+    within: list[list[Path]] = [[] for _ in limits]
+    for first in range(0, len(costs), together):
+        some = slice(first, first + together)
+        cost = cheapest_costs(from_cells, costs[some].T, start, most)
+        for found, limit in zip(within, limits):
+            found += ways_back(from_cells, cost[: limit + 1], goal[some])
+    return within
 
 
-def lanes_between(
-    grid: Grid, draws: HazardDraws, start: int, to: int, max_steps: int, count: int = LANES
-) -> list[Path]:
+def cheapest_costs(from_cells: Path, entered: Floats, start: int, most: int) -> Floats:
+    """
+    Return the costs of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
+
+    Parameters
+    ----------
+    from_cells : ndarray of int, shape (neighbours, cells)
+        From where each cell is entered; the number of cells for none.
+    entered : ndarray, shape (cells, lanes)
+        The cost of a step into each cell.
+    start : int
+        The first cell.
+    most : int
+        The most steps.
+
+    """
+    cells, lanes = entered.shape
+    cost = np.full((most + 1, cells + 1, lanes), np.inf)
+    cost[0, start] = 0.0
+    for step in range(most):
+        cost[step + 1, :-1] = cost[step][from_cells].min(axis=0) + entered
+    return cost
+
+
+def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
+    """Return a cheapest way to the goal of each lane, by `cheapest_costs`."""
+    lanes = np.arange(goal.size)
+    steps = np.argmin(cost[:, goal, lanes], axis=0)
+    last = int(steps.max(initial=0))
+    path = np.tile(goal[:, None], last + 1)
+    for step in range(last - 1, -1, -1):
+        came_from = from_cells[:, path[:, step + 1]]
+        by = cost[step][came_from, lanes].argmin(axis=0)
+        on_the_way = step < steps
+        path[on_the_way, step] = came_from[by, lanes][on_the_way]
+    return [way[: end + 1].copy() for way, end in zip(path, steps.tolist())]
+
+
+def lanes_within(
+    grid: Grid,
+    draws: HazardDraws,
+    start: int,
+    to: int,
+    limits: Sequence[int],
+    count: int = LANES,
+) -> list[list[Path]]:
     """
     Return different ways that may be the safest, the same again for the same draws.
 
     The first costs least by the probability that each cell is free. The others cost least with
     these costs scaled at random, one half of them with probabilities of a few draws only.
+
+    Parameters
+    ----------
+    grid, draws, start, to
+        As of `safest_path`.
+    limits : sequence of int
+        The most steps of a way: of each there are ways of their own.
+    count : int
+        How many ways of each are sought besides the first.
+
     """
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
@@ -110,8 +160,10 @@ def lanes_between(
     with np.errstate(divide='ignore'):
         cost = -np.log(probability).clip(min=LEAST) + STEP_COST
     cost[1:] *= np.exp(SCALE * rng.standard_normal(cost[1:].shape))
-    found = {path.tobytes(): path for path in cheapest_lanes(grid, cost, start, to, max_steps)}
-    return list(found.values())
+    return [
+        list({path.tobytes(): path for path in paths}.values())
+        for paths in cheapest_lanes(grid, cost, start, to, limits)
+    ]
 
 
 def there_and_back(out: Path, back: Path) -> Path:
@@ -147,7 +199,7 @@ def safest_path(
 
     """
     check_way(grid, start, to, max_steps)
-    paths = lanes_between(grid, draws, start, to, max_steps)
+    [paths] = lanes_within(grid, draws, start, to, [max_steps])
     best = int(np.argmax(np.round(draws.are_free(paths) @ draws.weight, DECIMALS)))
     return SafestPath(paths[best], draws.p_free(paths[best]), draws.survival(paths[best], model))
 

@@ -112,7 +112,7 @@ def plan_round(
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
-    situation = Situation(in_use, grid.base, draws, model, options, draws.weight[None])
+    situation = Situation(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))
     plans, gains = [], []

@@ -28,7 +28,8 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.decision.area import expected_certainty
+from kbnitp_ros.core.decision import lanes
+from kbnitp_ros.core.decision.area import expected_certainty, expected_from_readings
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.flights import information, Situation
 from kbnitp_ros.core.decision.lane import expected_best
@@ -112,9 +113,10 @@ def test_numbers_are_those_of_all_states(seed):
     lanes = [random_path(rng, width, height, 0, 3) for _ in range(3)]
     free = np.array([~states[:, lane].any(axis=1) for lane in lanes], dtype=float)
     chances = draws.fates(flights, model)
-    sent = Situation(
-        Grid(width, height), 0, draws, model, SearchOptions(), weight[None]
-    ).with_sent(path, model)
+    grid = Grid(width, height)
+    belief = Belief.prior(grid, 0.2, 0.25, 0.8)
+    situation = Situation(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+    sent = situation.with_sent(path, model)
     best = expected_best(free, chances, sent.outcomes)
     certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
     told = information(chances, sent.outcomes)
@@ -135,6 +137,68 @@ def test_numbers_are_those_of_all_states(seed):
         assert own_best == pytest.approx(gained, abs=1e-9)
         assert own_certain == pytest.approx(fallen, abs=1e-9)
         assert own_told == pytest.approx(heard, abs=1e-9)
+
+
+@for_each('seed', range(30))
+def test_cheapest_ways_cost_least_of_all_ways(seed):
+    rng = np.random.default_rng([seed, 25])
+    costs, to = rng.random((5, 9)), rng.integers(1, 9, 5)
+    limits = [3, 8, 2]
+    found = lanes.cheapest_lanes(Grid(3, 3), costs, 0, to, limits)
+    for ways_within, limit in zip(found, limits, strict=True):
+        for way, cost, goal in zip(ways_within, costs, to.tolist(), strict=True):
+            all_ways = ways(3, 3, goal, limit)
+            assert tuple(way) in all_ways
+            least = min(cost[list(each[1:])].sum() for each in all_ways)
+            assert cost[way[1:]].sum() == pytest.approx(least)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lanes, 'MOST_TOGETHER', 1)
+        one_by_one = lanes.cheapest_lanes(Grid(3, 3), costs, 0, to, limits)
+    assert [[*map(tuple, each)] for each in one_by_one] == [[*map(tuple, each)] for each in found]
+
+
+@for_each('seed', range(60))
+def test_readings_tell_of_hazards_what_all_outcomes_do(seed):
+    """The expected fall of the entropies is that over all states, fates and readings."""
+    rng = np.random.default_rng([seed, 26])
+    model = SensorModel(**random_sensors(rng))
+    states, weight = posterior(rng, 3, 3, model, 2)
+    belief = Belief(rng.dirichlet(np.ones(4), 9).reshape(9, 2, 2))
+    target = belief.joint[:, :, 1] / np.where(
+        belief.joint.sum(axis=2) > 0.0, belief.joint.sum(axis=2), 1.0
+    )
+    path = random_path(rng, 3, 3, 0, 6)
+    cells = [1, 3, 4]
+    visits = np.bincount(path[1:], minlength=9)
+    returned = weight * survivals(states, path, model)
+    gained = expected_from_readings(
+        states[:, cells].astype(float),
+        returned[None],
+        visits[None, cells],
+        belief.joint[cells],
+        model,
+    )
+    chance, expected = returned.sum(), 0.0
+    for cell in cells:
+        if not visits[cell] or chance < 1e-12:
+            continue
+        hazard = returned @ states[:, cell] / chance
+        left = 0.0
+        for reading in product((0, 1), repeat=int(visits[cell])):
+            both = []
+            for is_hazardous, p_hazard in ((0, 1.0 - hazard), (1, hazard)):
+                of_target = target[cell, is_hazardous]
+                p_reading = 0.0
+                for present, p_target in ((0, 1.0 - of_target), (1, of_target)):
+                    positive = model.true_positive if present else model.false_positive
+                    p_reading += p_target * np.prod(
+                        [positive if each else 1.0 - positive for each in reading]
+                    )
+                both.append(p_hazard * p_reading)
+            if (total := sum(both)) > 0.0:
+                left += total * entropy(both[1] / total)
+        expected += chance * (entropy(hazard) - left)
+    assert gained[0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_safest_path_is_the_best_of_all_ways_nearly_always():

@@ -248,13 +248,13 @@ class Smoother(KnownModel):
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """Draw the fixed cells together, and all others independently given these."""
-        log_odds = np.tile(self._odds, (count, 1))
+        hazard = np.tile(np.exp(-softplus(-self._odds)), (count, 1))
         if self._losses.factors:
             weight, total = self._given_fixed(self._odds[self._losses.cells])
             chance = np.exp(weight - np.logaddexp.reduce(weight))
             value = np.searchsorted(np.cumsum(chance)[:-1], rng.random(count), 'right')
-            log_odds[:, self._losses.cells] = total[value]
-        return rng.random(log_odds.shape) < np.exp(-softplus(-log_odds)), float(count)
+            hazard[:, self._losses.cells] = np.exp(-softplus(-total))[value]
+        return rng.random(hazard.shape) < hazard, float(count)
 
 
 def check_possible(odds: NDArray[np.float64], losses: Losses) -> None:

@@ -15,16 +15,19 @@ from kbnitp_ros.core.planning.objective.options import (
     SearchOptions,
     TOLERANCES,
 )
+from kbnitp_ros.core.planning.objective.readings import Camera, positives
 
 __all__ = [
     'ALPHAS',
     'OBJECTIVES',
     'TOLERANCES',
+    'Camera',
     'Candidate',
     'JointOutcomes',
     'Objective',
     'SearchOptions',
     'behavioral_information',
     'path_information',
+    'positives',
     'team_information',
 ]
