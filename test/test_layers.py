@@ -54,7 +54,7 @@ BELOW = {
     'log': {'core', 'messages', 'bag'},
     'robot': {'files', 'core', 'messages'},
     'figures': {'core', 'plugins'},
-    'study': {'files', 'plugins', 'core', 'figures'},
+    'study': {'files', 'plugins', 'core', 'core.decision', 'figures'},
     'report': {'files', 'core', 'maps', 'messages', 'log', 'bag', 'figures'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
     'base': {'files', 'core', 'messages', 'log', 'configuration'},

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 import signal
 import sys
@@ -144,6 +145,8 @@ def study(options: argparse.Namespace) -> int:
             outcomes = folder.outcomes()
             trials = trials_of(scenario)
             missing = [trial for trial in trials if trial not in outcomes]
+            # World after world, so that of a study that is interrupted some worlds are whole.
+            missing.sort(key=attrgetter('number'))
             with tqdm(
                 initial=len(outcomes),
                 total=len(trials),

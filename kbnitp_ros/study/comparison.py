@@ -14,6 +14,15 @@ from operator import attrgetter
 from typing import Any
 
 from kbnitp_ros.study.bases import base_rows
+from kbnitp_ros.study.decisions import (
+    area_rows,
+    asks_for,
+    certificate_rows,
+    certifies,
+    lane_rows,
+    MOST_CELLS,
+)
+from kbnitp_ros.study.goals import DECLARED
 from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
 from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, equal_rows
 from kbnitp_ros.study.results import Results
@@ -449,6 +458,71 @@ OF_LEARNING = Comparison(
     rows=cost_of_learning,
 )
 
+LANES = Comparison(
+    name='lanes',
+    applies=lambda scenario: asks_for(scenario, 'lane'),
+    caption=(
+        'After so many robots: the share of worlds in which the safest lane found is free of '
+        'hazards, the mean probability that is believed, how many more are free than of the first '
+        'strategy in the same worlds, and the robots lost.'
+    ),
+    columns={
+        **METHOD,
+        'label': ('strategy', '{}'),
+        'robots': ('robots', '{}'),
+        'free': ('free', 2),
+        'believed': ('believed', 2),
+        'difference': ('more free', 2),
+        'lost': ('lost', 1),
+    },
+    head=lambda _: {},
+    rows=lane_rows,
+)
+
+CERTIFICATES = Comparison(
+    name='certificates',
+    applies=certifies,
+    caption=(
+        'Of missions that stopped at a confidence: the robots sent, the mean of the probabilities '
+        'stated, the share in which what was asked for is free of hazards, and this less that.'
+    ),
+    columns={
+        **METHOD,
+        'confidence': ('confidence', '{}'),
+        'stopped': ('missions', '{}'),
+        'sent': ('robots', 1),
+        'stated': ('stated', 3),
+        'free': ('free', 3),
+        'difference': ('difference', 3),
+    },
+    head=lambda _: {},
+    rows=certificate_rows,
+)
+
+AREAS = Comparison(
+    name='areas',
+    applies=lambda scenario: asks_for(scenario, 'area'),
+    caption=(
+        f'Cells are declared free at a probability of {DECLARED}. The share of worlds in which '
+        f'{MOST_CELLS:.0%} of the area are declared free, after how many robots (all '
+        '{robots} if never), how many more these are than of the first strategy in the same '
+        'worlds, and the robots lost by then; the part of the area that is declared free at the '
+        'end, and the part of it that is so wrongly.'
+    ),
+    columns={
+        **METHOD,
+        'label': ('strategy', '{}'),
+        'reached': ('worlds', 2),
+        'needed': ('robots', 1),
+        'difference': ('more robots', 1),
+        'lost': ('lost', 1),
+        'declared': ('declared', 2),
+        'wrong': ('wrongly', 3),
+    },
+    head=lambda scenario: {'robots': scenario.robots},
+    rows=area_rows,
+)
+
 COMPARISONS = (
     BY_SIZE,
     BY_LOSS_COST,
@@ -461,4 +535,7 @@ COMPARISONS = (
     BY_BASE,
     OF_NUMBERS,
     OF_LEARNING,
+    LANES,
+    CERTIFICATES,
+    AREAS,
 )

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from kbnitp_ros.files import naming, open_file
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
-from kbnitp_ros.study.trial import LEARNT, MEASURES, Outcome, Trial, trials_of
+from kbnitp_ros.study.trial import LEARNT, measures_of, Outcome, Trial, trials_of
 import numpy as np
 import yaml
 
@@ -88,7 +88,8 @@ class Folder:
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
-        shapes = [(rows, len(MEASURES)), maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
+        measures = rows, len(measures_of(self._scenario))
+        shapes = [measures, maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
         types = ['<f8', '<f8', '|b1', '<f8', '<f8']
         largest = sum(np.dtype(each).itemsize * prod(shape) for each, shape in zip(types, shapes))
         with np.load(file, allow_pickle=False) as arrays:
@@ -115,7 +116,8 @@ class Folder:
 
 def _check_same(path: Path, kept: dict[str, object], asked: dict[str, object]) -> None:
     for key, value in kept.items():
-        if value != asked[key]:
+        # Trials do not depend on how many there are.
+        if key != 'trials' and value != asked[key]:
             raise ValueError(
                 f'{path} holds results of another scenario, with {key} {value} '
                 f'and not {asked[key]}: name another folder'

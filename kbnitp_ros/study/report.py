@@ -11,6 +11,7 @@ from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
 from kbnitp_ros.study.comparison import COMPARISONS, differ_in_objective, learns
+from kbnitp_ros.study.decisions import decision_chart
 from kbnitp_ros.study.learning import numbers_chart
 from kbnitp_ros.study.loss_cost import loss_cost_chart
 from kbnitp_ros.study.results import Results
@@ -33,6 +34,8 @@ def figures_of(results: Results) -> dict[str, Figure]:
         charts['robots_lost'] = loss_cost_chart
     if learns(results.scenario):
         charts['numbers'] = numbers_chart
+    if results.scenario.asked is not None:
+        charts['decision'] = decision_chart
     with rc_context(LETTERS):
         return {name: draw(results) for name, draw in charts.items()}
 

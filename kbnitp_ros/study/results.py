@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Strategy
-from kbnitp_ros.study.trial import MEASURES, Outcome, Trial, trials_of
+from kbnitp_ros.study.trial import measures_of, Outcome, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
 import pyarrow as pa
@@ -36,7 +36,7 @@ def check_memory(scenario: Scenario) -> None:
     missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
     # The beliefs of a mission; of each the last maps, the truth and the measures, in two tables.
     mission = 4 * number * cells * deployments
-    outcome = 2 * (number + 1) * cells + len(MEASURES) * number * deployments
+    outcome = 2 * (number + 1) * cells + len(measures_of(scenario)) * number * deployments
     for what, bytes_taken, most in (
         ('a mission', mission, MOST_OF_A_MISSION),
         (f'{missions} missions', 2 * missions * outcome, MOST_OF_ALL),
@@ -74,8 +74,8 @@ class Results:
         -------
         pyarrow.Table
             Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
-            the fields of `Strategy` and `MEASURES`, by lethality, method, strategy, trial and
-            deployment in the scenario's order.
+            the fields of `Strategy` and what is measured, by lethality, method, strategy, trial
+            and deployment in the scenario's order.
 
         """
         trials = trials_of(self.scenario)
@@ -90,7 +90,7 @@ class Results:
                 field.name: np.repeat([getattr(trial.team, field.name) for trial in trials], rows)
                 for field in fields(Strategy)
             },
-            **dict(zip(MEASURES, measures.T)),
+            **dict(zip(measures_of(self.scenario), measures.T)),
         }
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
         columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
@@ -104,7 +104,7 @@ class Results:
         self, lethality: float | None, method: str, *measures: str, team: Strategy = ALONE
     ) -> NDArray[np.float64]:
         """Return the sum of some measures, shape (trials, robots + 1)."""
-        places = [MEASURES.index(measure) for measure in measures]
+        places = [measures_of(self.scenario).index(measure) for measure in measures]
         outcomes = self._of(lethality, method, team)
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
 

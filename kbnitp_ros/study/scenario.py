@@ -18,6 +18,8 @@ from kbnitp_ros.core import (
     Clustering,
     Dynamics,
     Estimator,
+    Goal,
+    GOALS,
     Grid,
     HAZARDS,
     METHODS,
@@ -33,6 +35,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.files import read_yaml
+from kbnitp_ros.study.goals import Asked, SAFEST_LANE
 import numpy as np
 
 # What is compared: the methods, which are told all numbers, and the sampled one when it learns
@@ -130,6 +133,8 @@ class Strategy:
     second_base : int
         The cell that every second robot of those that leave together starts and ends in; -1: all
         do so in the base of the grid.
+    goal : str
+        What robots are sent for: of `GOALS`, or 'safest_lane'.
 
     """
 
@@ -146,6 +151,7 @@ class Strategy:
     clustering: Annotated[str, ('learn',), ''] = ''
     paths: Annotated[str, PATHS] = 'own'
     second_base: Annotated[int, (-1, 999_999)] = -1
+    goal: Annotated[str, GOALS, SAFEST_LANE] = 'map'
 
     @property
     def sought(self) -> str:
@@ -309,6 +315,8 @@ class Scenario:
         What the method that learns is not told, and what numbers that are None are drawn from.
     hazards : Hazards
         Without them they are static and lie independently.
+    asked : Asked, optional
+        The decision that missions are asked for.
 
     """
 
@@ -326,6 +334,7 @@ class Scenario:
     teams: tuple[Strategy, ...] = (ALONE,)
     learn: NumberPriors = TELL_ALL
     hazards: Hazards = INDEPENDENT
+    asked: Asked | None = None
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
@@ -347,6 +356,19 @@ class Scenario:
         for strategy in self.teams:
             finder = PathFinder(self.field(), self.options(strategy))
             check_team(finder, strategy.leaving().types)
+
+    def check_asked(self) -> None:
+        """Refuse a goal that cannot be reached, and robots that are sent for another one."""
+        if self.asked is not None:
+            self.asked.check(self.field(), self.robots, self.planning.max_steps)
+        for team in self.teams:
+            self.goal(team)
+
+    def goal(self, strategy: Strategy) -> Goal | None:
+        """Return the goal that a strategy sends robots for; None for a map."""
+        if self.asked is None and strategy.goal != 'map':
+            raise ValueError(f'robots are sent for {strategy.goal}, and nothing is asked for')
+        return self.asked.goal_of(strategy.goal) if self.asked is not None else None
 
     def options(self, strategy: Strategy) -> SearchOptions:
         """Return the options of a strategy's search: its own, or else those of all."""
@@ -483,6 +505,8 @@ def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator
         yield f'{team.paths} paths'
     if 'second_base' in differ:
         yield 'one base' if team.second_base < 0 else f'second base {team.second_base}'
+    if 'goal' in differ:
+        yield f'goal {team.goal}'
     if differ & {'survey', 'trusted'}:
         trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
         yield f'map {team.survey:.4g}{trusted}' if team.survey else 'no map'
@@ -535,6 +559,7 @@ def scenario_of(content: Any) -> Scenario:
         ('teams', scenario.check_teams),
         ('hazards', scenario.check_hazards),
         ('planning', scenario.check_search),
+        ('asked', scenario.check_asked),
     ):
         try:
             check()

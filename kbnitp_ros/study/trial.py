@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from kbnitp_ros.core import (
@@ -18,11 +18,12 @@ from kbnitp_ros.core import (
     SimulatedMission,
     Truth,
 )
+from kbnitp_ros.study.goals import measured_for, OF_GOALS
 from kbnitp_ros.study.layout import world_of
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario, Strategy
 from kbnitp_ros.study.survey import surveyed
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # Measured before the first robot and after each; nats and squares are sums over the cells.
 MEASURES = (
@@ -74,8 +75,8 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     measures : ndarray, shape (robots + 1, measures)
-        `MEASURES` before the first robot and after each. The information of the row before the
-        first is NaN.
+        As `measures_of` says, before the first robot and after each; once a mission is over they
+        stay. The information of the row before the first robot is NaN.
     believed : ndarray, shape (2, cells)
         The hazard and the target map after the last robot.
     truth : ndarray of bool, shape (2, cells)
@@ -92,6 +93,11 @@ class Outcome(NamedTuple):
     truth: NDArray[np.bool_]
     learnt: NDArray[np.float64]
     numbers: NDArray[np.float64]
+
+
+def measures_of(scenario: Scenario) -> tuple[str, ...]:
+    """Return what is measured in a scenario."""
+    return MEASURES if scenario.asked is None else MEASURES + OF_GOALS
 
 
 def trials_of(scenario: Scenario) -> list[Trial]:
@@ -140,12 +146,14 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
             Execution(contact=trial.team.last_contact),
             scenario.hazards.of_kind(scenario.hazards.dynamics),
         ),
+        goal=scenario.goal(trial.team),
     )
-    beliefs, known = zip(*knowledge(start, mission, trial.team.paths == 'own'))
+    is_own = trial.team.paths == 'own'
+    beliefs, known = zip(*knowledge(start, mission, is_own))
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
     joint_entropy = [belief.joint_entropy() for belief in beliefs]
-    measured = {
+    measured: dict[str, Iterable[float]] = {
         'entropy_hazard': [binary_entropy(belief.hazard).sum() for belief in beliefs],
         'entropy_target': [binary_entropy(belief.target).sum() for belief in beliefs],
         'entropy': [belief.entropy() for belief in beliefs],
@@ -155,14 +163,28 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         'hazard_brier': [brier_score(b.hazard, w.hazard) for b, w in zip(beliefs, worlds)],
         'target_brier': [brier_score(b.target, w.target) for b, w in zip(beliefs, worlds)],
         'robots_lost': np.cumsum([0, *lost]),
-        'planned_information': [np.nan, *(deployment.plan.information for deployment in mission)],
+        'planned_information': [np.nan, *(each.plan.information for each in mission)],
         'realised_information': -np.diff(joint_entropy, prepend=np.nan),
     }
+    if scenario.asked is not None:
+        measured |= measured_for(
+            scenario.asked,
+            grid,
+            scenario.planning.max_steps,
+            start,
+            mission,
+            is_own,
+            beliefs,
+            worlds,
+        )
     return Outcome(
-        np.array([measured[name] for name in MEASURES], dtype=np.float64).T,
+        carried([*zip(*(measured[name] for name in measures_of(scenario)))], scenario.robots),
         np.stack([beliefs[-1].hazard, beliefs[-1].target]),
         np.stack([worlds[-1].hazard, worlds[-1].target]),
-        np.array([[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known]),
+        carried(
+            [[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known],
+            scenario.robots,
+        ),
         np.array([truth[name] for name in NUMBERS]),
     )
 
@@ -191,6 +213,13 @@ def knowledge(
         else:
             estimator.assimilate(deployment.observation)
             yield estimator.belief, estimator.parameters
+
+
+def carried(rows: ArrayLike, robots: int) -> NDArray[np.float64]:
+    """Return rows, one before the first robot and one for each that was sent, one for each."""
+    array = np.array(rows, dtype=np.float64)
+    after_the_last = (0, robots + 1 - len(array)), *[(0, 0)] * (array.ndim - 1)
+    return np.pad(array, after_the_last, 'edge')
 
 
 def as_learnt(number: Learnt | None) -> tuple[float, ...]:

@@ -121,7 +121,7 @@ def test_a_trial_that_cannot_be_opened_is_told(folder, tmp_path):
 @pytest.mark.parametrize(
     'change, complaint',
     [
-        ({'trials': 4}, 'trials 3 and not 4'),
+        ({'robots': 5}, 'robots 4 and not 5'),
         ({'lethalities': (0.2, 0.8)}, r'lethalities \(0.2, 0.9\) and not \(0.2, 0.8\)'),
         ({'believed_lethality': 1.0}, 'believed_lethality None and not 1.0'),
     ],
@@ -129,6 +129,17 @@ def test_a_trial_that_cannot_be_opened_is_told(folder, tmp_path):
 def test_the_folder_of_another_scenario_is_refused(folder, tmp_path, scenario, change, complaint):
     with pytest.raises(ValueError, match=f'here holds results of another scenario.*{complaint}'):
         Folder(tmp_path / 'made' / 'here', replace(scenario, **change))
+
+
+def test_more_trials_are_added_to_those_that_are_done(folder, tmp_path, scenario, results):
+    done = folder.outcomes()
+    # Its process ended.
+    os.close(folder._lock)
+    more = Folder(tmp_path / 'made' / 'here', replace(scenario, trials=4))
+    assert more.outcomes().keys() == done.keys()
+    fourth = Trial(0.2, 'kappa_bnitp', 3)
+    more.save(fourth, results.outcomes[TRIAL])
+    assert more.outcomes().keys() == {*done, fourth}
 
 
 def test_trials_of_an_unknown_scenario_are_refused(tmp_path, scenario):

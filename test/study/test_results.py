@@ -25,6 +25,7 @@ def test_the_table_is_tidy(results):
         'clustering': 'string',
         'paths': 'string',
         'second_base': 'int64',
+        'goal': 'string',
         'lethality': 'double',
         'deployment': 'int64',
         **dict.fromkeys(MEASURES, 'double'),

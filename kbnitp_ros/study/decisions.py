@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How missions come to the decision they are asked for, and how far it may be relied on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+from kbnitp_ros.core.decision import FEWEST_LEFT_OUT
+from kbnitp_ros.study.charts import means_chart
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario import Scenario, Strategy, team_labels
+from kbnitp_ros.study.summary import after_robots, mean_of, Row
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+# After how many robots missions are compared.
+ROBOTS = (10, 25, 50, 100)
+# The probabilities at which missions may end.
+CONFIDENCES = (0.9, 0.95, 0.99)
+# The part of an area that is to be declared free.
+MOST_CELLS = 0.8
+
+
+def asks_for(scenario: Scenario, goal: str) -> bool:
+    """Return whether missions are asked for such a goal, and go on when it is reached."""
+    asked = scenario.asked
+    return asked is not None and asked.goal == goal and not asked.confidence
+
+
+def certifies(scenario: Scenario) -> bool:
+    """Return whether missions end when they are sure enough."""
+    return scenario.asked is not None and bool(scenario.asked.confidence)
+
+
+def lane_rows(results: Results) -> Iterator[Row]:
+    """Yield how often the lane is free, as believed and in truth, of each strategy."""
+    scenario, labels = results.scenario, team_labels(results.scenario)
+    first = scenario.teams[0]
+    for lethality, method, team, robots in product(
+        scenario.lethalities,
+        scenario.methods,
+        scenario.teams,
+        after_robots(ROBOTS, scenario.robots),
+    ):
+        free, believed, lost = (
+            results.series(lethality, method, name, team=team)[:, robots]
+            for name in ('free', 'p_free', 'robots_lost')
+        )
+        base = results.series(lethality, method, 'free', team=first)[:, robots]
+        yield {
+            'lethality': lethality,
+            'method': method,
+            'label': labels[team],
+            'robots': robots,
+            'free': mean_of(free),
+            'believed': mean_of(believed),
+            'difference': mean_of(free - base),
+            'lost': mean_of(lost),
+        }
+
+
+def certificate_rows(results: Results) -> Iterator[Row]:
+    """
+    Yield how often what is asked for is free in missions that stopped, for each confidence.
+
+    A mission that stops at a lower confidence is the beginning of the one that goes on to a
+    higher one, since flights do not depend on it.
+    """
+    scenario, asked = results.scenario, results.scenario.asked
+    confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
+    for lethality, (method, team), confidence in product(
+        scenario.lethalities, scenario.contenders, confidences
+    ):
+        p_free, free, draws = (
+            results.series(lethality, method, name, team=team)
+            for name in ('p_free', 'free', 'independent_draws')
+        )
+        is_sure = is_reached(p_free, draws, confidence)
+        stopped = is_sure.any(axis=1)
+        if not stopped.any():
+            continue
+        at = np.argmax(is_sure[stopped], axis=1)[:, None]
+        stated, true = (
+            np.take_along_axis(each[stopped], at, axis=1)[:, 0] for each in (p_free, free)
+        )
+        yield {
+            'lethality': lethality,
+            'method': method,
+            'confidence': confidence,
+            'stopped': int(stopped.sum()),
+            'sent': mean_of(at[:, 0].astype(np.float64)),
+            'stated': mean_of(stated),
+            'free': mean_of(true),
+            'difference': mean_of(true - stated),
+        }
+
+
+def is_reached(
+    p_free: NDArray[np.float64], independent: NDArray[np.float64], confidence: float
+) -> NDArray[np.bool_]:
+    """Return where a probability, told by so many independent draws, reaches a confidence."""
+    enough: NDArray[np.bool_] = (1.0 - confidence) * independent >= FEWEST_LEFT_OUT
+    return enough & (p_free >= confidence)
+
+
+def area_rows(results: Results) -> Iterator[Row]:
+    """Yield how many robots it takes to declare most cells of the area free."""
+    scenario, labels = results.scenario, team_labels(results.scenario)
+    for lethality, method in product(scenario.lethalities, scenario.methods):
+        first = needed(results, lethality, method, scenario.teams[0])
+        for team in scenario.teams:
+            declared, right, lost = (
+                results.series(lethality, method, name, team=team)
+                for name in ('declared', 'declared_free', 'robots_lost')
+            )
+            robots = needed(results, lethality, method, team)
+            yield {
+                'lethality': lethality,
+                'method': method,
+                'label': labels[team],
+                'reached': mean_of((declared.max(axis=1) >= MOST_CELLS).astype(np.float64)),
+                'needed': mean_of(robots),
+                'difference': mean_of(robots - first),
+                'lost': mean_of(lost[np.arange(len(lost)), robots.astype(np.intp)]),
+                'declared': mean_of(declared[:, -1]),
+                'wrong': mean_of((declared - right)[:, -1]),
+            }
+
+
+def needed(
+    results: Results, lethality: float | None, method: str, team: Strategy
+) -> NDArray[np.float64]:
+    """Return after how many robots most cells are declared free, (trials,); all if never."""
+    declared = results.series(lethality, method, 'declared', team=team)
+    declared[:, -1] = 1.0
+    robots: NDArray[np.float64] = np.argmax(declared >= MOST_CELLS, axis=1).astype(np.float64)
+    return robots
+
+
+def decision_chart(results: Results) -> Figure:
+    """Draw how often the lane is free, or the part of the area that is declared free."""
+    measure, up = (
+        ('declared', 'part of the area declared free')
+        if asks_for(results.scenario, 'area')
+        else ('free', 'share of worlds in which it is free')
+    )
+
+    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
+        return results.series(lethality, method, measure, team=team)
+
+    return means_chart(results.scenario, series, 'deployment', up)
