@@ -145,13 +145,21 @@ class DepartingMission(Mission):
         self.until_over()
         # Those that were given up may still come home.
         deadline = time.monotonic() + HEARD_AGAIN
-        while time.monotonic() < deadline and self._unheard():
+        while time.monotonic() < deadline and not self._is_taken_in(self.logged()):
             self.wait(0.5)
         return struck
 
-    def _unheard(self):
+    def _is_taken_in(self, logged):
+        """Say whether all robots that come home are in the log, and what it says is believed."""
+        return not self._unheard(logged) and self._is_believed(logged)
+
+    def _is_believed(self, logged):
+        given = folded(self._own, logged).joint.tobytes()
+        return np.asarray(self.onlooker.belief.joint).tobytes() == given
+
+    def _unheard(self, logged):
         """Return the deployments from which robots come home that were not heard of yet."""
-        reports = self.logged().reports
+        reports = logged.reports
         return [
             key
             for key, told in self.journals().items()
@@ -191,7 +199,6 @@ class DepartingMission(Mission):
             found.append(('double', f'{len(logged.reports)} deployments: {self._own["robots"]}'))
         if not reproduced:
             found.append(('replay', f'{self.log} does not replay'))
-        given = folded(self._own, logged).joint.tobytes()
-        if np.asarray(self.onlooker.belief.joint).tobytes() != given:
+        if not self._is_believed(logged):
             found.append(('belief', 'the belief published last is not that of the log'))
         return found
