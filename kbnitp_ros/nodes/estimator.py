@@ -130,8 +130,13 @@ class EstimatorNode(FieldNode):
         Publishers keep so many messages only, and they may have died with what they said.
         """
         check_same_field(log, self._ledger.grid, self._ledger.robot_types)
-        self._mission = read_mission(log)
         self._departures = read_departures(log)
+        self._take_in(log)
+
+    def _take_in(self, log: str) -> None:
+        """Take in the paths and reports on record; those that are known change nothing."""
+        if self._mission is None:
+            self._mission = read_mission(log)
         agents = agents_of(self.values, self.grid)
         with same_types(log):
             evidence = read_log(log, (PATH, REPORT))
@@ -148,6 +153,9 @@ class EstimatorNode(FieldNode):
         if missing or now <= 0:
             self.diagnostics.state = waiting_for(missing or CLOCK)
         else:
+            if log := self.values['resume']:
+                # The recorder may have heard robots that were gone before they were heard here.
+                self._take_in(log)
             self._started = now
             self._awaiting.cancel()
             # From the prior a log can be computed again.

@@ -28,18 +28,19 @@ def ledger():
     return Ledger(GRID, FIELD['max_steps'], Estimator(prior, SensorModel(0.5)))
 
 
-def write(log, messages):
-    """Write a prior and then these messages of the agent to a finished log."""
+def write(log, messages, *, resume=False):
+    """Write a prior and these messages of the agent to a log, or to its end these alone."""
     topics = {
         BeliefMaps: '/m/belief',
         Path: '/m/scout_1/path',
         DeploymentReport: '/m/scout_1/report',
     }
-    with LogWriter(log) as writer:
+    prior = [] if resume else [belief_maps(ledger(), 1)]
+    with LogWriter(log, resume=resume) as writer:
         for kind, topic in topics.items():
             package = kind.__module__.split('.')[0]
             writer.add_topic(topic, f'{package}/msg/{kind.__name__}', '[]')
-        for time, message in enumerate([belief_maps(ledger(), 1), *messages]):
+        for time, message in enumerate([*prior, *messages]):
             writer.write(topics[type(message)], serialize_message(message), time, time)
 
 
@@ -100,6 +101,19 @@ def test_a_refused_report_takes_no_deployment_away(field, refused):
     assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == (
         expected.belief.joint.tobytes()
     )
+
+
+def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(field):
+    log = field.folder / 'mission.mcap'
+    write(log, [path(1), lost(1)])
+    given = {**FIELD, 'recorded': True, 'await_nodes': ['test'], 'resume': str(log)}
+    field.start('estimator', given, '/m')
+    field.until(lambda: 'waiting for test' in field.state('/m/estimator'), 'wait')
+    # The robot comes home, and its node dies.
+    write(log, [returned(1)], resume=True)
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
+    assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == folded(log)
 
 
 @pytest.mark.parametrize(
