@@ -30,7 +30,7 @@ def generate_launch_description():
         DeclareLaunchArgument(
             'nav_namespace',
             default_value='',
-            description="Namespace of the robot's Nav2: of its actions, tf, tf_static and "
+            description="Namespace of the robot's Nav2: of its actions, tf, tf_static, fix and "
             'detections; / for none, empty for that of the agent.',
         ),
         DeclareLaunchArgument(
@@ -77,6 +77,7 @@ def robot(context):
                 ('/tf', f'{below}/tf'),
                 ('/tf_static', f'{below}/tf_static'),
                 ('detections', f'{below}/detections'),
+                ('fix', f'{below}/fix'),
             ],
             ros_arguments=['--enclave', f'{own}/robot'],
             output='screen',

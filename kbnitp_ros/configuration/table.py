@@ -681,16 +681,24 @@ TABLE = (
         pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
     ),
     Parameter(
+        'position',
+        'tf',
+        'What tells where the robot is: tf for TF, or fix for sensor_msgs/NavSatFix on fix, which '
+        'takes a datum.',
+        ('robot',),
+        choices=('tf', 'fix'),
+    ),
+    Parameter(
         'base_frame',
         'base_link',
-        'Frame of the robot, whose place in the frame map TF tells.',
+        'Frame of the robot, whose place in the frame map TF tells, and the frame of fixes.',
         ('robot',),
     ),
     Parameter(
         'tf_timeout',
         2.0,
-        'Seconds after which a transform or the time of a detection is too old, and for which a '
-        'jump of more than a cell must last to count.',
+        'Seconds after which a transform, a fix or the time of a detection is too old, and for '
+        'which a jump of more than a cell must last to count.',
         ('robot',),
         limits=(1e-3, 1e6),
     ),

@@ -10,9 +10,10 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
-from kbnitp_ros.configuration import base_of, value_for
+from kbnitp_ros.configuration import base_of, datum_of, value_for
 from kbnitp_ros.core import DeploymentKey, Grid, LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.content import content_hash
@@ -41,12 +42,17 @@ from kbnitp_ros.robot import (
     Whereabouts,
     without_loops,
 )
+from kbnitp_ros.robot.fixes import Fixes
 from kbnitp_ros.robot.transforms import Place, Transforms
+from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
 # The most bytes of a message with transforms: those of a thousand frames.
 LARGEST_TRANSFORMS = 2**19
+
+# The most bytes of a fix, with the name of its frame.
+LARGEST_FIX = 2**12
 
 
 # The exit code of a robot that DDS lets nobody hear before it is started again.
@@ -88,11 +94,13 @@ class RobotNode(FieldNode):
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
-        self._transforms = Transforms(FRAME, values['base_frame'])
+        # What tells where the robot is, and what that is called.
+        self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
+        self._whereis: Transforms | Fixes = self._source_of_places()
         # None when it is not known.
         self._place: Place | None = None
         # What is wrong by now, by what it is about, and what of it the console was told.
-        self._troubles = {'/tf': 'nothing was heard yet'}
+        self._troubles = {self._source: 'nothing was heard yet'}
         self._is_driving = False
         # Whether it has said that it departs, and that is not on record.
         self._is_at_gate = False
@@ -106,19 +114,41 @@ class RobotNode(FieldNode):
                 'this computer has no link but lo: until it has one nobody elsewhere hears this '
                 f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
             )
+        self._hear_places()
+        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, LARGEST)
+        self.create_poll(self._look)
+
+    def _source_of_places(self) -> Transforms | Fixes:
+        """
+        Return what tells where the robot is.
+
+        Raises
+        ------
+        ValueError
+            If that is a receiver, and there is no datum.
+
+        """
+        datum, frame = datum_of(self.values), self.values['base_frame']
+        if self.values['position'] == 'tf':
+            return Transforms(FRAME, frame)
+        if datum is None:
+            raise ValueError(
+                "parameter position is 'fix', and datum is empty: it must say where on the earth "
+                'the frame map lies'
+            )
+        return Fixes(datum.in_map, frame, self.grid.resolution / 2)
+
+    def _hear_places(self) -> None:
+        if isinstance(self._whereis, Fixes):
+            take = partial(self._take_place, self._whereis.take)
+            self.hear_newest(NavSatFix, 'fix', take, qos.READINGS, LARGEST_FIX)
+            return
         for topic, profile, is_static in (
             ('/tf', qos.POSES, False),
             ('/tf_static', qos.LATCHED_POSES, True),
         ):
-            self.hear_newest(
-                TFMessage,
-                topic,
-                partial(self._on_transforms, is_static),
-                profile,
-                LARGEST_TRANSFORMS,
-            )
-        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, LARGEST)
-        self.create_poll(self._look)
+            take = partial(self._take_place, partial(self._whereis.take, static=is_static))
+            self.hear_newest(TFMessage, topic, take, profile, LARGEST_TRANSFORMS)
 
     def _usual_journal(self) -> Path:
         """Return the file of the journal if the parameter names none."""
@@ -165,28 +195,28 @@ class RobotNode(FieldNode):
     def _accept(self, deployment: Deployment) -> None:
         self._say_status(deployment.stamp, AgentState.ACCEPTED, self.now())
 
-    def _on_transforms(self, is_static: bool, message: TFMessage) -> None:
+    def _take_place(self, take: Callable[[Any], None], message: TFMessage | NavSatFix) -> None:
         try:
-            self._transforms.take(message, static=is_static)
+            take(message)
         except ValueError as error:
-            self.diagnostics.refuse('/tf', error)
+            self.diagnostics.refuse(self._source, error)
 
     def _locate(self) -> None:
         """See where the robot is, and if it is out which cells it has come to."""
         try:
-            self._place = self._transforms.place(self.now(), self.values['tf_timeout'])
+            self._place = self._whereis.place(self.now(), self.values['tf_timeout'])
         except ValueError as error:
             self._place = None
-            self._say('/tf', str(error))
+            self._say(self._source, str(error))
             return
         entered: list[int] = []
         if self._deployment is not None:
             try:
                 entered = self._walk.follow(self._place.x, self._place.y, self.now() / SECOND)
             except ValueError as error:
-                self._say('/tf', str(error))
+                self._say(self._source, str(error))
                 return
-        self._say('/tf', '')
+        self._say(self._source, '')
         self._enter(entered)
         if self._deployment is not None:
             if self._walk.doubt and not self._deployment.is_doubted:
@@ -264,7 +294,7 @@ class RobotNode(FieldNode):
 
         """
         # Where it is not known, nothing is read: it would count for another cell.
-        if self._deployment is None or self._place is None or self._troubles.get('/tf'):
+        if self._deployment is None or self._place is None or self._troubles.get(self._source):
             return 0
         if stamp is None:
             return self._whereabouts.step_at(self._place.odometry)
@@ -351,12 +381,18 @@ class RobotNode(FieldNode):
     def _no_room(self) -> State:
         return waiting_for(f'room on the disk: {self._troubles["journal"]}')
 
+    @property
+    def _unplaced(self) -> str:
+        """Return why it is not known where the robot is."""
+        name = 'TF' if self._source == '/tf' else 'a fix'
+        return f'{name}: {self._troubles[self._source]}'
+
     def _not_ready(self) -> str:
         """Return what keeps the robot from leaving; empty when nothing does."""
         if self.now() <= 0:
             return 'the clock to start'
         if self._place is None:
-            return f'TF: {self._troubles["/tf"]}'
+            return self._unplaced
         away, tolerance = self._distance(self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
@@ -382,7 +418,7 @@ class RobotNode(FieldNode):
         if self._driver.is_busy:
             return working(f'driving {goal}')
         if self._place is None:
-            return waiting_for(f'TF: {self._troubles["/tf"]}')
+            return waiting_for(self._unplaced)
         if self._is_driving:
             # TF may lag behind what drives the robot.
             self._ended_at = self._ended_at or self.now()

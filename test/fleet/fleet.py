@@ -63,6 +63,8 @@ class Fleet:
     placed : tuple of three float
         Where the corner of the simulated world lies in the frame map, x and y in metres, and how
         the world is turned there in rad.
+    datum : tuple of three float
+        As the parameter; receivers tell fixes by it, and none if it is empty.
 
     """
 
@@ -77,11 +79,13 @@ class Fleet:
         detection_type='bool',
         lifecycle=True,
         placed=(0.0, 0.0, 0.0),
+        datum=(),
     ):
         self.field = field
         self.grid = replace(GRID, origin=placed[:2], yaw=placed[2])
         self.parameters = {**FIELD, 'grid.origin': list(placed)}
         self._placed = placed
+        self._datum = list(datum)
         self._lifecycle = lifecycle
         self.names = names
         self._speed = speed
@@ -109,6 +113,7 @@ class Fleet:
             'lifecycle': self._lifecycle,
             'wrong': wrong,
             'placed': self._placed,
+            'datum': self._datum,
             'track': str(self._track),
         }
         file = self.field.folder / 'simulation.json'
@@ -133,12 +138,14 @@ class Fleet:
             'retry_delay': 0.1,
             'stay_time': 0.3,
             'detection_type': self._detection_type,
+            'datum': self._datum,
             **parameters,
         }
         remaps = {
             '/tf': f'/{name}/tf',
             '/tf_static': f'/{name}/tf_static',
             'detections': f'/{name}/detections',
+            'fix': f'/{name}/fix',
             **(remapped or {}),
         }
         return self.field.start('robot', given, f'{self._mission}/{name}', remaps)

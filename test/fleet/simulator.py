@@ -8,10 +8,11 @@ The configuration is JSON: width, height and blocked of a field of 1 m cells; ro
 the x and y where each begins; targets, the cells where detectors see something; detection_type, as
 the parameter of robots; speed in m/s; lifecycle, whether the nodes of Nav2 tell their states;
 wrong, what is injected at first; placed, where the corner of the simulated world lies in the frame
-map, x, y and yaw; and track, the file that the true positions, in that world, go to. Each robot
-has a world of its own with the same obstacles, since all leave from one base. Its namespace has
-tf, tf_static, detections, the three actions and the states of the nodes that serve them; and
-inject, on which a text tells what is to go wrong with the next goal:
+map, x, y and yaw; datum, as the parameter of robots; and track, the file that the true positions,
+in that world, go to. Each robot has a world of its own with the same obstacles, since all leave
+from one base. Its namespace has tf, tf_static, fix (with a datum), detections, the three actions
+and the states of the nodes that serve them; and inject, on which a text tells what is to go wrong
+with the next goal:
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
     inactive (all goals are rejected, as by a node that is not active),
@@ -28,7 +29,7 @@ from cmath import exp
 from collections import deque
 from functools import partial
 import json
-from math import atan2, cos, hypot, pi, sin
+from math import atan2, cos, degrees, hypot, pi, sin
 from pathlib import Path
 import signal
 import sys
@@ -40,11 +41,13 @@ from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 import numpy as np
+from pyproj import Geod
 import rclpy
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 from vision_msgs.msg import (
@@ -53,6 +56,8 @@ from vision_msgs.msg import (
     ObjectHypothesis,
     ObjectHypothesisWithPose,
 )
+
+EARTH = Geod(ellps='WGS84')
 
 TICK = 0.02  # seconds
 
@@ -148,6 +153,7 @@ class Robot:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._tf = node.create_publisher(TFMessage, f'{namespace}/tf', 100)
         self._static = node.create_publisher(TFMessage, f'{namespace}/tf_static', latched)
+        self._fixes = node.create_publisher(NavSatFix, f'{namespace}/fix', 10)
         self._pictures = deque()
         self._is_array = config['detection_type'] == 'detection2d_array'
         kind = Detection2DArray if self._is_array else Bool
@@ -289,6 +295,8 @@ class Robot:
         self._tf.publish(
             self._transform('odom', 'base_footprint', seen_x, seen_y, map_yaw - turned)
         )
+        if self._config['datum']:
+            self._fixes.publish(self._fix(map_x, map_y))
         cell = int(y) * self._config['width'] + int(x)
         sees = cell in self._config['targets']
         if not self._is_array:
@@ -297,6 +305,18 @@ class Robot:
         self._pictures.append(self._picture(sees))
         if len(self._pictures) > LATE:
             self._detections.publish(self._pictures.popleft())
+
+    def _fix(self, x, y):
+        """Return what a good receiver says, by the geodesic from the datum."""
+        latitude, longitude, heading = self._config['datum']
+        azimuth = 90 - degrees(heading + atan2(y, x))
+        fix = NavSatFix(position_covariance_type=NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN)
+        fix.longitude, fix.latitude, _ = EARTH.fwd(longitude, latitude, azimuth, hypot(x, y))
+        fix.position_covariance = np.diag([1e-4, 1e-4, 4e-4]).ravel()
+        fix.status.status = NavSatStatus.STATUS_FIX
+        fix.header.frame_id = 'base_link'
+        fix.header.stamp = self._node.get_clock().now().to_msg()
+        return fix
 
     def _picture(self, sees):
         """Return what a detector says: there are rocks all over, some a little like targets."""

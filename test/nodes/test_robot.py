@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from itertools import count
 
 from extent import FULL, LONG, some
@@ -10,6 +11,7 @@ from fleet import Fleet, moves, TARGETS
 from kbnitp_msgs.msg import AgentStatus
 import numpy as np
 import pytest
+from sensor_msgs.msg import NavSatFix, NavSatStatus
 
 ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
 
@@ -38,6 +40,64 @@ def test_a_robot_walks_a_turned_field(field):
     assert [cell for cell, _ in report.readings] == ROUND[1:]
     fleet.see_that_it_is_true(report)
     assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
+
+
+DATUM = (55.944904, -3.186693, -0.8)
+
+
+def test_a_robot_walks_by_fixes(field):
+    fleet = Fleet(field, placed=(40.0, -7.0, 2.1), datum=DATUM)
+    reports = fleet.reports()
+    fleet.simulate()
+    # Nobody tells where this frame is but fixes.
+    fleet.start(driver='navigate_through_poses', position='fix', remapped={'/tf': '/nobody'})
+    report = fleet.report_of(reports, fleet.send(1, ROUND))
+    assert [cell for cell, _ in report.readings] == ROUND[1:]
+    fleet.see_that_it_is_true(report)
+
+
+BAD_FIXES = {
+    "header.frame_id is 'gps': it must be 'base_link'": {'header.frame_id': 'gps'},
+    'status.status is -1: there is no fix': {'status.status': -1},
+    'position_covariance_type is 0': {'position_covariance_type': 0},
+    'latitude is nan': {'latitude': float('nan')},
+    'longitude is 181.0': {'longitude': 181.0},
+    'the standard deviation of the fix is 3.00 m: it may be half the side of a cell, 0.5 m': {
+        'position_covariance': np.diag([9.0, 1.0, 1.0]).ravel()
+    },
+    'position_covariance has (0.0, 0.0) east and north: they must be positive': {
+        'position_covariance': np.zeros(9)
+    },
+}
+
+
+def test_bad_fixes_are_refused_by_name_and_counted(field):
+    fleet = Fleet(field, datum=DATUM)
+    fleet.start(position='fix')
+    receiver = field.talk(NavSatFix, '/scout_1/fix', 10)
+    for number, (told, changes) in enumerate(BAD_FIXES.items(), 1):
+        fix = NavSatFix(latitude=DATUM[0], longitude=DATUM[1], position_covariance_type=2)
+        fix.status.status = NavSatStatus.STATUS_FIX
+        fix.header.frame_id = 'base_link'
+        fix.position_covariance = np.diag([0.01, 0.01, 0.01]).ravel()
+        for name, value in changes.items():
+            *parents, last = name.split('.')
+            setattr(reduce(getattr, parents, fix), last, value)
+        receiver.publish(fix)
+        field.until_refused('/scout_1/robot', number)
+        assert f'fix refused: {told}' in field.said('/scout_1/robot')
+
+
+def test_fixes_without_a_datum_are_refused_at_the_start(field):
+    fleet = Fleet(field)
+    assert fleet.start(position='fix').wait(60) == 2
+    assert "parameter position is 'fix', and datum is empty" in field.said('/scout_1/robot')
+
+
+def test_a_datum_off_the_earth_is_refused_at_the_start(field):
+    fleet = Fleet(field, datum=(91.0, 0.0, 0.0))
+    assert fleet.start().wait(60) == 2
+    assert 'datum has latitude 91.0' in field.said('/scout_1/robot')
 
 
 def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
