@@ -57,8 +57,13 @@ def ranks(number):
     for _ in range(ROBOTS):
         path = brute_force.random_path(rng, 3, 3, 0, int(rng.integers(2, 8)))
         estimator.assimilate(world.traverse(path, truth, rng))
+    return ranks_of(estimator, drawn, world, rng)
+
+
+def ranks_of(estimator, places, world, rng):
+    """Return the ranks of the numbers, by their places among the values, and of the hazards."""
     found = {}
-    for name, place in drawn.items():
+    for name, place in places.items():
         weights = estimator.parameters[name].weights
         found[name] = weights[:place].sum() + rng.random() * weights[place]
     for cell in CELLS:
@@ -79,8 +84,12 @@ def probability_of_more(statistic, bins):
 
 def worst(worlds=WORLDS, bins=BINS):
     """Return the least of the p-values of all ranks, times how many they are, and its name."""
-    drawn = [ranks(number) for number in range(worlds)]
-    found = {}
+    return least_p([ranks(number) for number in range(worlds)], bins)
+
+
+def least_p(drawn, bins):
+    """Return the least of the p-values of ranks, times how many they are, and its name."""
+    found, worlds = {}, len(drawn)
     for name in drawn[0]:
         of_name = np.array([each[name] for each in drawn])
         counts, _ = np.histogram(of_name, bins, (0.0, 1.0))
