@@ -159,7 +159,7 @@ class Ranking(NamedTuple):
     mark : ndarray of int, shape (places,)
         Of the label.
     length : ndarray, shape (places,)
-        Of the label, metres.
+        Of the label, metres; no places where paths may be of any length.
     origin : ndarray of int, shape (places,)
         16 * slot + column of `Reach.neighbors`, of the label that is extended.
 
@@ -279,7 +279,7 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
     twin = low - 1
     while twin >= 0 and scores[twin] == score:
         if marks[twin] == mark:
-            if length < lengths[twin]:
+            if lengths.size and length < lengths[twin]:
                 lengths[twin], origins[twin] = length, origin
             return
         twin -= 1
@@ -288,24 +288,30 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
     for slot in range(scores.size - 1, low, -1):
         scores[slot] = scores[slot - 1]
         marks[slot] = marks[slot - 1]
-        lengths[slot] = lengths[slot - 1]
         origins[slot] = origins[slot - 1]
-    scores[low], marks[low], lengths[low], origins[low] = score, mark, length, origin
+    scores[low], marks[low], origins[low] = score, mark, origin
+    if lengths.size:
+        for slot in range(lengths.size - 1, low, -1):
+            lengths[slot] = lengths[slot - 1]
+        lengths[low] = length
 
 
 @compiled
-def place_within(length: float, rank: int, left: int, reach: Reach, completions: Floats) -> int:
+def copy_fitting(
+    length: float, rank: int, left: int, reach: Reach, completions: Floats, completion: Floats
+) -> bool:
     """
-    Return the place of the completion of most steps from a cell that is no longer than this.
+    Copy the completion of most steps from a cell, at most `left`, that is no longer than this.
 
-    It has at most `left` steps; the place is -1 if there is none.
+    Return whether there is one.
     """
     while left >= 0 and rank < reach.within[left]:
-        place: int = reach.start[left] + rank
+        place = reach.start[left] + rank
         if completions[place, -1] <= length:
-            return place
+            completion[:] = completions[place]
+            return True
         left -= 1
-    return -1
+    return False
 
 
 @compiled
@@ -317,6 +323,7 @@ def find_best(
     gains: Gains,
     objective: LabelObjective,
     labels: Labels,
+    completion: Floats,
     completions: Floats,
     left: int,
     by_value: Ranking,
@@ -345,9 +352,11 @@ def find_best(
         What a visit adds to the mark of a label.
     gains, objective, labels
         Of the search; the labels are those of the step before.
+    completion : ndarray, shape (powers + 5,)
+        Of the cell: its moments times their weights, E[p], P0, the terms of both, and its length.
+        Where lengths are limited it is overwritten by one that is short enough for each label.
     completions : ndarray, shape (sum of within, powers + 5)
-        By steps and then cells: the moments of one times their weights, E[p], P0, the terms of
-        both, and its length.
+        All of them, by steps and then cells.
     left : int
         The steps that a completion may have.
     by_value, by_heuristic : Ranking
@@ -366,7 +375,7 @@ def find_best(
     for slot in range(heuristic.size):
         heuristic[slot] = -inf
     is_limited = reach.longest > 0.0
-    place = reach.start[left] + rank if heuristic.size else 0
+    length, fits = 0.0, True
     for column in range(9):
         if around[column] < 0:
             continue
@@ -375,16 +384,18 @@ def find_best(
             before = seen[row, 8 - column]
             if before >= max_visits:
                 continue
-            length = labels.length[row] + reach.length[column]
-            if length + reach.home[rank] > reach.longest:
-                continue
-            if is_limited and heuristic.size:
-                place = place_within(reach.longest - length, rank, left, reach, completions)
+            if is_limited:
+                length = labels.length[row] + reach.length[column]
+                allowed = reach.longest - length
+                if reach.home[rank] > allowed:
+                    continue
+                if heuristic.size:
+                    fits = copy_fitting(allowed, rank, left, reach, completions, completion)
             left_open, left_open_completed = 0.0, 0.0
             for k in range(powers):
                 moment = factor[row, k] * gain_factor[rank, before, k]
                 left_open += weight[k] * moment
-                left_open_completed += completions[place, k] * moment
+                left_open_completed += completion[k] * moment
             lost, lost_square, brought = 0.0, 0.0, 0.0
             for outcome in range(chance.size):
                 survival = (
@@ -410,15 +421,15 @@ def find_best(
             # A twin of the last may be shorter.
             if value > score[-1] or (is_limited and value == score[-1]):
                 insert(value, next_mark, length, 16 * slot + column, by_value)
-            if not heuristic.size or place < 0:
+            if not heuristic.size or not fits:
                 continue
-            completed_survival = completions[place, powers + 1]
-            completed_term = completions[place, powers + 3]
+            completed_survival = completion[powers + 1]
+            completed_term = completion[powers + 3]
             brought = completed_survival * (brought + (1.0 - lost) * completed_term)
             lost = 1.0 - (1.0 - lost) * completed_survival
             value = brought + surprisal(lost) - left_open_completed - loss_cost * lost
-            mean *= completions[place, powers]
-            spread += completions[place, powers + 2]
+            mean *= completion[powers]
+            spread += completion[powers + 2]
             value = floor((value + mean * spread) * units + 0.5)
             if value > heuristic[-1] or (is_limited and value == heuristic[-1]):
                 insert(value, next_mark, length, 16 * slot + column, by_heuristic)
@@ -549,10 +560,11 @@ def no_labels(cells: int, width: int, gains: Gains) -> Labels:
 
 
 @compiled
-def no_ranking(places: int) -> Ranking:
+def no_ranking(places: int, is_limited: bool) -> Ranking:
     """Return room for so many extensions."""
+    lengths = np.empty(places if is_limited else 0)
     return Ranking(
-        np.empty(places), np.empty(places, np.int64), np.empty(places), np.empty(places, np.int64)
+        np.empty(places), np.empty(places, np.int64), lengths, np.empty(places, np.int64)
     )
 
 
@@ -616,14 +628,15 @@ def search(
     labels, after = no_labels(within.max(), width, gains), no_labels(within.max(), width, gains)
     # The label of a robot that stands at the base.
     labels.products.factor[0], labels.products.term[0], labels.kept[0] = 1.0, 0.0, 1
-    by_value = no_ranking(width - by_heuristic)
-    heuristic = no_ranking(width if by_heuristic else 0)
+    is_limited = reach.longest > 0.0
+    by_value = no_ranking(width - by_heuristic, is_limited)
+    heuristic = no_ranking(width if by_heuristic else 0, is_limited)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
     around = np.empty(9, np.int64)
     steps = max_steps + 1
     trail = Trail(np.full(steps, -1), np.empty(steps, np.int64), np.zeros(cells, np.int64))
     best_value, best_completion = np.zeros(cells), np.full(cells, -inf)
-    no_completion = np.zeros((1, powers + 5))
+    no_completion = np.zeros(powers + 5)
     writes_completions = completions.shape[0] > 0 and by_heuristic == 0
     if writes_completions:
         # No steps left, and there.
@@ -642,6 +655,9 @@ def search(
             for column in range(9):
                 origin = neighbors[rank, column]
                 around[column] = origin if origin < within[step - 1] else -1
+            completion = no_completion
+            if by_heuristic and not is_limited:
+                completion = completions[reach.start[max_steps - step] + rank]
             find_best(
                 rank,
                 around,
@@ -650,7 +666,8 @@ def search(
                 gains,
                 objective,
                 labels,
-                completions if by_heuristic else no_completion,
+                completion,
+                completions,
                 max_steps - step,
                 by_value,
                 heuristic,
