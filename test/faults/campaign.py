@@ -152,7 +152,9 @@ def run_departing(job: tuple[int, str, Path], is_apart: bool = False) -> Outcome
             os.environ |= ENVIRONMENT
         mission = stack.enter_context(DepartingMission(domain, outcome.folder, seed, made))
         try:
-            outcome.strikes.update(('kill', node) for node in mission.live().elements())
+            for fault in mission.live():
+                outcome.faults[fault.kind] += 1
+                outcome.strikes.update((fault.kind, node) for node in fault.pauses)
             outcome.findings = mission.findings()
         except StuckError as error:
             outcome.findings = [('stuck', str(error))]

@@ -132,22 +132,21 @@ class DepartingMission(Mission):
         self._networks.switch(self._own['agents'].index(agent) + 1, state)
 
     def live(self):
-        """Run the mission with faults of the base; return how many nodes were struck."""
+        """Run the mission with faults of the base, and return these."""
         for agent in self._own['agents']:
             self._start_robot(agent)
         self.start(*BASE)
-        struck = Counter()
-        for fault in draw_faults(self._rng, 'mixed', self._own['robots']):
+        faults = draw_faults(self._rng, 'mixed', self._own['robots'])
+        for fault in faults:
             for node in [node for node in fault.pauses if node not in BASE]:
                 del fault.pauses[node]
             self.suffer(fault)
-            struck.update([*fault.pauses])
         self.until_over()
         # Those that were given up may still come home.
         deadline = time.monotonic() + HEARD_AGAIN
         while time.monotonic() < deadline and not self._is_taken_in(self.logged()):
             self.wait(0.5)
-        return struck
+        return faults
 
     def _is_taken_in(self, logged):
         """Say whether all robots that come home are in the log, and what it says is believed."""
