@@ -48,7 +48,7 @@ class Late(Smoother):
 """
 
 BY_LUCK = """
-    OF_LEARNING,
+    AREAS,
     Comparison(
         name='luck',
         applies=learns,
@@ -95,7 +95,7 @@ def paragraph(beginning):
     ),
     (
         'A comparison in studies',
-        {'kbnitp_ros/study/comparison.py': {'\n    OF_LEARNING,\n)\n': BY_LUCK}},
+        {'kbnitp_ros/study/comparison.py': {'\n    AREAS,\n)\n': BY_LUCK}},
         COMPARISON,
     ),
 ])  # fmt: skip

@@ -152,6 +152,8 @@ class Apart:
                     'blocked': sorted(GRID.blocked),
                     'robots': {'/scout_1': [0.5, 0.5]},
                     'targets': targets,
+                    'placed': [0.0, 0.0, 0.0],
+                    'datum': [],
                     'detection_type': 'bool',
                     'lifecycle': True,
                     'track': str(folder / 'track.jsonl'),

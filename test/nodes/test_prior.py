@@ -101,7 +101,7 @@ def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path
             np.zeros((4, 5)),
             'no joint distribution at cell 0: .*; likewise at cells 1, 2',
         ),
-        ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is the base'),
+        ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
         ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
     ],
 )

@@ -35,7 +35,7 @@ PARAMETERS = {
     'seed': 1,
     'step_period': 0.05,
 }
-LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality']}
+LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality'], 'filter.type': 0}
 
 
 class Watched:
@@ -63,6 +63,10 @@ class Watched:
             enclave, full_name, allowed = read_policy(path, replaced.get(name, ('', '')))
             assert enclave == full_name
             self._allowed[full_name] = allowed
+
+    def hears(self, name, topic):
+        """Say whether a node has listened to a topic when `is_all_used` looked."""
+        return topic in self._found[name]['subscribe']
 
     def is_all_used(self):
         """Look at the graph once more; say whether the nodes have had all that is allowed."""
@@ -117,12 +121,17 @@ def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(fiel
     for name in ('estimator', 'planner'):
         field.start(name, mission)
     field.start('agent', mission | {'agent': 'scout_1'}, '/scout_1')
-    field.start(
-        'robot',
-        mission | {'agent': 'scout_2', 'journal': str(field.folder / 'scout_2.journal')},
-        '/scout_2',
-        {f'/{name}': f'/scout_2/{name}' for name in ('tf', 'tf_static')},
+    robot = {'agent': 'scout_2', 'journal': str(field.folder / 'scout_2.journal')}
+    own = {f'/{name}': f'/scout_2/{name}' for name in ('tf', 'tf_static')}
+    field.start('robot', mission | robot, '/scout_2', own)
+    field.until(
+        lambda: watched.is_all_used() or watched.hears('/scout_2/robot', '/scout_2/tf_static'),
+        'robot that listens to TF',
     )
+    # It takes its place from the one or the other.
+    field.kill('/scout_2/robot')
+    place = {'position': 'fix', 'datum': [52.0, 5.0, 0.0]}
+    field.start('robot', mission | robot | place, '/scout_2', own)
     watch(field, watched)
     field.until(lambda: reports, 'report')
     watched.is_all_used()
