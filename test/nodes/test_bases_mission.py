@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission of two bases and three kinds of robots survives the death of its nodes."""
+"""A mission of two bases and three robot types, in a turned field, survives its nodes' death."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.report import read_mission
+from kbnitp_ros.report.answers import findings_of
 from kbnitp_ros.report.plots import map_plot
 import numpy as np
+from pyproj import Geod
 import pytest
 from unbroken import core_mission, with_defaults
 
@@ -24,6 +26,8 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 AGENTS = ('scout_1', 'scout_2', 'scout_3')
 BASES = {'scout_1': 0, 'scout_2': 62, 'scout_3': 62}
 ROBOTS = 9
+# Latitude and longitude in degrees, and the heading of the frame's x axis in rad.
+DATUM = [52.0, 5.0, 0.3]
 
 
 @pytest.fixture
@@ -33,7 +37,8 @@ def parameters():
         'grid.width': 9,
         'grid.height': 7,
         'grid.blocked': [13, 22, 31],
-        'grid.origin': [10.0, -5.0],
+        'grid.origin': [10.0, -5.0, 0.6],
+        'datum': DATUM,
         'max_steps': 12,
         'planner': 'relaxed',
         'allocation': 'voronoi',
@@ -50,7 +55,7 @@ def parameters():
         'robots.scout_1.sensor.true_positive': 0.99,
         'robots.scout_1.loss_cost': 0.2,
         'robots.scout_2.base': 62,
-        'robots.scout_3.base_position': [18.5, 1.2],
+        'robots.scout_3.base_position': [13.5, 5.3],
         'robots.scout_3.sensor.true_positive': 0.5,
         'robots.scout_3.sensor.false_positive': 0.5,
         'robots.scout_3.max_steps': 6,
@@ -103,18 +108,31 @@ def test_a_mission_of_two_bases_goes_on_after_its_nodes_were_killed(field, param
     observations = read_history(log).observations
     assert len(observations) == ROBOTS
     assert_page_shows_bases(read_mission(log))
+    assert_findings_are_on_the_earth(read_mission(log))
     assert_a_later_mission_may_have_others(log, last)
 
 
 def assert_page_shows_bases(mission):
-    """See both bases on the maps, where they are in metres, and the paths from each."""
+    """See both bases on the maps, in metres from the corner, and the paths from each."""
     assert main([str(mission.log), '--out', str(mission.log.parent / 'report')]) == 0
     drawn = json.loads(map_plot(mission.grid))['data'][-1]
     assert drawn['marker']['symbol'] == 'square'
-    assert [*zip(drawn['x'], drawn['y'])] == [(10.5, -4.5), (18.5, 1.5)]
+    assert [*zip(drawn['x'], drawn['y'])] == [(0.5, 0.5), (8.5, 6.5)]
     assert {(each.key.agent, int(each.path[0])) for each in mission.deployments} == {
         *BASES.items()
     }
+
+
+def assert_findings_are_on_the_earth(mission):
+    """See that what the page lists is where a geodesic from the datum leads."""
+    earth, findings = Geod(ellps='WGS84'), findings_of(mission)
+    latitude, longitude, heading = DATUM
+    assert findings
+    for each in findings:
+        ((x, y),) = mission.grid.centers([each.cell]).tolist()
+        azimuth = 90.0 - np.degrees(heading + np.arctan2(y, x))
+        at = earth.fwd(longitude, latitude, azimuth, np.hypot(x, y))[:2]
+        assert earth.inv(each.longitude, each.latitude, *at)[2] < 0.1
 
 
 def assert_a_later_mission_may_have_others(log, last):
