@@ -19,6 +19,7 @@ SCENARIOS = DOCS.parent / 'scenarios'
 METHODS = read_scenario(SCENARIOS / 'paper.yaml').methods
 PAPER = METHODS[:3]
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
+TEAMS = ('teams', 'loss_cost', 'behavioral', 'prior_maps', 'bases')
 
 
 def cells_of(line):
@@ -60,7 +61,7 @@ def test_the_page_shows_full_studies(scenario):
     assert set(table(scenario)) == set(product(LETHALITIES, methods))
 
 
-@for_each('name', ['teams', 'loss_cost', 'behavioral', 'prior_maps', 'bases'])
+@for_each('name', TEAMS)
 def test_the_page_shows_full_studies_of_teams(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     rows, compared = rows_of(name), rows_of(name, 1)
@@ -71,7 +72,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', ['teams', 'loss_cost', 'behavioral', 'planners', 'prior_maps', 'bases'])
+@for_each('name', [*TEAMS, 'planners', 'changing_hazards'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -105,6 +106,7 @@ def test_every_figure_is_shown():
         'last_contact_reliability.png',
         'prior_maps_log_loss.png',
         'bases_log_loss.png',
+        'changing_hazards_log_loss.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -556,6 +558,25 @@ def test_what_behavioral_entropies_change():
     ]
     assert targets[:3] == [0.3, 1.8, 8.2]
     assert [round(nats) for nats in targets[3:]] == [4, 11, 22]
+
+
+def test_what_it_costs_to_believe_that_hazards_stay():
+    """Where they come and go, on the same evidence; no belief in the wrong kind does better."""
+    each, differences = rows_of('changing_hazards', 1), rows_of('changing_hazards', 2)
+    told = {(row['lethality'], row['believed']): row for row in each}
+    text = (DOCS / 'results.md').read_text()
+    for lethality in (0.1, 0.3, 0.5, 0.9):
+        beliefs = [
+            told[str(lethality), f'{kind} paths'] for kind in ('static, own', 'changing, static')
+        ]
+        ends = [
+            ', '.join(f'{numbers(row[robots])[0]}' for robots in ('100', '200')) for row in beliefs
+        ]
+        assert f'| {lethality} | {ends[0]} | {ends[1]} |' in text
+    for row in differences:
+        mean, low, _ = numbers(row['200'])
+        is_wrong = not row['believed'].startswith('changing')
+        assert low > 10.0 if is_wrong else mean < 9.0, row
 
 
 def test_what_last_contacts_are_worth():
