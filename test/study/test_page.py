@@ -19,6 +19,7 @@ SCENARIOS = DOCS.parent / 'scenarios'
 METHODS = read_scenario(SCENARIOS / 'paper.yaml').methods
 PAPER = METHODS[:3]
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
+FEW = ('25', '50', '100')
 TEAMS = ('teams', 'loss_cost', 'behavioral', 'prior_maps', 'bases')
 
 
@@ -72,7 +73,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', [*TEAMS, 'planners', 'changing_hazards'])
+@for_each('name', [*TEAMS, 'planners', 'changing_hazards', 'used_up_hazards'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -107,6 +108,7 @@ def test_every_figure_is_shown():
         'prior_maps_log_loss.png',
         'bases_log_loss.png',
         'changing_hazards_log_loss.png',
+        'used_up_hazards_log_loss.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -577,6 +579,20 @@ def test_what_it_costs_to_believe_that_hazards_stay():
         mean, low, _ = numbers(row['200'])
         is_wrong = not row['believed'].startswith('changing')
         assert low > 10.0 if is_wrong else mean < 9.0, row
+
+
+def test_what_the_belief_in_used_up_hazards_is_worth():
+    told = {(row['lethality'], row['believed']): row for row in rows_of('used_up_hazards', 1)}
+    text = (DOCS / 'results.md').read_text()
+    for lethality in (0.1, 0.3, 0.5, 0.9):
+        used_up, static = (
+            ', '.join(f'{numbers(told[str(lethality), kind][robots])[0]}' for robots in FEW)
+            for kind in ('used up', 'static')
+        )
+        assert f'| {lethality} | {used_up} | {static} |' in text
+    for row in rows_of('used_up_hazards', 2):
+        assert 1.0 < numbers(row['100'])[1] < numbers(row['100'])[0] < 10.0
+        assert -10.0 < numbers(row['more lost'])[0] < numbers(row['more lost'])[2] < 0.0
 
 
 def test_what_last_contacts_are_worth():
