@@ -56,10 +56,8 @@ class EstimatorNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        # What is wrong is said before anything begins; the datum the report reads in the log.
+        # The report reads it in the log: what is wrong is said before the mission.
         datum_of(self.values)
-        nav2 = [self.values[f'filter.{each}'] for each in ('type', 'base', 'multiplier')]
-        check_filter(*nav2)
         estimator = estimator_of(self.values, self.grid)
         robot_types = {
             agent: robot_type
@@ -77,7 +75,7 @@ class EstimatorNode(FieldNode):
         # In this order whoever knows of belief knows of its views as well.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
-            self._tell_nav2(*nav2)
+            self._tell_nav2()
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
             if estimator.parameters
@@ -114,10 +112,13 @@ class EstimatorNode(FieldNode):
         self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
 
-    def _tell_nav2(self, filter_type: int, base: float, multiplier: float) -> None:
+    def _tell_nav2(self) -> None:
         """Have Nav2's costmap filters take the map of hazards for their mask."""
         from nav2_msgs.msg import CostmapFilterInfo
 
+        filter_type, base = self.values['filter.type'], self.values['filter.base']
+        multiplier = self.values['filter.multiplier']
+        check_filter(filter_type, base, multiplier)
         told = self.create_publisher(CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED)
         mask = self.resolve_topic_name('belief/hazard')
         told.publish(filter_info(filter_type, base, multiplier, mask, self.now()))

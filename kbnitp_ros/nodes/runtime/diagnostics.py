@@ -143,9 +143,16 @@ class Diagnostics:
         self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
 
     def _is_heard(self) -> bool:
-        """Say whether anybody but this node listens; the recorder listens to everything."""
-        topic = self._publisher.topic_name
-        own: int = sum(each.topic_name == topic for each in self._node.subscriptions)
+        """
+        Say whether anybody but this node listens.
+
+        The recorder listens to everything, and one that could not start may listen as well.
+        """
+        name = self._node.get_name(), self._node.get_namespace()
+        own = sum(
+            (each.node_name, each.node_namespace) == name
+            for each in self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        )
         listeners: int = self._publisher.get_subscription_count()
         return listeners > own
 
