@@ -131,13 +131,8 @@ def lanes(first: Mission, second: Mission) -> str:
 
 def uncertainty(first: Curves, second: Curves) -> str:
     """Return how the entropies differ that are left, and the log losses if both are known."""
-    entropies, losses = (
-        [float(values[-1]) for values in of]
-        for of in (
-            [each.hazard_entropy + each.target_entropy for each in (first, second)],
-            [each.hazard_loss + each.target_loss for each in (first, second)],
-        )
-    )
+    entropies = [float(each.entropy[-1]) for each in (first, second)]
+    losses = [float(each.log_loss[-1]) for each in (first, second)]
     said = f'{more(entropies[1] - entropies[0], "nats", ".1f")} left in B.'
     if not np.isnan(losses).any():
         said += f' Log loss: {losses[0]:.1f} nats in A, {losses[1]:.1f} in B.'

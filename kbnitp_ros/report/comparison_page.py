@@ -177,8 +177,8 @@ def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
     panels: dict[str, dict[str, NDArray[np.float64]]] = {}
     for side, (_, curves) in zip(SIDES, (first, second)):
         for label, values in {
-            'entropy H(Z) + H(X) (nats)': curves.hazard_entropy + curves.target_entropy,
-            'log loss (nats)': curves.hazard_loss + curves.target_loss,
+            'entropy H(Z) + H(X) (nats)': curves.entropy,
+            'log loss (nats)': curves.log_loss,
             'information gained so far (nats)': np.nancumsum(curves.gained),
             'robots lost': curves.lost.astype(np.float64),
         }.items():

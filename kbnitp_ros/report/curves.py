@@ -57,6 +57,16 @@ class Curves:
     lost: NDArray[np.intp]
     out: NDArray[np.intp]
 
+    @property
+    def entropy(self) -> Numbers:
+        """Return H(Z) + H(X), nats, shape (moments,)."""
+        return self.hazard_entropy + self.target_entropy
+
+    @property
+    def log_loss(self) -> Numbers:
+        """Return the log loss of both maps, nats, shape (moments,); NaN if it is not known."""
+        return self.hazard_loss + self.target_loss
+
 
 def curves_of(
     mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter

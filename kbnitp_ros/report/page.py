@@ -222,7 +222,7 @@ def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
 def summary(mission: Mission, curves: Curves) -> str:
     """Return a mission in a sentence."""
     lost = sum(not each.survived for each in mission.ended)
-    entropy = curves.hazard_entropy + curves.target_entropy
+    entropy = curves.entropy
     agents = len({each.key.agent for each in mission.deployments})
     words = [
         f'{counted(len(mission.deployments), "deployment")} of {counted(agents, "agent")} '

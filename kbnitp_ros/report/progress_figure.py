@@ -41,7 +41,7 @@ def panels_of(curves: Curves) -> list[Panel]:
         Panel(
             'entropy (nats)',
             {
-                'H(Z) + H(X), all': curves.hazard_entropy + curves.target_entropy,
+                'H(Z) + H(X), all': curves.entropy,
                 'H(Z), hazards': curves.hazard_entropy,
                 'H(X), targets': curves.target_entropy,
                 'H(Z, X), joint': curves.joint_entropy,

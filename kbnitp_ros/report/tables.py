@@ -46,8 +46,8 @@ COLUMNS = pyarrow.schema(
 
 def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
     """Return one row a deployment, by the names of `COLUMNS`; None where nothing is known."""
-    entropy = curves.hazard_entropy + curves.target_entropy
-    loss = curves.hazard_loss + curves.target_loss
+    entropy = curves.entropy
+    loss = curves.log_loss
     first = {each.deployment: place for place, each in reversed([*enumerate(mission.moments)])}
     table = []
     for number, deployment in enumerate(mission.deployments):

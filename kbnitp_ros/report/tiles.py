@@ -64,7 +64,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{open_cells} more were entered, and are neither free nor suspected',
     )
     yield lane(mission)
-    entropy = curves.hazard_entropy + curves.target_entropy
+    entropy = curves.entropy
     share = 100.0 * entropy[-1] / entropy[0] if entropy[0] else 0.0
     yield Tile(
         'How sure is this?',

@@ -21,7 +21,7 @@ from kbnitp_ros.core import (
     Stop,
     World,
 )
-from kbnitp_ros.core.decision import Flight, Situation
+from kbnitp_ros.core.decision import Flight, Situation, there_and_back
 import numpy as np
 
 # What robots are sent for, besides `GOALS`, to compare these with.
@@ -104,7 +104,7 @@ class SafestLane(Lane):
         grid, draws, model = situation.grid, situation.draws, situation.model
         half = situation.options.max_steps // 2
         lane = safest_path(grid, draws, model, grid.base, self.to, half).path
-        return Flight(np.concatenate([lane, lane[-2::-1]]), 0.0)
+        return Flight(there_and_back(lane, lane), 0.0)
 
 
 def measured_for(

@@ -133,9 +133,10 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
     prior, model = scenario.belief(truth), scenario.model(believed)
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
     start = scenario.estimator(trial.method, trial.team, prior, model, trial.number)
+    is_own = trial.team.paths == 'own'
     mission = continue_mission(
         grid,
-        start if trial.team.paths == 'own' else Estimator(prior, model),
+        start if is_own else Estimator(prior, model),
         world,
         scenario.robots,
         rng,
@@ -148,7 +149,6 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
         ),
         goal=scenario.goal(trial.team),
     )
-    is_own = trial.team.paths == 'own'
     beliefs, known = zip(*knowledge(start, mission, is_own))
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]

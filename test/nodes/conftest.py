@@ -13,9 +13,10 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import ForkedProcesses
-from kbnitp_msgs.msg import AgentStatus, Recorded
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
+from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 import pytest
@@ -64,10 +65,12 @@ class Field:
             )
 
     def start_mission(self, parameters, namespace='/', log=None):
-        """Start the nodes of a mission, all with these parameters; without a log no recorder."""
-        recorder = []
+        """Start the nodes of a mission, with a recorder only if there is a log."""
         if log is not None:
-            self.start('recorder', {**parameters, 'file': str(log)}, namespace)
+            parameters = {**parameters, 'file': str(log)}
+        recorder = []
+        if {'file', 'resume'} & parameters.keys():
+            self.start('recorder', parameters, namespace)
             recorder = ['recorder']
         for name, awaited in (
             ('estimator', ['planner']),
@@ -75,6 +78,24 @@ class Field:
             ('planner', ['agent', 'estimator']),
         ):
             self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
+
+    def run_killed_mission(self, parameters, log):
+        """Kill all nodes after four reports, resume to the end, and return the later beliefs."""
+        robots, agents = parameters['robots'], parameters['agents']
+        beliefs = self.listen(BeliefMaps, '/m/belief')
+        reports = [self.listen(DeploymentReport, f'/m/{each}/report') for each in agents]
+        self.start_mission(parameters, '/m', log)
+        self.until(lambda: sum(map(len, reports)) >= 4, 'four reports', patience=180)
+        for name in [*self.processes.started]:
+            self.kill(name)
+        assert len(replay(log).evidence.reports) < robots
+        beliefs.clear()
+        self.start_mission({**parameters, 'resume': log}, '/m')
+        done = f'done: {robots} of {robots} robots deployed'
+        self.until(lambda: self.state('/m/planner') == done, done, patience=180)
+        self.until(lambda: beliefs and beliefs[-1].deployments == robots, 'last belief')
+        assert set(self.processes.stop().values()) == {0}
+        return beliefs
 
     def kill(self, full_name):
         """End a node without warning; it may be started again, and has said nothing yet."""

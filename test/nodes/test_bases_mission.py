@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 import json
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import grid_of, robot_types_of
@@ -22,7 +21,6 @@ from pyproj import Geod
 import pytest
 from unbroken import core_mission, with_defaults
 
-NODES = ('recorder', 'estimator', 'agent', 'planner')
 AGENTS = ('scout_1', 'scout_2', 'scout_3')
 BASES = {'scout_1': 0, 'scout_2': 62, 'scout_3': 62}
 ROBOTS = 9
@@ -63,34 +61,10 @@ def parameters():
     }
 
 
-def start(field, parameters):
-    """Start the nodes of the mission."""
-    awaited = {
-        'recorder': [],
-        'estimator': ['planner', 'recorder'],
-        'agent': ['planner', 'estimator', 'recorder'],
-        'planner': ['agent', 'estimator', 'recorder'],
-    }
-    for name in NODES:
-        field.start(name, {**parameters, 'await_nodes': awaited[name]}, '/m')
-
-
 def test_a_mission_of_two_bases_goes_on_after_its_nodes_were_killed(field, parameters):
     log = str(field.folder / 'mission.mcap')
-    beliefs = field.listen(BeliefMaps, '/m/belief')
-    reports = {agent: field.listen(DeploymentReport, f'/m/{agent}/report') for agent in AGENTS}
-    start(field, {**parameters, 'file': log})
-    field.until(lambda: sum(map(len, reports.values())) >= 4, 'four reports', patience=180)
-    for name in NODES:
-        field.kill(f'/m/{name}')
-    assert len(replay(log).evidence.reports) < ROBOTS
+    beliefs = field.run_killed_mission(parameters, log)
     assert_other_bases_are_refused(parameters, log)
-    beliefs.clear()
-    start(field, {**parameters, 'resume': log})
-    done = f'done: {ROBOTS} of {ROBOTS} robots deployed'
-    field.until(lambda: field.state('/m/planner') == done, done, patience=180)
-    field.until(lambda: beliefs and beliefs[-1].deployments == ROBOTS, 'last belief')
-    assert set(field.processes.stop().values()) == {0}
 
     expected = core_mission(parameters)
     last = read_belief_maps(beliefs[-1])

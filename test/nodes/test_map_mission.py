@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.configuration import robot_types_of
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
@@ -16,7 +15,6 @@ from PIL import Image
 import pytest
 from unbroken import core_mission, with_defaults
 
-NODES = ('recorder', 'estimator', 'agent', 'planner')
 AGENTS = ('scout_1', 'scout_2')
 ROBOTS = 8
 YAML = """
@@ -84,33 +82,9 @@ def parameters(tmp_path):
     }
 
 
-def start(field, parameters):
-    """Start the nodes of the mission."""
-    awaited = {
-        'recorder': [],
-        'estimator': ['planner', 'recorder'],
-        'agent': ['planner', 'estimator', 'recorder'],
-        'planner': ['agent', 'estimator', 'recorder'],
-    }
-    for name in NODES:
-        field.start(name, {**parameters, 'await_nodes': awaited[name]}, '/m')
-
-
 def test_a_mission_on_a_map_goes_on_after_all_its_nodes_were_killed(field, parameters):
     log = str(field.folder / 'mission.mcap')
-    beliefs = field.listen(BeliefMaps, '/m/belief')
-    reports = {agent: field.listen(DeploymentReport, f'/m/{agent}/report') for agent in AGENTS}
-    start(field, {**parameters, 'file': log})
-    field.until(lambda: sum(map(len, reports.values())) >= 4, 'four reports', patience=180)
-    for name in NODES:
-        field.kill(f'/m/{name}')
-    assert len(replay(log).evidence.reports) < ROBOTS
-    beliefs.clear()
-    start(field, {**parameters, 'resume': log})
-    done = f'done: {ROBOTS} of {ROBOTS} robots deployed'
-    field.until(lambda: field.state('/m/planner') == done, done, patience=180)
-    field.until(lambda: beliefs and beliefs[-1].deployments == ROBOTS, 'last belief')
-    assert set(field.processes.stop().values()) == {0}
+    beliefs = field.run_killed_mission(parameters, log)
 
     expected = core_mission(parameters)
     last = read_belief_maps(beliefs[-1])

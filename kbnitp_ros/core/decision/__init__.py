@@ -7,7 +7,7 @@ from kbnitp_ros.core.decision.flights import Flight, Situation
 from kbnitp_ros.core.decision.goals import Goal, GOALS
 from kbnitp_ros.core.decision.hazard_draws import DRAWS, HazardDraws
 from kbnitp_ros.core.decision.lane import Lane
-from kbnitp_ros.core.decision.lanes import safest_path, SafestPath
+from kbnitp_ros.core.decision.lanes import safest_path, SafestPath, there_and_back
 from kbnitp_ros.core.decision.rounds import check_sought, plan_round, Round
 from kbnitp_ros.core.decision.stopping import Stop
 from kbnitp_ros.core.decision.targets import Target, targets
@@ -31,4 +31,5 @@ __all__ = [
     'plan_round',
     'safest_path',
     'targets',
+    'there_and_back',
 ]
