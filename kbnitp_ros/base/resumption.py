@@ -103,5 +103,6 @@ class Resumption:
         planned_on, keys = newest_round
         recorded = {key: self.deployments[key].path for key in keys}
         refused = self.operator.refused(planned_on.deployments)
-        plans = rounds.missing(planned_on, list(self._agents), recorded, refused)
+        at_base = {key for key in keys if self.deployments[key].is_refused}
+        plans = rounds.missing(planned_on, list(self._agents), recorded, refused, at_base)
         return plans, planned_on.mission

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import time
@@ -176,11 +176,13 @@ class Rounds:
         agents: Sequence[str],
         recorded: Paths,
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
+        at_base: Container[DeploymentKey] = (),
     ) -> Plans:
         """
         Return the plans of a round that died with the mission before their paths were on record.
 
-        Some of the others may have reported, so nobody could plan these later.
+        Some of the others may have reported, so nobody could plan these later. Of the recorded
+        paths those of robots that stay `at_base` were not taken note of.
         """
         if self._knowledge.goal is not None:
             # Draws of the time of that belief are gone: those who stayed leave in the next round.
@@ -189,7 +191,7 @@ class Rounds:
         if len(recorded) >= len(agents):
             return {}
         first = next_name(planned_on.stamp, planned_on.mission)
-        noted = list(recorded.values())
+        noted = [path for key, path in recorded.items() if key not in at_base]
         planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
         # Otherwise it was a round of other agents, or the parameters are others now.
         if not all(
