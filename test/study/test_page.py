@@ -20,6 +20,15 @@ METHODS = read_scenario(SCENARIOS / 'paper.yaml').methods
 PAPER = METHODS[:3]
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
 FEW = ('25', '50', '100')
+KINDS = (
+    'changing_hazards',
+    'used_up_hazards',
+    'used_up_sampled',
+    'static_hazards',
+    'blobs',
+    'rows',
+    'scattered',
+)
 TEAMS = ('teams', 'loss_cost', 'behavioral', 'prior_maps', 'bases')
 
 
@@ -73,7 +82,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', [*TEAMS, 'planners', 'changing_hazards', 'used_up_hazards'])
+@for_each('name', [*TEAMS, 'planners', *KINDS])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -109,6 +118,9 @@ def test_every_figure_is_shown():
         'bases_log_loss.png',
         'changing_hazards_log_loss.png',
         'used_up_hazards_log_loss.png',
+        'used_up_sampled_log_loss.png',
+        'static_hazards_log_loss.png',
+        'blobs_log_loss.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -596,14 +608,54 @@ def test_what_the_belief_in_used_up_hazards_is_worth():
 
 
 def test_what_last_contacts_are_worth():
-    some, each = rows_of('last_contact', 1)
-    assert (some['contact'], each['contact']) == ('0.2', '1')
-    for robots, nats in (('10', 3.5), ('25', 6.8), ('50', 4.1), ('100', 4.6)):
-        mean, low, _ = numbers(each[robots])
-        assert mean == nats
-        assert low > 0
-        _, low, high = numbers(some[robots])
-        assert low <= 0 <= high
+    rows = {(row['lethality'], row['contact']): row for row in rows_of('last_contact', 1)}
+    for lethality, few, many in (('0.1', 3.5, 4.3), ('0.5', 11.2, 19.1), ('0.9', 11.0, 16.2)):
+        early, late = (numbers(rows[lethality, '1'][robots]) for robots in ('25', '100'))
+        assert (early[0], late[0]) == (few, many)
+        assert early[1] > 0 < late[1]
+    some = [numbers(rows[lethality, '0.2']['100'])[0] for lethality in ('0.5', '0.9', '0.1')]
+    assert some == [6.3, 5.0, 0.7]
+
+
+def test_what_the_wrong_belief_costs_where_hazards_stay():
+    text = (DOCS / 'results.md').read_text()
+    rows = iter(numbers(row['log loss'])[0] for row in rows_of('static_hazards'))
+    for lethality, *ends in zip((0.1, 0.3, 0.5, 0.9), rows, rows, rows):
+        assert f'| {lethality} | {" | ".join(map(str, ends))} |' in text
+    for row in rows_of('static_hazards', 2):
+        mean, low, _ = numbers(row['100'])
+        assert low > 0.0
+        assert (2.0 < mean < 6.0) == (row['believed'] == 'changing')
+
+
+def test_sampling_brings_nothing_over_one_pass_where_hazards_are_used_up():
+    text = (DOCS / 'results.md').read_text()
+    rows = {
+        (row['lethality'], row['method']): row['log loss'] for row in rows_of('used_up_sampled')
+    }
+    for lethality in ('0.3', '0.5', '0.9'):
+        ends = [
+            str(numbers(rows[lethality, f'`kappa_bnitp{method}`, {kind} paths'])[0])
+            for kind, method in (
+                ('static, static', ''),
+                ('static, static', '_sampled'),
+                ('used up, static', ''),
+                ('used up, static', '_sampled'),
+                ('used up, own', '_sampled'),
+            )
+        ]
+        assert f'| {lethality} | {" | ".join(ends)} |' in text
+        assert ends[2] == ends[3]
+
+
+@for_each('scenario, order', [('blobs', 'blobs'), ('rows', 'rows'), ('scattered', 'no order')])
+def test_what_the_belief_in_clusters_is_worth(scenario, order):
+    def told(row):
+        few, more, most = (numbers(row[robots]) for robots in FEW)
+        return f'{few[0]}, {more[0]}, {most[0]} [{most[1]}, {most[2]}]'
+
+    same, own = map(told, rows_of(scenario, 2))
+    assert f'| {order} | {same} | {own} |' in (DOCS / 'results.md').read_text()
 
 
 def worth_of_maps():
