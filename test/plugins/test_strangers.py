@@ -4,10 +4,14 @@
 import subprocess
 import sys
 
+from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+from kbnitp_ros.files import read_yaml
 from kbnitp_ros.log.history import read_history
 from laws import for_each
+import numpy as np
 import pytest
-from strangers import install
+from strangers import install, ROOT
+import yaml
 
 pytestmark = pytest.mark.processes
 
@@ -140,6 +144,48 @@ def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_packag
     assert done.returncode == 0, done.stdout + done.stderr
     assert '/belief: 5 of 5 messages reproduced' in done.stdout
     assert len(read_history(tmp_path / 'out/mission.mcap').observations) == 4
+
+
+@pytest.fixture
+def small_benchmark(tmp_path):
+    """Return a folder with the package beside a benchmark of a small field."""
+    scenarios = tmp_path / 'scenarios'
+    scenarios.mkdir()
+    # The scenarios are those beside the package: its links stay links.
+    tmp_path.joinpath('kbnitp_ros').symlink_to(ROOT / 'kbnitp_ros')
+    content = read_yaml(ROOT / 'scenarios/benchmark.yaml')
+    content['grid'] = {'width': 4, 'height': 4, 'base': 0}
+    content['planning']['max_steps'] = 6
+    content |= {'trials': 1, 'robots': 2}
+    scenarios.joinpath('benchmark.yaml').write_text(yaml.safe_dump(content))
+    grid, model = Grid(4, 4), SensorModel(0.5)
+    belief = Belief.prior(grid, 0.15, 0.205, 0.8)
+    bound = plan(grid, belief, model, 6, bound=True).upper_bound
+    np.savez(
+        scenarios / 'benchmark_1.npz',
+        joint=[belief.joint],
+        lethality=[model.lethality],
+        bound=[bound],
+    )
+    return tmp_path
+
+
+@pytest.mark.full
+def test_a_planner_of_another_package_enters_the_benchmark_with_one_command(small_benchmark):
+    environment = install(small_benchmark, 'theirs', SOURCE, {'planners': {'theirs': 'shortest'}})
+    done = run(
+        environment, '-m', 'kbnitp_ros', 'study', 'benchmark', '--workers', '1', '--out', 'out',
+        cwd=small_benchmark,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    table = small_benchmark.joinpath('out/benchmark.md').read_text()
+    rows = [[cell.strip(' `') for cell in line.split('|')[1:-1]] for line in table.splitlines()]
+    entries = {row[0]: row for row in rows if len(row) > 1}
+    assert {'random', 'beam', 'exact', 'theirs'} <= entries.keys()
+    least, log_loss, lost = (float(entries['theirs'][column].split()[0]) for column in (3, 5, 7))
+    assert 0.0 < least <= float(entries['beam'][3]) <= 1.0
+    assert log_loss > 0.0
+    assert 0.0 <= lost <= 2.0
 
 
 OF = 'of strangers_of_theirs 1.0 (entry point'
