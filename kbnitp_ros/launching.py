@@ -201,11 +201,6 @@ class MissionArguments:
     """
     A mission as the arguments of a launch file describe it.
 
-    Attributes
-    ----------
-    agents : list of str
-        The agents of the team.
-
     Raises
     ------
     ValueError

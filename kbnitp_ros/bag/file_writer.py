@@ -41,14 +41,6 @@ class FileWriter:
     """
     Writes an MCAP file.
 
-    Attributes
-    ----------
-    contents : BagFile
-        What has been written.
-    preamble : int
-        How many bytes come before the first message: the types and channels known by then, and
-        records of named values.
-
     Raises
     ------
     OSError
@@ -59,8 +51,11 @@ class FileWriter:
 
     def __init__(self, path: Path, compression: str) -> None:
         self.path = path
+        # What has been written.
         self.contents = BagFile(path.name)
         self._file = path.open('xb')
+        # How many bytes come before the first message: the types and channels known by then, and
+        # records of named values.
         self.preamble = 0
         self._written = 0
         self._pending = 0

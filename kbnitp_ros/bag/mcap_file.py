@@ -79,19 +79,12 @@ FOOTER = struct.Struct('<QQ')
 
 
 class Record(NamedTuple):
-    """
-    A record, or the part of it that is there, and how far into the file that ends.
-
-    Attributes
-    ----------
-    length : int
-        How many bytes it has: of a message that is too large, the body has the head alone.
-
-    """
+    """A record, or the part of it that is there, and how far into the file that ends."""
 
     kind: int
     body: bytes
     position: int
+    # How many bytes it has: of a message that is too large, the body has the head alone.
     length: int
 
 
@@ -257,15 +250,6 @@ class Source:
     """
     A file as long as it was when it was opened, read from front to back.
 
-    Attributes
-    ----------
-    size : int
-        How many bytes it has.
-    is_finished : bool
-        Whether it ends as its writer ends it.
-    checksum : int
-        Of what was read of it.
-
     Raises
     ------
     LogError
@@ -276,6 +260,7 @@ class Source:
     def __init__(self, file: BinaryIO, path: Path) -> None:
         self._file = file
         self.size = os.fstat(file.fileno()).st_size
+        # Whether it ends as its writer ends it.
         self.is_finished = ends_finished(file, self.size)
         self.checksum = zlib.crc32(read_start(file, path))
 

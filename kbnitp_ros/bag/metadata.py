@@ -19,36 +19,22 @@ VERSION = 9
 
 @dataclass
 class BagTopic:
-    """
-    A topic with one QoS and how many messages it has.
+    """A topic with one QoS and how many messages it has."""
 
-    Attributes
-    ----------
-    metadata : dict
-        As rosbag2 writes it: name, type, serialization_format, offered_qos_profiles,
-        type_description_hash.
-
-    """
-
+    # As rosbag2 writes it: name, type, serialization_format, offered_qos_profiles,
+    # type_description_hash.
     metadata: dict[str, Any]
     messages: int = 0
 
 
 @dataclass
 class BagFile:
-    """
-    What is in a file of a bag.
-
-    Attributes
-    ----------
-    first, last : int
-        Times of its earliest and its latest message, in nanoseconds. Without messages first is
-        the greatest time there is and last is 0.
-
-    """
+    """What is in a file of a bag."""
 
     name: str
     topics: list[BagTopic] = field(default_factory=list)
+    # Times of its earliest and its latest message, in nanoseconds. Without messages first is the
+    # greatest time there is and last is 0.
     first: int = 2**63 - 1
     last: int = 0
 

@@ -24,15 +24,7 @@ TYPE_HASH = 'topic_type_hash'
 
 
 class RecordedMessage(NamedTuple):
-    """
-    A message with what the file says of it.
-
-    Attributes
-    ----------
-    position : int
-        How far into the file it was found, in bytes.
-
-    """
+    """A message with what the file says of it."""
 
     channel: Channel
     schema: Schema
@@ -40,6 +32,7 @@ class RecordedMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
+    # How far into the file it was found, in bytes.
     position: int
 
 
@@ -52,18 +45,11 @@ class RecordedMetadata(NamedTuple):
 
 
 class SkippedMessage(NamedTuple):
-    """
-    A message that is larger than any that is read.
-
-    Attributes
-    ----------
-    size : int
-        Bytes of its record.
-
-    """
+    """A message that is larger than any that is read."""
 
     path: Path
     topic: str
+    # Bytes of its record.
     size: int
     position: int
 

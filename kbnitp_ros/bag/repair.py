@@ -25,19 +25,10 @@ from kbnitp_ros.files import parse_yaml
 
 @dataclass(frozen=True)
 class Repaired:
-    """
-    What was saved of a log.
-
-    Attributes
-    ----------
-    messages : int
-        How many.
-    lost : list of str
-        Which files end too early, and where they are corrupt.
-
-    """
+    """What was saved of a log."""
 
     messages: int
+    # Which files end too early, and where they are corrupt.
     lost: list[str]
 
 

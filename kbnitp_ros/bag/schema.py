@@ -20,19 +20,11 @@ INTERFACES = 'rosidl_interfaces'
 
 @dataclass(frozen=True)
 class TypeDescription:
-    """
-    What a reader needs to know of a message type.
+    """What a reader needs to know of a message type."""
 
-    Attributes
-    ----------
-    definition : str
-        The type's definition, then that of every type it refers to, directly or not.
-    type_hash : str
-        REP-2011 hash, 'RIHS01_' and 64 hex digits.
-
-    """
-
+    # The type's definition, then that of every type it refers to, directly or not.
     definition: str
+    # REP-2011 hash, 'RIHS01_' and 64 hex digits.
     type_hash: str
 
 

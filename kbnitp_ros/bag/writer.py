@@ -21,23 +21,14 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 @dataclass
 class Topic:
-    """
-    A topic on record.
-
-    Attributes
-    ----------
-    metadata : dict
-        What its channel says of it.
-    messages : int
-        How many were written, to all parts.
-    channel : int
-        Its number in the part being written.
-
-    """
+    """A topic on record."""
 
     definition: Definition
+    # What its channel says of it.
     metadata: dict[str, str]
+    # How many were written, to all parts.
     messages: int = 0
+    # Its number in the part being written.
     channel: int = 0
 
 

@@ -26,37 +26,23 @@ MOST_UNHEARD = 1000
 
 @dataclass
 class DeploymentInFlight:
-    """
-    A robot that was sent and not reported yet, nor refused its order.
+    """A robot that was sent and not reported yet, nor refused its order."""
 
-    Attributes
-    ----------
-    path : ndarray of int, shape (steps + 1,)
-        Its cells.
-    content : int
-        Hash of the message that sent it.
-    is_recorded : bool
-        Whether that is on disk, so that its agent takes it.
-    departure : int or None
-        Hash of the status by which it departs; None as long as it was not heard.
-    has_departed : bool
-        Whether it is known to have left the base.
-    recorded_content : int or None
-        Hash of the path that is on disk instead of it, until that path is heard.
-    due : int or None
-        When it times out, in nanoseconds; None until it has departed and the clock runs.
-    is_overdue : bool
-        Whether it had timed out at the last look.
-
-    """
-
+    # Its cells. Shape (steps + 1,).
     path: NDArray[np.intp]
+    # Hash of the message that sent it.
     content: int
+    # Whether that is on disk, so that its agent takes it.
     is_recorded: bool = False
+    # Hash of the status by which it departs; None as long as it was not heard.
     departure: int | None = None
+    # Whether it is known to have left the base.
     has_departed: bool = False
+    # Hash of the path that is on disk instead of it, until that path is heard.
     recorded_content: int | None = None
+    # When it times out, in nanoseconds; None until it has departed and the clock runs.
     due: int | None = None
+    # Whether it had timed out at the last look.
     is_overdue: bool = False
 
 
@@ -74,11 +60,6 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         The planner's parameters by name.
     kept : int
         How many paths of an agent their publisher keeps for those who join late.
-
-    Attributes
-    ----------
-    kept : int
-        The same.
 
     """
 

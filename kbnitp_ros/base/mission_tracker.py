@@ -21,18 +21,12 @@ class MissionTracker:
 
     The mission is that of the prior which the first robot was sent on. Beliefs state it; a path
     belongs to the mission if a belief does.
-
-    Attributes
-    ----------
-    mission : int or None
-        When it began, in nanoseconds; None as long as no robot is known to have left.
-    newest : Snapshot or None
-        The belief that holds the most deployments, of these the last; None before the first.
-
     """
 
     def __init__(self) -> None:
+        # When it began, in nanoseconds; None as long as no robot is known to have left.
         self.mission: int | None = None
+        # The belief that holds the most deployments, of these the last; None before the first.
         self.newest: Snapshot | None = None
         # What the estimator of the newest belief was started with; None before the first.
         self._rules: dict[str, Any] | None = None

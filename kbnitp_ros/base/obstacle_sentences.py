@@ -12,16 +12,9 @@ from kbnitp_ros.files import some
 
 
 class FullNames(NamedTuple):
-    """
-    How names are resolved.
+    """How names are resolved."""
 
-    Attributes
-    ----------
-    of_topic, of_service : callable
-        Return the full name, as those that publish or answer there have it.
-
-    """
-
+    # Return the full name, as those that publish or answer there have it.
     of_topic: Callable[[str], str]
     of_service: Callable[[str], str]
 

@@ -52,85 +52,52 @@ class Obstacle(Enum):
 
 
 class AgentPresence(NamedTuple):
-    """
-    What is known of an agent.
+    """What is known of an agent."""
 
-    Attributes
-    ----------
-    is_present : bool
-        Whether somebody answers for it.
-    says_status : bool
-        Whether it tells when its robots depart.
-    is_left_alone : bool
-        Whether it refused its last order, and is sent no other yet.
-
-    """
-
+    # Whether somebody answers for it.
     is_present: bool
+    # Whether it tells when its robots depart.
     says_status: bool
+    # Whether it refused its last order, and is sent no other yet.
     is_left_alone: bool
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """
-    All that decides whether robots leave.
+    """All that decides whether robots leave."""
 
-    Attributes
-    ----------
-    values : mapping
-        The planner's parameters by name.
-    agents : mapping of str to AgentPresence
-        The team.
-    in_flight : DeploymentsInFlight
-        The robots that were sent and not reported.
-    operator : OperatorState
-        What holds by the operator's actions.
-    unrecorded_action : str
-        What an action of the operator waits for; empty if none does.
-    sent : int
-        How many robots were sent, those that only the belief knows of included.
-    newest : int or None
-        How many deployments the newest belief holds; None if there is none.
-    last_heard : int
-        How many the belief heard last holds: less than the newest if an estimator starts anew.
-    estimators : int
-        How many nodes publish beliefs.
-    several_recorders : str
-        Which recorders write which logs; empty if there is no more than one.
-    is_decided : bool
-        Whether robots can be planned for the goal on the newest belief.
-    is_deciding : bool
-        Whether it is being computed what may be relied on by that.
-    why_over : callable
-        Returns why no more robots leave by the goal and the stops; empty if they do.
-    missing_listeners : callable
-        Returns who does not listen yet before the first robot leaves; empty if all do.
-    searched : sequence of str
-        For whose robots paths are searched for.
-    why_worthless : str
-        Why nothing that was found is worth a robot.
-    proposed : sequence of DeploymentKey
-        What waits for the operator's approval.
-
-    """
-
+    # The planner's parameters by name.
     values: Mapping[str, Any]
     agents: Mapping[str, AgentPresence]
+    # The robots that were sent and not reported.
     in_flight: DeploymentsInFlight
+    # What holds by the operator's actions.
     operator: OperatorState
+    # What an action of the operator waits for; empty if none does.
     unrecorded_action: str
+    # How many robots were sent, those that only the belief knows of included.
     sent: int
+    # How many deployments the newest belief holds; None if there is none.
     newest: int | None
+    # How many the belief heard last holds: less than the newest if an estimator starts anew.
     last_heard: int
+    # How many nodes publish beliefs.
     estimators: int
+    # Which recorders write which logs; empty if there is no more than one.
     several_recorders: str
+    # Whether robots can be planned for the goal on the newest belief.
     is_decided: bool
+    # Whether it is being computed what may be relied on by that.
     is_deciding: bool
+    # Returns why no more robots leave by the goal and the stops; empty if they do.
     why_over: Callable[[], str]
+    # Returns who does not listen yet before the first robot leaves; empty if all do.
     missing_listeners: Callable[[], str]
+    # For whose robots paths are searched for.
     searched: Sequence[str] = ()
+    # Why nothing that was found is worth a robot.
     why_worthless: str = ''
+    # What waits for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
 
     @property

@@ -21,17 +21,6 @@ class Resumption:
     """
     The mission of a log, to go on with.
 
-    Attributes
-    ----------
-    deployments : dict of DeploymentKey to RecordedDeployment
-        In the order they were made.
-    actions : list of (OperatorAction, bytes)
-        Those of the operator, each with its message.
-    operator : OperatorState
-        What holds by them.
-    mission : int or None
-        When it began, in nanoseconds.
-
     Raises
     ------
     LogError
@@ -48,6 +37,7 @@ class Resumption:
         self._values = values
         self._agents = agents
         robot_types = robot_types_of(values, grid)
+        # In the order they were made.
         self.deployments = read_deployments(log, grid, values['max_steps'], robot_types)
         for key in self.deployments:
             if key.agent not in agents:
@@ -55,10 +45,13 @@ class Resumption:
                     f'{log} has deployments of {key.agent}: the parameter agents names only '
                     f'{", ".join(agents)}'
                 )
+        # Those of the operator, each with its message.
         self.actions = list(read_operator_actions(log, grid))
+        # What holds by them.
         self.operator = OperatorState()
         for action, _ in self.actions:
             self.operator.apply(action)
+        # When it began, in nanoseconds.
         self.mission = read_mission(log)
 
     @property

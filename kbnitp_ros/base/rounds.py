@@ -33,25 +33,15 @@ Plans = dict[DeploymentKey, Plan]
 
 @dataclass(frozen=True)
 class PlannedRound:
-    """
-    What a search found.
+    """What a search found."""
 
-    Attributes
-    ----------
-    plans : dict of DeploymentKey to Plan
-        Of robots that leave together.
-    why_not_worth : str
-        Why the mission is over by what they gain; empty if it is not.
-    why_worthless : str
-        Why none of them is worth a robot; empty if one is.
-    seconds : float
-        How long the search took.
-
-    """
-
+    # Of robots that leave together.
     plans: Plans
+    # Why the mission is over by what they gain; empty if it is not.
     why_not_worth: str
+    # Why none of them is worth a robot; empty if one is.
     why_worthless: str
+    # How long the search took.
     seconds: float
 
 

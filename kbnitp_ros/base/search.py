@@ -11,25 +11,15 @@ from kbnitp_ros.base.rounds import PlannedRound
 
 
 class Situation(NamedTuple):
-    """
-    What paths are searched for.
+    """What paths are searched for."""
 
-    Attributes
-    ----------
-    belief : (int, int)
-        When the belief is from, in nanoseconds, and how many deployments it holds.
-    agents : list of str
-        Whose robots are to leave.
-    refused : int
-        How many rounds the operator refused in place of this one.
-    changes : int
-        How often parameters were changed.
-
-    """
-
+    # When the belief is from, in nanoseconds, and how many deployments it holds.
     belief: tuple[int, int]
+    # Whose robots are to leave.
     agents: list[str]
+    # How many rounds the operator refused in place of this one.
     refused: int
+    # How often parameters were changed.
     changes: int
 
     def lasts(self, now: Situation, is_rolling: bool) -> bool:

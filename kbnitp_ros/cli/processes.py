@@ -84,18 +84,11 @@ def _bind(to_bind: socket.socket, port: int) -> bool:
 
 
 class Processes:
-    """
-    Some nodes of this package, all ended when the ``with`` statement is left.
-
-    Attributes
-    ----------
-    started : dict
-        The processes started, by the full names of their nodes, whether they have ended or not.
-
-    """
+    """Some nodes of this package, all ended when the ``with`` statement is left."""
 
     def __init__(self, domain: int) -> None:
         self._environment = environment(domain)
+        # The processes started, by the full names of their nodes, whether they have ended or not.
         self.started: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(

@@ -18,50 +18,31 @@ KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: '
 
 @dataclass(frozen=True)
 class Parameter:
-    """
-    One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    name : str
-        As in ROS, the dot a level.
-    default : bool, int, float, str or tuple of them
-        Its type is the parameter's type.
-    description : str
-        One sentence, with the unit.
-    nodes : tuple of str
-        The nodes that have it.
-    element : type, optional
-        The type of a list's elements.
-    limits : tuple of two numbers, optional
-        Lowest and highest value allowed.
-    off : number, optional
-        A value below the limits that stands for none, such as 0 for no limit of a size.
-    choices : collection of str
-        The values allowed; empty when any is. Those of a registry grow by what other packages add.
-    word : str
-        A text that a number may be in place of a value; empty for none.
-    pattern : str
-        What a text must match, as a regular expression; empty when it need not.
-    read_only : bool
-        Whether it is fixed once the node runs.
-    per_agent : bool
-        Whether one agent may have another value than the others, as ``robots.AGENT.NAME``; NAME
-        is `of_agent`.
-
-    """
-
+    # As in ROS, the dot a level.
     name: str
+    # Its type is the parameter's type.
     default: Any
+    # One sentence, with the unit.
     description: str
     nodes: tuple[str, ...]
+    # The type of a list's elements.
     element: type | None = None
+    # Lowest and highest value allowed.
     limits: tuple[float, float] | None = None
+    # A value below the limits that stands for none, such as 0 for no limit of a size.
     off: float | None = None
+    # The values allowed; empty when any is. Those of a registry grow by what other packages add.
     choices: Collection[str] = ()
+    # A text that a number may be in place of a value; empty for none.
     word: str = ''
+    # What a text must match, as a regular expression; empty when it need not.
     pattern: str = ''
+    # Whether it is fixed once the node runs.
     read_only: bool = True
+    # Whether one agent may have another value than the others, as ``robots.AGENT.NAME``; NAME is
+    # `of_agent`.
     per_agent: bool = False
 
     @property

@@ -17,25 +17,15 @@ MARKERS = 8
 
 @dataclass(frozen=True)
 class Style:
-    """
-    How a line is drawn.
+    """How a line is drawn."""
 
-    Attributes
-    ----------
-    colour : str
-        As '#rrggbb'.
-    dash : str or tuple
-        Matplotlib's line style.
-    plotly_dash : str
-        Plotly's.
-    marker : str
-        Matplotlib's marker.
-
-    """
-
+    # As '#rrggbb'.
     colour: str
+    # Matplotlib's line style.
     dash: str | tuple[int, tuple[float, ...]]
+    # Plotly's.
     plotly_dash: str
+    # Matplotlib's marker.
     marker: str
 
     def line(self, points: int) -> dict[str, Any]:
@@ -65,16 +55,9 @@ RETURNED, LOST = SERIES[0], SERIES[1]
 
 @dataclass(frozen=True)
 class Scale:
-    """
-    The colours of a probability, which part at what was assumed before the mission.
+    """The colours of a probability, which part at what was assumed before the mission."""
 
-    Attributes
-    ----------
-    colours : tuple of five str
-        At 0, half way to the assumption, at it, half way from it to 1, and at 1, as '#rrggbb'.
-
-    """
-
+    # At 0, half way to the assumption, at it, half way from it to 1, and at 1, as '#rrggbb'.
     colours: tuple[str, str, str, str, str]
 
     def stops(self, prior: float) -> list[tuple[float, str]]:

@@ -47,15 +47,7 @@ class NotYamlError(ValueError):
 
 
 class KeyTwiceError(ValueError):
-    """
-    A key that stands twice in a mapping.
-
-    Attributes
-    ----------
-    key : str
-        Which.
-
-    """
+    """A key that stands twice in a mapping."""
 
     def __init__(self, key: str, line: int, before: int) -> None:
         super().__init__(f'the key {key!r} stands in line {line} and in line {before}')
@@ -113,28 +105,17 @@ def not_yaml(error: object) -> NotYamlError:
 
 @dataclass
 class Collection:
-    """
-    A list or mapping that has not ended yet.
+    """A list or mapping that has not ended yet."""
 
-    Attributes
-    ----------
-    anchor : str or None
-        What aliases call it.
-    before : int
-        How many values the text has up to it.
-    is_mapping : bool
-        Whether it has keys.
-    parts : int
-        How many of its elements, or keys and values, have begun.
-    keys : dict
-        The lines of its keys, those which are collections or aliases left out.
-
-    """
-
+    # What aliases call it.
     anchor: str | None = None
+    # How many values the text has up to it.
     before: int = 0
+    # Whether it has keys.
     is_mapping: bool = False
+    # How many of its elements, or keys and values, have begun.
     parts: int = 0
+    # The lines of its keys, those which are collections or aliases left out.
     keys: dict[str, int] = field(default_factory=dict)
 
     def begin(self, event: yaml.NodeEvent, line: int) -> None:

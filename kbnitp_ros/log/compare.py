@@ -19,28 +19,17 @@ VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
 
 @dataclass(frozen=True)
 class Difference:
-    """
-    A field that is not as computed.
+    """A field that is not as computed."""
 
-    Attributes
-    ----------
-    field : str
-        Which one, such as 'info.width'.
-    text : str
-        How it differs.
-    largest : float
-        Largest absolute difference of its numbers; NaN if there is none to be taken.
-    is_rounding : bool
-        Whether it is not larger than another processor's rounding makes it.
-    cell : int or None
-        Where in a map that is.
-
-    """
-
+    # Which one, such as 'info.width'.
     field: str
+    # How it differs.
     text: str
+    # Largest absolute difference of its numbers; NaN if there is none to be taken.
     largest: float = nan
+    # Whether it is not larger than another processor's rounding makes it.
     is_rounding: bool = False
+    # Where in a map that is.
     cell: int | None = None
 
     def __str__(self) -> str:

@@ -21,15 +21,10 @@ class Departures:
 
     Both come on topics of their own, so that a report may be heard before the status that it
     follows. A robot has departed if it said so, or if its agent reported how that ended.
-
-    Attributes
-    ----------
-    out : set of DeploymentKey
-        The robots that have departed and were not reported.
-
     """
 
     def __init__(self) -> None:
+        # The robots that have departed and were not reported.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
         # When the agent made its report, by its own clock; None if another one did.

@@ -25,31 +25,19 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class RecordedDeployment:
-    """
-    What a log has of a deployment.
+    """What a log has of a deployment."""
 
-    Attributes
-    ----------
-    path : ndarray of int, shape (steps + 1,)
-        Its cells.
-    message : bytes
-        The nav_msgs/Path, as it came off the wire.
-    content : int
-        Hash of what it says.
-    observation : Observation or None
-        What came of it; None if the robot was still out.
-    reported : int
-        When the base learnt that, in nanoseconds.
-    status : AgentStatus or None
-        What its agent said last of it; None if nothing.
-
-    """
-
+    # Its cells. Shape (steps + 1,).
     path: NDArray[np.intp]
+    # The nav_msgs/Path, as it came off the wire.
     message: bytes
+    # Hash of what it says.
     content: int
+    # What came of it; None if the robot was still out.
     observation: Observation | None = None
+    # When the base learnt that, in nanoseconds.
     reported: int = 0
+    # What its agent said last of it; None if nothing.
     status: AgentStatus | None = None
 
     @property

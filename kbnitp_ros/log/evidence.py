@@ -179,17 +179,7 @@ def check_same_field(
 
 
 class Evidence(Deployments):
-    """
-    The deployments of a log, judged as the estimator judges them.
-
-    Attributes
-    ----------
-    reports : dict
-        By deployment, in the order in which they were reported: the reports that count.
-    refused : list of str
-        What no estimator takes, and why.
-
-    """
+    """The deployments of a log, judged as the estimator judges them."""
 
     def __init__(
         self,
@@ -200,7 +190,9 @@ class Evidence(Deployments):
         super().__init__(grid, max_steps, robot_types)
         # The most steps of all robots, and of those that have a number of their own.
         self._rules = [(max_steps, own_steps(robot_types))]
+        # By deployment, in the order in which they were reported: the reports that count.
         self.reports: dict[DeploymentKey, Report] = {}
+        # What no estimator takes, and why.
         self.refused: list[str] = []
         # All that was read, by the hashes of the messages, and after how many beliefs the first
         # report of each deployment is on record.

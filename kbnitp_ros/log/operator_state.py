@@ -24,26 +24,16 @@ Paths = Mapping[DeploymentKey, NDArray[np.intp]]
 
 
 class OperatorState:
-    """
-    What holds by the actions of the operator so far.
-
-    Attributes
-    ----------
-    actions : dict of int to OperatorAction
-        All actions by the times that name them, in order.
-    is_paused : bool
-        Whether no robot leaves for now.
-    is_ended : bool
-        Whether none leaves any more.
-    given_up : dict of DeploymentKey to int
-        The robots that were given up, and how many steps each is known to have survived.
-
-    """
+    """What holds by the actions of the operator so far."""
 
     def __init__(self) -> None:
+        # All actions by the times that name them, in order.
         self.actions: dict[int, OperatorAction] = {}
+        # Whether no robot leaves for now.
         self.is_paused = False
+        # Whether none leaves any more.
         self.is_ended = False
+        # The robots that were given up, and how many steps each is known to have survived.
         self.given_up: dict[DeploymentKey, int] = {}
 
     @property

@@ -31,28 +31,17 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    What is to be said of a recorded belief, or of a view of one.
+    """What is to be said of a recorded belief, or of a view of one."""
 
-    Attributes
-    ----------
-    topic : str
-        Where it was published.
-    index : int
-        Which of the topic's messages it is, from 0.
-    deployment : DeploymentKey or None
-        The one that it assimilated last; None for a prior.
-    differences : tuple of Difference
-        How it differs from what was computed.
-    reason : str
-        Why nothing could be compared, if so.
-
-    """
-
+    # Where it was published.
     topic: str
+    # Which of the topic's messages it is, from 0.
     index: int
+    # The one that it assimilated last; None for a prior.
     deployment: DeploymentKey | None
+    # How it differs from what was computed.
     differences: tuple[Difference, ...] = ()
+    # Why nothing could be compared, if so.
     reason: str = ''
 
     def __str__(self) -> str:
@@ -63,51 +52,33 @@ class Finding:
 
 @dataclass
 class ReplayReport:
-    """
-    What a replay found.
+    """What a replay found."""
 
-    Attributes
-    ----------
-    evidence : Evidence
-        The deployments on record.
-    departures : Departures
-        What agents said of their orders.
-    actions : list of OperatorAction
-        What the operator did, in the order on record.
-    standing : Standing
-        How the mission stood last, as far as that is on record.
-    changes : list of str
-        Which parameters of nodes changed, in words.
-    prior : Snapshot or None
-        The last prior on record.
-    compared : Counter of str
-        How many messages were compared, by topic: the beliefs and their views.
-    mismatches, roundings : list of Finding
-        Those that are different, and those that are equal to `TOLERANCE` but not identical.
-    not_compared, repeated : list of Finding
-        Beliefs after one that is missing, and those that are on record twice.
-    passed_over : list of DeploymentKey
-        Deployments that no belief holds, though later ones are held: lost evidence.
-    not_yet_held : list of DeploymentKey
-        Deployments after the last one that is known to be held.
-    finished : bool
-        Whether the log ends as its writer ends it.
-
-    """
-
+    # The deployments on record.
     evidence: Evidence
+    # What agents said of their orders.
     departures: Departures = field(default_factory=Departures)
+    # What the operator did, in the order on record.
     actions: list[OperatorAction] = field(default_factory=list)
+    # How the mission stood last, as far as that is on record.
     standing: Standing = NOT_KNOWN
+    # Which parameters of nodes changed, in words.
     changes: list[str] = field(default_factory=list)
+    # The last prior on record.
     prior: Snapshot | None = None
+    # How many messages were compared, by topic: the beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
+    # Those that are different, and those that are equal to `TOLERANCE` but not identical.
     mismatches: list[Finding] = field(default_factory=list)
     roundings: list[Finding] = field(default_factory=list)
+    # Beliefs after one that is missing, and those that are on record twice.
     not_compared: list[Finding] = field(default_factory=list)
     repeated: list[Finding] = field(default_factory=list)
+    # Deployments that no belief holds, though later ones are held: lost evidence.
     passed_over: list[DeploymentKey] = field(default_factory=list)
+    # Deployments after the last one that is known to be held.
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
+    # Whether the log ends as its writer ends it.
     finished: bool = False
 
     def add(self, finding: Finding) -> None:

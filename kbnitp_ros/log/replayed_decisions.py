@@ -21,19 +21,10 @@ ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
 
 @dataclass(frozen=True)
 class Asked:
-    """
-    What a mission was to make sure of.
-
-    Attributes
-    ----------
-    goal : Goal
-        Its goal.
-    max_steps : int
-        The most steps of a lane.
-
-    """
+    """What a mission was to make sure of."""
 
     goal: Goal
+    # The most steps of a lane.
     max_steps: int
 
 

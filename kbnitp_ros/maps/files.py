@@ -34,35 +34,22 @@ MOST_PIXELS = 50_000_000
 
 @dataclass(frozen=True)
 class MapFile:
-    """
-    What a map's YAML file says.
+    """What a map's YAML file says."""
 
-    Attributes
-    ----------
-    image : Path
-        The image's file.
-    resolution : float
-        Side of a pixel in metres.
-    origin : tuple of float
-        Lower-left corner of the map in metres.
-    yaw : float
-        The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
-    negate : bool
-        Whether white is occupied.
-    occupied_thresh, free_thresh : float
-        A pixel at least, and at most, this dark is occupied, and free.
-    mode : str
-        One of `MODES`.
-
-    """
-
+    # The image's file.
     image: Path
+    # Side of a pixel in metres.
     resolution: float
+    # Lower-left corner of the map in metres.
     origin: tuple[float, float]
+    # The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
     yaw: float
+    # Whether white is occupied.
     negate: bool
+    # A pixel at least, and at most, this dark is occupied, and free.
     occupied_thresh: float
     free_thresh: float
+    # One of `MODES`.
     mode: str
 
 

@@ -49,82 +49,49 @@ if TYPE_CHECKING:
 
 
 class Assimilated(NamedTuple):
-    """
-    The evidence of one deployment, as a belief names it.
-
-    Attributes
-    ----------
-    key : DeploymentKey
-        Which deployment.
-    path, report : int
-        Hashes of the contents of the two messages.
-
-    """
+    """The evidence of one deployment, as a belief names it."""
 
     key: DeploymentKey
+    # Hashes of the contents of the two messages.
     path: int
     report: int
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """
-    A belief message in the terms of the core.
+    """A belief message in the terms of the core."""
 
-    Attributes
-    ----------
-    stamp : int
-        When the base learnt what was assimilated last, in nanoseconds; of a prior, when the
-        estimator started.
-    mission : int
-        When the mission began, in nanoseconds.
-    grid : Grid
-        The field.
-    max_steps : int
-        The most steps of a path.
-    model : SensorModel
-        What the estimator believes by then of robots like all others: what to plan with.
-    robot_types : mapping of str to RobotType
-        Of the robots of agents that have something of their own.
-    unknowns : Unknowns
-        Which numbers of that, and of the prior, it learns.
-    method : str
-        How it assimilates deployments.
-    version : int
-        Of the method's arithmetic.
-    seed : int
-        Of what the method draws at random.
-    dynamics : Dynamics
-        How hazards change.
-    clustering : Clustering or None
-        How they cluster; None: they are independent.
-    deployments : int
-        How many it has assimilated.
-    newest : DeploymentKey or None
-        Whose evidence it assimilated last; None when there is none.
-    belief : Belief
-        Given those.
-    prior : Belief
-        As it was given, of the first belief: that is averaged over what is learnt of the prior, or
-        what is expected of clustered hazards.
-
-    """
-
+    # When the base learnt what was assimilated last, in nanoseconds; of a prior, when the
+    # estimator started.
     stamp: int
+    # When the mission began, in nanoseconds.
     mission: int
     grid: Grid
+    # The most steps of a path.
     max_steps: int
+    # What the estimator believes by then of robots like all others: what to plan with.
     model: SensorModel
+    # Of the robots of agents that have something of their own.
     robot_types: Mapping[str, RobotType]
+    # Which numbers of that, and of the prior, it learns.
     unknowns: Unknowns
+    # How it assimilates deployments.
     method: str
+    # Of the method's arithmetic.
     version: int
+    # Of what the method draws at random.
     seed: int
     dynamics: Dynamics
+    # How they cluster; None: they are independent.
     clustering: Clustering | None
+    # How many it has assimilated.
     deployments: int
+    # Whose evidence it assimilated last; None when there is none.
     newest: DeploymentKey | None
+    # Given those.
     belief: Belief
+    # As it was given, of the first belief: that is averaged over what is learnt of the prior, or
+    # what is expected of clustered hazards.
     prior: Belief
 
     def base_of(self, agent: str) -> int:

@@ -20,23 +20,14 @@ QUANTILES = (5, 25, 50, 75, 95)
 
 @dataclass(frozen=True)
 class Known:
-    """
-    What is known of a number after some deployments.
+    """What is known of a number after some deployments."""
 
-    Attributes
-    ----------
-    mean, sd : float
-        Its mean and standard deviation.
-    quantiles : tuple of float
-        One for each of `QUANTILES`.
-    effective_samples : float
-        As many independent draws would tell the mean as well.
-
-    """
-
+    # Its mean and standard deviation.
     mean: float
     sd: float
+    # One for each of `QUANTILES`.
     quantiles: tuple[float, ...]
+    # As many independent draws would tell the mean as well.
     effective_samples: float
 
 

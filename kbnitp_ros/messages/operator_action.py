@@ -43,28 +43,16 @@ OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
 
 @dataclass(frozen=True, eq=False)
 class OperatorAction:
-    """
-    An action of the operator.
+    """An action of the operator."""
 
-    Attributes
-    ----------
-    stamp : int
-        When, nanoseconds of ROS time; never twice the same.
-    action : Action
-        What.
-    robots_left : int
-        How many robots had left by then.
-    paths : dict of DeploymentKey to ndarray of int
-        Of the robots that it is about.
-    steps_survived : int
-        Of a robot that is given up: how many of its steps it is known to have survived.
-
-    """
-
+    # When, nanoseconds of ROS time; never twice the same.
     stamp: int
     action: Action
+    # How many robots had left by then.
     robots_left: int
+    # Of the robots that it is about.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
+    # Of a robot that is given up: how many of its steps it is known to have survived.
     steps_survived: int = 0
 
     def __str__(self) -> str:

@@ -45,22 +45,13 @@ NOT_KNOWN = Standing(MissionState.UNKNOWN, '')
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """
-    What was believed at one time.
+    """What was believed at one time."""
 
-    Attributes
-    ----------
-    deployments : int
-        How many the belief holds.
-    belief : Belief
-        Given those.
-    model : SensorModel
-        What robots and sensors were believed to be like.
-
-    """
-
+    # How many the belief holds.
     deployments: int
+    # Given those.
     belief: Belief
+    # What robots and sensors were believed to be like.
     model: SensorModel
 
     @classmethod

@@ -28,25 +28,15 @@ class State(IntEnum):
 
 @dataclass(frozen=True)
 class AgentStatus:
-    """
-    What an agent says of an order.
+    """What an agent says of an order."""
 
-    Attributes
-    ----------
-    state : State
-        What it does with it.
-    stamp : int
-        When it says so, in nanoseconds.
-    reason : str
-        Why the robot stays at the base, if it does; else empty.
-    content : int
-        Hash of the message, by which the recorder names it.
-
-    """
-
+    # What it does with it.
     state: State
+    # When it says so, in nanoseconds.
     stamp: int
+    # Why the robot stays at the base, if it does; else empty.
     reason: str = ''
+    # Hash of the message, by which the recorder names it.
     content: int = 0
 
 

@@ -51,11 +51,6 @@ class Decisions:
     act : callable
         Called after each decision.
 
-    Attributes
-    ----------
-    knowledge : Knowledge
-        The evidence.
-
     """
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:

@@ -17,19 +17,11 @@ LARGEST = 2**22
 
 
 class Detection(NamedTuple):
-    """
-    What was said at once.
+    """What was said at once."""
 
-    Attributes
-    ----------
-    seen : bool
-        Whether there is a target.
-    stamp : int or None
-        When it was looked for, in nanoseconds; None when that is not told.
-
-    """
-
+    # Whether there is a target.
     seen: bool
+    # When it was looked for, in nanoseconds; None when that is not told.
     stamp: int | None
 
 

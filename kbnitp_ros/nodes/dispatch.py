@@ -52,17 +52,6 @@ class Dispatch:
     act : callable
         Called after each report.
 
-    Attributes
-    ----------
-    in_flight : DeploymentsInFlight
-        Those that were sent and not reported.
-    late : LateReturns
-        Those that were given up and may come home.
-    refusals : Refusals
-        The agents that refused their last orders.
-    last_stamp : int
-        Names the last deployment, in nanoseconds.
-
     """
 
     def __init__(
@@ -86,9 +75,13 @@ class Dispatch:
             agent: node.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in agents
         }
+        # Those that were sent and not reported.
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
+        # Those that were given up and may come home.
         self.late = LateReturns(self._values)
+        # The agents that refused their last orders.
         self.refusals = Refusals()
+        # Names the last deployment, in nanoseconds.
         self.last_stamp = 0
         # Where robots go that were sent and are not known to have departed, in words.
         self._goals: dict[DeploymentKey, str] = {}

@@ -99,20 +99,14 @@ class Driver:
     patience : float
         Seconds without a word from the action server after which it is taken for dead.
 
-    Attributes
-    ----------
-    is_busy : bool
-        Whether a goal is under way.
-    failure : str
-        Why the last goal was not reached; empty if it was.
-    was_cancelled : bool
-        Whether that is because somebody else cancelled it.
-
     """
 
     def __init__(self, node: Node, name: str, namespace: str, grid: Grid, patience: float) -> None:
+        # Whether a goal is under way.
         self.is_busy = False
+        # Why the last goal was not reached; empty if it was.
         self.failure = ''
+        # Whether that is because somebody else cancelled it.
         self.was_cancelled = False
         self._node = node
         self._grid = grid

@@ -45,11 +45,6 @@ class HiddenField:
     generator : callable
         Returns the randomness of an agent's robot, counted from 0.
 
-    Attributes
-    ----------
-    world : World
-        The field by now.
-
     """
 
     def __init__(
@@ -62,6 +57,7 @@ class HiddenField:
         agents: Sequence[str],
         generator: Callable[[str, int], np.random.Generator],
     ) -> None:
+        # The field by now.
         self.world = world
         self._grid = grid
         self._dynamics = dynamics

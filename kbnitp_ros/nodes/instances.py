@@ -25,22 +25,13 @@ MOST_INSTANCES = 10
 
 @dataclass(frozen=True)
 class Instance:
-    """
-    Another process.
+    """Another process."""
 
-    Attributes
-    ----------
-    name : str
-        The full name of its node.
-    values : mapping of str to str
-        What its diagnostics told last.
-    heard_at : float
-        When that was, as `time.monotonic` tells it.
-
-    """
-
+    # The full name of its node.
     name: str
+    # What its diagnostics told last.
     values: Mapping[str, str]
+    # When that was, as `time.monotonic` tells it.
     heard_at: float
 
 
@@ -55,16 +46,12 @@ class Instances:
     is_meant : callable
         Returns whether a node matters, given its full name and the values of its diagnostics.
 
-    Attributes
-    ----------
-    own : str
-        Names the instance of this process.
-
     """
 
     def __init__(
         self, node: MissionNode, is_meant: Callable[[str, Mapping[str, str]], bool]
     ) -> None:
+        # Names the instance of this process.
         self.own = uuid4().hex
         self._is_meant = is_meant
         self._heard: dict[str, Instance] = {}

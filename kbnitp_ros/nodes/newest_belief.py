@@ -34,15 +34,6 @@ class NewestBelief:
     take : callable
         Called with each belief that is the newest.
 
-    Attributes
-    ----------
-    tracker : MissionTracker
-        The mission, and the newest belief.
-    sent_unknown : int
-        How many robots that were sent only the belief knows of.
-    last_heard : int
-        How many deployments the belief heard last holds.
-
     """
 
     def __init__(
@@ -56,8 +47,11 @@ class NewestBelief:
         self._agents = agents
         self._in_flight = in_flight
         self._take = take
+        # The mission, and the newest belief.
         self.tracker = MissionTracker()
+        # How many robots that were sent only the belief knows of.
         self.sent_unknown = 0
+        # How many deployments the belief heard last holds.
         self.last_heard = 0
         # Whether it was told that an estimator will never hold all deployments.
         self._is_incomplete_told = False

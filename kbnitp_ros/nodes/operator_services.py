@@ -37,17 +37,10 @@ Response = Any
 
 
 class Proposals:
-    """
-    The plans of the next round, on AGENT/proposal until they are approved or refused.
-
-    Attributes
-    ----------
-    plans : dict of DeploymentKey to Plan
-        Empty when nothing is proposed.
-
-    """
+    """The plans of the next round, on AGENT/proposal until they are approved or refused."""
 
     def __init__(self, node: MissionNode, grid: Grid, agents: Sequence[str]) -> None:
+        # Empty when nothing is proposed.
         self.plans: Plans = {}
         self._node = node
         self._grid = grid
@@ -89,12 +82,6 @@ class Operator:
 
     An action is published on `operator`. With the parameter `recorded` it holds, and its service
     answers, when the recorder has it on disk: what an operator was told is so after any crash.
-
-    Attributes
-    ----------
-    state : OperatorState
-        Those that hold.
-
     """
 
     def __init__(

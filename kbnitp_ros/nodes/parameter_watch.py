@@ -115,17 +115,10 @@ def full_name(namespace: str, name: str) -> str:
 
 
 class Inquiry:
-    """
-    Asks one node for all its parameters.
-
-    Attributes
-    ----------
-    over : bool
-        Whether it has answered, or has not for too long.
-
-    """
+    """Asks one node for all its parameters."""
 
     def __init__(self, node: Node, name: str, tell: Tell, refuse: Refuse) -> None:
+        # Whether it has answered, or has not for too long.
         self.over = False
         self._node = node
         self._name = name

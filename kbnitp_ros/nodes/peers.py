@@ -23,20 +23,12 @@ LOOKS = 20
 
 
 class Peers:
-    """
-    Who takes part in the mission besides the planner, as the last look at the graph found them.
-
-    Attributes
-    ----------
-    estimators : int
-        How many nodes publish beliefs.
-    recorders : list of Instance
-        Those that are alive.
-
-    """
+    """Who takes part in the mission besides the planner, as last seen in the graph."""
 
     def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
+        # How many nodes publish beliefs.
         self.estimators = 0
+        # Those that are alive.
         self.recorders: list[Instance] = []
         self._recorders = Recorders(node)
         self._several_since: float | None = None

@@ -25,12 +25,6 @@ class PendingPaths:
     Paths come again when the robot or the base was restarted. Those in the journal were driven; of
     the others the robot is sent on the newest only, since the base sends none while it waits for
     an earlier one.
-
-    Attributes
-    ----------
-    is_listening : bool
-        Whether paths are taken.
-
     """
 
     def __init__(
@@ -42,6 +36,7 @@ class PendingPaths:
         accept: Callable[[Deployment], None],
         refuse: Callable[[Deployment, str], object],
     ) -> None:
+        # Whether paths are taken.
         self.is_listening = False
         self._node = node
         self._agent = agent

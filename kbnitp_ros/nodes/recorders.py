@@ -40,18 +40,13 @@ class Recorders:
     One is alive if it publishes `operator/recorded` and is heard on diagnostics: a publisher alone
     may be of a process that was killed, which DDS knows of for some time, and diagnostics alone
     may be said by anybody.
-
-    Attributes
-    ----------
-    instances : Instances
-        Those that are heard.
-
     """
 
     def __init__(self, node: MissionNode) -> None:
         self._node = node
         self._topic = node.resolve_topic_name(TOPIC)
         self._namespace = full_name(node.get_namespace(), '')
+        # Those that are heard.
         self.instances = Instances(node, self._is_recording)
 
     def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:
@@ -91,21 +86,14 @@ class AnotherRecorderError(OSError):
 
 
 class Precedence:
-    """
-    Sees that a namespace has one recorder: the one that has recorded for longest.
-
-    Attributes
-    ----------
-    publisher : Publisher
-        Of `operator/recorded`, by which other nodes find recorders in the graph.
-
-    """
+    """Sees that a namespace has one recorder: the one that has recorded for longest."""
 
     def __init__(self, node: MissionNode) -> None:
         self._node = node
         self._others = Recorders(node)
         self._values = node.diagnostics.values
         self._values[INSTANCE] = self._others.instances.own
+        # Of `operator/recorded`, by which other nodes find recorders in the graph.
         self.publisher = node.create_publisher(Recorded, TOPIC, qos.EVIDENCE)
         self._begun_at = self._checked_at = 0.0
 

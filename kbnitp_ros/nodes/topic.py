@@ -46,32 +46,21 @@ class Recent:
 
 @dataclass
 class Topic:
-    """
-    A topic on record.
+    """A topic on record."""
 
-    Attributes
-    ----------
-    name, type_name : str
-        Full names; a topic has one type.
-    subscriptions : dict
-        One for each reliability and durability offered, by these two. A publisher that comes back
-        with others is heard by one more subscription, so that no message is lost while one is
-        replaced, and no history comes twice.
-    recent : Recent
-        Which messages came last: time sent and hash of the bytes.
-    recorded : Publisher, optional
-        For the paths of an agent and what the operator decides: tells which are on the disk.
-    untold : list of (int, int, int)
-        Of those that are written and not told to be on the disk yet: stamp in nanoseconds, hash
-        of the content, and when the mission began, in nanoseconds.
-
-    """
-
+    # Full names; a topic has one type.
     name: str
     type_name: str
+    # One for each reliability and durability offered, by these two. A publisher that comes back
+    # with others is heard by one more subscription, so that no message is lost while one is
+    # replaced, and no history comes twice.
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
+    # Which messages came last: time sent and hash of the bytes.
     recent: Recent = field(default_factory=lambda: Recent(RECENT))
+    # For the paths of an agent and what the operator decides: tells which are on the disk.
     recorded: Publisher | None = None
+    # Of those that are written and not told to be on the disk yet: stamp in nanoseconds, hash of
+    # the content, and when the mission began, in nanoseconds.
     untold: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:

@@ -44,11 +44,6 @@ class Views:
     agents : sequence of str
         Of the mission. Each agent that is a node of its own publishes the same truth.
 
-    Attributes
-    ----------
-    out : int
-        How many robots have departed and were not reported.
-
     """
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
@@ -60,6 +55,7 @@ class Views:
         self._pending: tuple[Ledger, Held | None, int] | None = None
         self._message = Progress()
         self._standing = NOT_KNOWN
+        # How many robots have departed and were not reported.
         self.out = 0
         self._is_progress_pending = False
         self._maps = {

@@ -43,13 +43,6 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     own : mapping of str to object
         The package's own, which go through the same check.
 
-    Attributes
-    ----------
-    kind, check
-        As given.
-    own : tuple of str
-        The names of the package's own.
-
     """
 
     def __init__(
@@ -63,6 +56,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._is_searched = False
         for name, given in own.items():
             self._add(name, given, PACKAGE)
+        # The names of the package's own.
         self.own = tuple(self._entries)
 
     @property

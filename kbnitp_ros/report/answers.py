@@ -22,55 +22,33 @@ LAST, FEWEST = 0.25, 5
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    A target or a suspected hazard.
+    """A target or a suspected hazard."""
 
-    Attributes
-    ----------
-    kind : str
-        'target' or 'hazard'.
-    cell : int
-        Where.
-    x, y : float
-        Its centre in metres.
-    probability : float
-        That there is one, in [0, 1].
-    looks, seen : int
-        How many readings were taken in the cell, and how many of these reported a target.
-    latitude, longitude : float or None
-        Where its centre is on the earth, WGS84 in degrees; None without a datum.
-
-    """
-
+    # 'target' or 'hazard'.
     kind: str
     cell: int
+    # Its centre in metres.
     x: float
     y: float
+    # That there is one, in [0, 1].
     probability: float
+    # How many readings were taken in the cell, and how many of these reported a target.
     looks: int
     seen: int
+    # Where its centre is on the earth, WGS84 in degrees; None without a datum.
     latitude: float | None
     longitude: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """
-    Which cells are what by the last belief, each of shape (cells,).
+    """Which cells are what by the last belief, each of shape (cells,)."""
 
-    Attributes
-    ----------
-    entered : ndarray of bool
-        A robot was sent there, or came from there.
-    free : ndarray of bool
-        Free of a hazard with a probability of 95 % at least.
-    suspected : ndarray of bool
-        Entered, and with a hazard as likely as not.
-
-    """
-
+    # A robot was sent there, or came from there.
     entered: NDArray[np.bool_]
+    # Free of a hazard with a probability of 95 % at least.
     free: NDArray[np.bool_]
+    # Entered, and with a hazard as likely as not.
     suspected: NDArray[np.bool_]
 
 

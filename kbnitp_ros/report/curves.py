@@ -17,44 +17,30 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """
-    One value a moment.
+    """One value a moment, each of shape (moments,)."""
 
-    Attributes
-    ----------
-    hazard_entropy, target_entropy : ndarray, shape (moments,)
-        H(Z) and H(X) summed over the cells, in nats.
-    joint_entropy : ndarray, shape (moments,)
-        H(Z, X) summed over the cells, in nats.
-    hazard_loss, target_loss : ndarray, shape (moments,)
-        Log loss of the maps in nats; NaN where the truth is not on record.
-    expected : ndarray, shape (moments,)
-        What information the deployment that was taken in was expected to bring, given the belief
-        of the moment before: I(Z, X; Theta, Y) in nats. NaN at first, for a return that replaces
-        a loss, and where the belief before is missing.
-    gained : ndarray, shape (moments,)
-        By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot
-        more or less; negative where it rose. NaN at first and where the belief before is missing.
-    gap : ndarray, shape (moments,)
-        How much more than the path of that deployment another may have been worth, nats: the
-        upper bound given the belief before, less what was expected and what a loss costs. NaN
-        where there was no bound.
-    lost : ndarray of int, shape (moments,)
-        How many robots were known to be lost.
-    out : ndarray of int, shape (moments,)
-        How many had been sent and not reported.
-
-    """
-
+    # H(Z) and H(X) summed over the cells, in nats.
     hazard_entropy: Numbers
     target_entropy: Numbers
+    # H(Z, X) summed over the cells, in nats.
     joint_entropy: Numbers
+    # Log loss of the maps in nats; NaN where the truth is not on record.
     hazard_loss: Numbers
     target_loss: Numbers
+    # What information the deployment that was taken in was expected to bring, given the belief of
+    # the moment before: I(Z, X; Theta, Y) in nats. NaN at first, for a return that replaces a
+    # loss, and where the belief before is missing.
     expected: Numbers
+    # By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot more
+    # or less; negative where it rose. NaN at first and where the belief before is missing.
     gained: Numbers
+    # How much more than the path of that deployment another may have been worth, nats: the upper
+    # bound given the belief before, less what was expected and what a loss costs. NaN where there
+    # was no bound.
     gap: Numbers
+    # How many robots were known to be lost.
     lost: NDArray[np.intp]
+    # How many had been sent and not reported.
     out: NDArray[np.intp]
 
     @property

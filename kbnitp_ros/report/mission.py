@@ -42,46 +42,28 @@ REFUSALS = 5
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """
-    What was believed after a report was taken in; at first, before any was.
-
-    Attributes
-    ----------
-    belief : Belief
-        As it is on record.
-    model : SensorModel
-        What robots and sensors were believed to be like.
-    robot_types : mapping of str to RobotType
-        What the robots of agents have of their own.
-    held : int
-        How many deployments the belief holds.
-    time : int
-        When it was received, in nanoseconds.
-    deployment : int or None
-        Whose report was taken in last, by its place among the deployments; None at first.
-    outcome : Observation or None
-        What that report told; None at first.
-    is_late : bool
-        Whether it replaced a report of the same deployment.
-    is_after_gap : bool
-        Whether beliefs are missing before it.
-    learnt : dict of str to Known
-        What was known of the numbers that are learnt, by name.
-    upper_bound : float
-        What no path was worth more than, nats; NaN where it was not computed.
-
-    """
+    """What was believed after a report was taken in; at first, before any was."""
 
     belief: Belief
+    # What robots and sensors were believed to be like.
     model: SensorModel
+    # What the robots of agents have of their own.
     robot_types: Mapping[str, RobotType]
+    # How many deployments the belief holds.
     held: int
+    # When it was received, in nanoseconds.
     time: int
+    # Whose report was taken in last, by its place among the deployments; None at first.
     deployment: int | None = None
+    # What that report told; None at first.
     outcome: Observation | None = None
+    # Whether it replaced a report of the same deployment.
     is_late: bool = False
+    # Whether beliefs are missing before it.
     is_after_gap: bool = False
+    # What was known of the numbers that are learnt, by name.
     learnt: dict[str, Known] = field(default_factory=dict)
+    # What no path was worth more than, nats; NaN where it was not computed.
     upper_bound: float = nan
 
     def model_of(self, agent: str) -> SensorModel:
@@ -91,81 +73,47 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class DeploymentSummary:
-    """
-    A deployment whose path is on record.
-
-    Attributes
-    ----------
-    key : DeploymentKey
-        Agent and stamp.
-    path : ndarray of int, shape (steps + 1,)
-        Its orders.
-    outcome : Observation or None
-        What came of it in the end; None if the robot was still out.
-    sent, reported : int or None
-        When its path and its first report were received, in nanoseconds; None if unknown.
-    moment : int or None
-        The last moment that took in a report of it; None if no belief on record holds it.
-
-    """
+    """A deployment whose path is on record."""
 
     key: DeploymentKey
+    # Its orders. Shape (steps + 1,).
     path: NDArray[np.intp]
+    # What came of it in the end; None if the robot was still out.
     outcome: Observation | None
+    # When its path and its first report were received, in nanoseconds; None if unknown.
     sent: int | None
     reported: int | None
+    # The last moment that took in a report of it; None if no belief on record holds it.
     moment: int | None
 
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """
-    What a log tells of its mission.
+    """What a log tells of its mission."""
 
-    Attributes
-    ----------
-    log : Path
-        Where it was read.
-    grid : Grid
-        The field.
-    rules : dict of str to object
-        What the estimator was started with: method, seed, the most steps of a path, whether the
-        hazards stay.
-    moments : list of Moment
-        In their order.
-    deployments : list of DeploymentSummary
-        In their order.
-    world : World or None
-        The hidden truth, if it is on record.
-    run : dict of str to str
-        Time and versions of the run.
-    parameters : dict of str to dict
-        Of each node, by its full name.
-    notes : list of str
-        What else is to be known of the log.
-    in_flight : int
-        How many robots have left and are not reported.
-    decision : Decision or None
-        What may be relied on of the goal in the end.
-    datum : Datum or None
-        Where on the earth the field is, if that is on record.
-    site : Site or None
-        The image of the field's map, if that is at hand.
-
-    """
-
+    # Where it was read.
     log: Path
     grid: Grid
+    # What the estimator was started with: method, seed, the most steps of a path, whether the
+    # hazards stay.
     rules: dict[str, Any]
     moments: list[Moment]
     deployments: list[DeploymentSummary]
+    # The hidden truth, if it is on record.
     world: World | None
+    # Time and versions of the run.
     run: dict[str, str]
+    # Of each node, by its full name.
     parameters: dict[str, dict[str, Any]]
+    # What else is to be known of the log.
     notes: list[str]
+    # How many robots have left and are not reported.
     in_flight: int
+    # What may be relied on of the goal in the end.
     decision: Decision | None
+    # Where on the earth the field is, if that is on record.
     datum: Datum | None
+    # The image of the field's map, if that is at hand.
     site: Site | None
 
     @property

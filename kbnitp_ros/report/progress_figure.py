@@ -19,19 +19,11 @@ COLUMNS = 2
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """
-    A part of the picture.
+    """A part of the picture."""
 
-    Attributes
-    ----------
-    label : str
-        What is drawn, and its unit.
-    lines : dict of str to ndarray
-        By their names, one value a moment.
-
-    """
-
+    # What is drawn, and its unit.
     label: str
+    # By their names, one value a moment.
     lines: dict[str, NDArray[np.float64]]
 
 

@@ -14,56 +14,33 @@ NOT_LOOKED = -1
 
 @dataclass
 class Step:
-    """
-    A cell that the robot came to, or stayed in.
-
-    Attributes
-    ----------
-    cell : int
-        Which one.
-    time : int
-        When it came, in nanoseconds of ROS time.
-    reading : int
-        1 if the target detector saw something there, 0 if it looked and saw nothing, -1 if it was
-        not heard.
-
-    """
+    """A cell that the robot came to, or stayed in."""
 
     cell: int
+    # When it came, in nanoseconds of ROS time.
     time: int
+    # 1 if the target detector saw something there, 0 if it looked and saw nothing, -1 if it was
+    # not heard.
     reading: int = NOT_LOOKED
 
 
 @dataclass
 class Deployment:
-    """
-    A deployment: what was ordered and what became of it.
+    """A deployment: what was ordered and what became of it."""
 
-    Attributes
-    ----------
-    stamp : int
-        That of its path, in nanoseconds, which names it.
-    mission : int
-        When its mission began, in nanoseconds.
-    path : tuple of int
-        The cells of its path.
-    departed : int
-        When the robot said that it departs, in nanoseconds; 0 before.
-    steps : list of Step
-        Those made so far.
-    is_home : bool
-        Whether the robot is back at its base, so that no step follows.
-    is_doubted : bool
-        Whether it was localised where it cannot have come to: nothing is read from then on.
-
-    """
-
+    # That of its path, in nanoseconds, which names it.
     stamp: int
+    # When its mission began, in nanoseconds.
     mission: int
+    # The cells of its path.
     path: tuple[int, ...]
+    # When the robot said that it departs, in nanoseconds; 0 before.
     departed: int = 0
+    # Those made so far.
     steps: list[Step] = field(default_factory=list)
+    # Whether the robot is back at its base, so that no step follows.
     is_home: bool = False
+    # Whether it was localised where it cannot have come to: nothing is read from then on.
     is_doubted: bool = False
 
     @property

@@ -50,17 +50,6 @@ class Journal:
     """
     The journal in a file, which is made if it is not there.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    deployments : list of Deployment
-        The deployments on record, in order.
-    refusals : dict of int to (int, str)
-        By the stamps of their paths: when orders were refused, in nanoseconds, and why.
-    corruption : str
-        What was cut off when it was opened, and where that is kept; empty when nothing.
-
     Raises
     ------
     JournalError
@@ -79,7 +68,9 @@ class Journal:
     def _open(self) -> None:
         """Read the file, which is made if it is not there."""
         self.deployments: list[Deployment] = []
+        # By the stamps of their paths: when orders were refused, in nanoseconds, and why.
         self.refusals: dict[int, tuple[int, str]] = {}
+        # What was cut off when it was opened, and where that is kept.
         self.corruption = ''
         # What is not on the disk yet, for want of room there.
         self._unwritten: deque[dict[str, Any]] = deque()

@@ -19,47 +19,28 @@ MOST_FRAMES = 1000
 
 
 class Link(NamedTuple):
-    """
-    Where a frame is in the one above it.
+    """Where a frame is in the one above it."""
 
-    Attributes
-    ----------
-    parent : str
-        The frame above.
-    translation : ndarray of float, shape (3,)
-        Where its origin is there, in metres.
-    rotation : ndarray of float, shape (4,)
-        How it is turned there, a unit quaternion x, y, z, w.
-    stamp : int or None
-        Since when, in nanoseconds; None if it never changes.
-
-    """
-
+    # The frame above.
     parent: str
+    # Where its origin is there, in metres. Shape (3,).
     translation: NDArray[np.float64]
+    # How it is turned there, a unit quaternion x, y, z, w. Shape (4,).
     rotation: NDArray[np.float64]
+    # Since when, in nanoseconds; None if it never changes.
     stamp: int | None
 
 
 class Place(NamedTuple):
-    """
-    Where a robot was.
+    """Where a robot was."""
 
-    Attributes
-    ----------
-    x, y : float
-        In metres.
-    stamp : int
-        When, in nanoseconds: the time of the oldest of what it is made of.
-    odometry : int
-        The time of the transform nearest to the robot that changes, such as its odometry. Those
-        above it correct it, may come seldom, and may tell a time ahead.
-
-    """
-
+    # In metres.
     x: float
     y: float
+    # When, in nanoseconds: the time of the oldest of what it is made of.
     stamp: int
+    # The time of the transform nearest to the robot that changes, such as its odometry. Those
+    # above it correct it, may come seldom, and may tell a time ahead.
     odometry: int
 
 

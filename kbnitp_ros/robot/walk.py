@@ -31,17 +31,13 @@ class Walk:
     max_speed : float
         What the robot can drive, in m/s; 0 when that is not checked.
 
-    Attributes
-    ----------
-    doubt : str
-        Why the cells of this walk may be others: the last jump that counts and that the robot
-        cannot have made; empty without any.
-
     """
 
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
         self.cell = cell
+        # Why the cells of this walk may be others: the last jump that counts and that the robot
+        # cannot have made; empty without any.
         self.doubt = ''
         self._patience = patience
         self._max_speed = max_speed

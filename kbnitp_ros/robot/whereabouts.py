@@ -12,20 +12,12 @@ NONE = 0
 
 @dataclass
 class Span:
-    """
-    A time throughout which the robot was seen in one step.
+    """A time throughout which the robot was seen in one step."""
 
-    Attributes
-    ----------
-    first, last : int
-        When it was seen there, in nanoseconds.
-    step : int
-        Which step of the walk, counted from 1, or `NONE`.
-
-    """
-
+    # When it was seen there, in nanoseconds.
     first: int
     last: int
+    # Which step of the walk, counted from 1, or `NONE`.
     step: int
 
 

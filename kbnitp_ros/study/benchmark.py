@@ -63,22 +63,13 @@ PLANNER, METHOD = 'beam', 'kappa_bnitp_smoothed'
 
 
 class Frozen(NamedTuple):
-    """
-    A belief of a mission, and what the best path is worth there at most.
+    """A belief of a mission, and what the best path is worth there at most."""
 
-    Attributes
-    ----------
-    belief : Belief
-        Of the cells of `field`.
-    model : SensorModel
-        What robots are believed to be like.
-    bound : float
-        Proven, nats.
-
-    """
-
+    # Of the cells of `field`.
     belief: Belief
+    # What robots are believed to be like.
     model: SensorModel
+    # Proven, nats.
     bound: float
 
 

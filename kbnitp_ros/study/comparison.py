@@ -58,32 +58,20 @@ METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 
 @dataclass(frozen=True)
 class Comparison:
-    """
-    A kind of study with a section of its own in the summary.
+    """A kind of study with a section of its own in the summary."""
 
-    Attributes
-    ----------
-    name : str
-        Of the section.
-    applies : callable
-        Whether a scenario is of this kind.
-    caption : str
-        Of the table; in braces, here and in the heads, what the section has by these names.
-    columns : mapping of str to Column
-        What of a row the table shows beside the lethality; of a list a column for each of the
-        section's ``robots``.
-    rows : callable
-        Yields what is measured.
-    head : callable
-        Returns what the section has besides.
-
-    """
-
+    # Of the section.
     name: str
+    # Whether a scenario is of this kind.
     applies: Callable[[Scenario], bool]
+    # Of the table; in braces, here and in the heads, what the section has by these names.
     caption: str
+    # What of a row the table shows beside the lethality; of a list a column for each of the
+    # section's ``robots``.
     columns: Mapping[str, Column]
+    # Yields what is measured.
     rows: Callable[[Results], Iterable[Row]]
+    # Returns what the section has besides.
     head: Callable[[Scenario], Row]
 
     def summarise(self, results: Results) -> Row:

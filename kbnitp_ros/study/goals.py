@@ -38,22 +38,13 @@ OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared
 
 @dataclass(frozen=True)
 class Asked:
-    """
-    The decision that all missions of a study are asked for, whatever their robots are sent for.
+    """The decision that missions of a study are asked for, whatever their robots are sent for."""
 
-    Attributes
-    ----------
-    goal : str
-        Of `GOALS`, but for 'map'.
-    cells : tuple of int
-        Those of the goal.
-    confidence : float
-        The probability at which missions that are sent for the goal end; 0: they do not.
-
-    """
-
+    # Of `GOALS`, but for 'map'.
     goal: Annotated[str, GOALS]
+    # Those of the goal.
     cells: tuple[Annotated[int, (0, 999_999)], ...]
+    # The probability at which missions that are sent for the goal end; 0: they do not.
     confidence: Annotated[float, (0.0, 1.0)] = 0.0
 
     def sought(self) -> Goal:

@@ -14,19 +14,11 @@ Given = Iterable[str | Callable[..., Any]] | Mapping[str, Callable[..., Any]]
 
 
 class Own(NamedTuple):
-    """
-    What a study is handed, by name.
+    """What a study is handed, by name."""
 
-    Attributes
-    ----------
-    planners : mapping of str to callable
-        As entries of `PLANNERS`.
-    methods : mapping of str to callable
-        As entries of `METHODS`.
-
-    """
-
+    # As entries of `PLANNERS`.
     planners: Mapping[str, Callable[..., Any]]
+    # As entries of `METHODS`.
     methods: Mapping[str, Callable[..., Any]]
 
     @contextmanager

@@ -68,20 +68,12 @@ KINDS = {int: 'a whole number', float: 'a number'}
 
 @dataclass(frozen=True)
 class Extent:
-    """
-    The grid.
+    """The grid."""
 
-    Attributes
-    ----------
-    width, height : int
-        Cells along x and y, 1 to 1000.
-    base : int
-        The cell (row * width + column, row 0 at the bottom) of every start and return.
-
-    """
-
+    # Cells along x and y, 1 to 1000.
     width: Annotated[int, (1, 1000)]
     height: Annotated[int, (1, 1000)]
+    # The cell (row * width + column, row 0 at the bottom) of every start and return.
     base: Annotated[int, (0, 999_999)]
 
 
@@ -98,59 +90,39 @@ class Planning:
 
 @dataclass(frozen=True)
 class Strategy:
-    """
-    How robots are deployed: the team, what its paths are planned for, and what is known before.
+    """How robots are deployed: the team, what paths are planned for, what is known before."""
 
-    Attributes
-    ----------
-    agents : int
-        How many, at least 1.
-    allocation : str
-        Of `ALLOCATIONS`.
-    loss_cost : float
-        The cost of a lost robot, nats, 0 to 1000.
-    last_contact : float
-        The probability that the base hears, after each step, how far a robot is, 0 to 1.
-    planner : str
-        Of `PLANNERS`; empty for that of the section planning.
-    survey : float
-        The part of the cells of which a map of hazards, known before the first robot, is right, 0
-        to 1; 0 for no map.
-    trusted : float
-        The part of which it is believed to be, 0 to 1; 0 for as many as it is.
-    objective : str
-        Of `OBJECTIVES`.
-    alpha : float
-        Of the objective 'behavioral', 0.2 to 5.
-    dynamics : str
-        The kind of hazards that are believed in, of `HAZARDS`; empty for that of the worlds.
-    clustering : str
-        'learn': hazards are believed to cluster, with a coupling that is learnt; empty: they are
-        believed to lie independently.
-    paths : str
-        'own': they are planned on what is believed. 'static': on what `kappa_bnitp` believes of
-        static hazards, so that all who have these paths have the same evidence.
-    second_base : int
-        The cell that every second robot of those that leave together starts and ends in; -1: all
-        do so in the base of the grid.
-    goal : str
-        What robots are sent for: of `GOALS`, or 'safest_lane'.
-
-    """
-
+    # How many, at least 1.
     agents: Count = 1
+    # Of `ALLOCATIONS`.
     allocation: Annotated[str, ALLOCATIONS] = 'greedy'
+    # The cost of a lost robot, nats, 0 to 1000.
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
+    # The probability that the base hears, after each step, how far a robot is, 0 to 1.
     last_contact: Probability = 0.0
+    # Of `PLANNERS`; empty for that of the section planning.
     planner: Annotated[str, PLANNERS, ''] = ''
+    # The part of the cells of which a map of hazards, known before the first robot, is right, 0 to
+    # 1; 0 for no map.
     survey: Probability = 0.0
+    # The part of which it is believed to be, 0 to 1; 0 for as many as it is.
     trusted: Probability = 0.0
+    # Of `OBJECTIVES`.
     objective: Annotated[str, OBJECTIVES] = 'information'
+    # Of the objective 'behavioral', 0.2 to 5.
     alpha: Annotated[float, ALPHAS] = 1.0
+    # The kind of hazards that are believed in, of `HAZARDS`; empty for that of the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
+    # 'learn': hazards are believed to cluster, with a coupling that is learnt; empty: they are
+    # believed to lie independently.
     clustering: Annotated[str, ('learn',), ''] = ''
+    # 'own': they are planned on what is believed. 'static': on what `kappa_bnitp` believes of
+    # static hazards, so that all who have these paths have the same evidence.
     paths: Annotated[str, PATHS] = 'own'
+    # The cell that every second robot of those that leave together starts and ends in; -1: all do
+    # so in the base of the grid.
     second_base: Annotated[int, (-1, 999_999)] = -1
+    # What robots are sent for: of `GOALS`, or 'safest_lane'.
     goal: Annotated[str, GOALS, SAFEST_LANE] = 'map'
 
     @property
@@ -235,23 +207,14 @@ class Densities:
 
 @dataclass(frozen=True)
 class Hazards:
-    """
-    How the hazards of the worlds lie and change.
+    """How the hazards of the worlds lie and change."""
 
-    Attributes
-    ----------
-    dynamics : str
-        Their kind, of `HAZARDS`.
-    appear, vanish : float
-        Rates of changing hazards, those of the worlds and those that are believed in.
-    layout : str
-        Of `LAYOUTS`.
-
-    """
-
+    # Their kind, of `HAZARDS`.
     dynamics: Annotated[str, HAZARDS] = 'static'
+    # Rates of changing hazards, those of the worlds and those that are believed in.
     appear: Probability = 0.0
     vanish: Probability = 0.0
+    # Of `LAYOUTS`.
     layout: Annotated[str, LAYOUTS] = 'independent'
 
     def of_kind(self, kind: str) -> Dynamics:
@@ -289,51 +252,34 @@ class Prior:
 
 @dataclass(frozen=True)
 class Scenario:
-    """
-    A study: missions by every method and team, at every lethality, in the same worlds.
+    """A study: missions by every method and team, at every lethality, in the same worlds."""
 
-    Attributes
-    ----------
-    seed : int
-        At least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, whatever
-        the method, the team and the lethality.
-    trials : int
-        Worlds, at least 1.
-    robots : int
-        Deployments of a mission, at least 1.
-    methods : tuple of str
-        Of `METHODS`, or `LEARNING`.
-    lethalities : tuple of float or None
-        Of the worlds, in [0, 1]; None is drawn anew for each world.
-    grid, planning, world, sensor, prior
-        Sections of their own. Without a prior it is that of the world's densities.
-    believed_lethality : float, optional
-        What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
-    teams : tuple of Strategy
-        Without them robots go one by one.
-    learn : NumberPriors
-        What the method that learns is not told, and what numbers that are None are drawn from.
-    hazards : Hazards
-        Without them they are static and lie independently.
-    asked : Asked, optional
-        The decision that missions are asked for.
-
-    """
-
+    # At least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, whatever the
+    # method, the team and the lethality.
     seed: Annotated[int, (0, 2**63 - 1)]
+    # Worlds, at least 1.
     trials: Count
+    # Deployments of a mission, at least 1.
     robots: Count
+    # Of `METHODS`, or `LEARNING`.
     methods: tuple[Annotated[str, METHODS, LEARNING], ...]
+    # Of the worlds, in [0, 1]; None is drawn anew for each world.
     lethalities: tuple[Probability | None, ...]
+    # Sections of their own. Without a prior it is that of the world's densities.
     grid: Extent
     planning: Planning
     world: Densities
     sensor: Sensor
     prior: Prior | None
+    # What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
     believed_lethality: Probability | None = None
+    # Without them robots go one by one.
     teams: tuple[Strategy, ...] = (ALONE,)
+    # What the method that learns is not told, and what numbers that are None are drawn from.
     learn: NumberPriors = TELL_ALL
+    # Without them they are static and lie independently.
     hazards: Hazards = INDEPENDENT
+    # The decision that missions are asked for.
     asked: Asked | None = None
 
     @property

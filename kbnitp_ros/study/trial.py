@@ -46,52 +46,32 @@ LEARNT = ('mean', 'sd', *QUANTILES)
 
 
 class Trial(NamedTuple):
-    """
-    Which mission of a study.
+    """Which mission of a study."""
 
-    Attributes
-    ----------
-    lethality : float or None
-        Of the world; None if it is drawn.
-    method : str
-        Of the estimator: of `METHODS`, or `LEARNING`.
-    number : int
-        Of the world, from 0.
-    team : Strategy
-        That leaves together.
-
-    """
-
+    # Of the world; None if it is drawn.
     lethality: float | None
+    # Of the estimator: of `METHODS`, or `LEARNING`.
     method: str
+    # Of the world, from 0.
     number: int
+    # That leaves together.
     team: Strategy = ALONE
 
 
 class Outcome(NamedTuple):
-    """
-    What is kept of a mission.
+    """What is kept of a mission."""
 
-    Attributes
-    ----------
-    measures : ndarray, shape (robots + 1, measures)
-        As `measures_of` says, before the first robot and after each; once a mission is over they
-        stay. The information of the row before the first robot is NaN.
-    believed : ndarray, shape (2, cells)
-        The hazard and the target map after the last robot.
-    truth : ndarray of bool, shape (2, cells)
-        The hazards and the targets after the last robot.
-    learnt : ndarray, shape (robots + 1, numbers, learnt)
-        Of each of `NUMBERS` what was known, as `LEARNT` says; NaN if it was told.
-    numbers : ndarray, shape (numbers,)
-        The world's `NUMBERS`.
-
-    """
-
+    # As `measures_of` says, before the first robot and after each; once a mission is over they
+    # stay. The information of the row before the first robot is NaN. Shape (robots + 1, measures).
     measures: NDArray[np.float64]
+    # The hazard and the target map after the last robot. Shape (2, cells).
     believed: NDArray[np.float64]
+    # The hazards and the targets after the last robot. Shape (2, cells).
     truth: NDArray[np.bool_]
+    # Of each of `NUMBERS` what was known, as `LEARNT` says; NaN if it was told. Shape (robots + 1,
+    # numbers, learnt).
     learnt: NDArray[np.float64]
+    # The world's `NUMBERS`. Shape (numbers,).
     numbers: NDArray[np.float64]
 
 

@@ -31,19 +31,11 @@ Result = TypeVar('Result')
 
 @dataclass(frozen=True)
 class Workers:
-    """
-    Processes that call a function of many items.
+    """Processes that call a function of many items."""
 
-    Attributes
-    ----------
-    parallel : joblib.Parallel
-        Hands calls out to them.
-    batch : int, optional
-        How many results come together; None when each comes by itself.
-
-    """
-
+    # Hands calls out to them.
     parallel: Parallel
+    # How many results come together; None when each comes by itself.
     batch: int | None = None
 
     def run(

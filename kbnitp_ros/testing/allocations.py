@@ -17,19 +17,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class RoundCase(Field):
-    """
-    A field that robots share.
+    """A field that robots share."""
 
-    Attributes
-    ----------
-    robots : tuple of TeamMember
-        Two to four, some with limits and numbers of their own; those of one type are one.
-    after : tuple of TeamMember
-        The same when another one has left before.
-
-    """
-
+    # Two to four, some with limits and numbers of their own; those of one type are one.
     robots: tuple[TeamMember, ...]
+    # The same when another one has left before.
     after: tuple[TeamMember, ...]
 
 

@@ -16,41 +16,24 @@ MISSIONS, PLANS = 0x4C415753, 0x4C415754
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """
-    A small field and what is believed of it.
+    """A small field and what is believed of it."""
 
-    Attributes
-    ----------
-    grid : Grid
-        Of at most 4 x 4 cells, some of them blocked.
-    prior : Belief
-        Any in its cells; some are known to be free of hazard.
-    model : SensorModel
-        Of robots of which each may be lost to a malfunction.
-
-    """
-
+    # Of at most 4 x 4 cells, some of them blocked.
     grid: Grid
+    # Any in its cells; some are known to be free of hazard.
     prior: Belief
+    # Of robots of which each may be lost to a malfunction.
     model: SensorModel
 
 
 @dataclass(frozen=True, eq=False)
 class MissionCase(Field):
-    """
-    A field and what robots met in it.
+    """A field and what robots met in it."""
 
-    Attributes
-    ----------
-    seed : int
-        Of what a method draws.
-    deployments : tuple of (Observation, RobotType)
-        Outcomes in one world that the prior allows for, with and without last contacts and with
-        cells where robots did not look.
-
-    """
-
+    # Of what a method draws.
     seed: int
+    # Outcomes in one world that the prior allows for, with and without last contacts and with
+    # cells where robots did not look.
     deployments: tuple[tuple[Observation, RobotType], ...]
 
     @property

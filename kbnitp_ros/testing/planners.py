@@ -20,22 +20,13 @@ VALUE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SearchCase(Field):
-    """
-    A field in which a path is to be found.
+    """A field in which a path is to be found."""
 
-    Attributes
-    ----------
-    finder : PathFinder
-        With the limits of the path, and where others were before.
-    objective : Objective
-        Of a robot that goes alone, at a cost or none.
-    after : Objective
-        Of one that goes when another one has left.
-
-    """
-
+    # With the limits of the path, and where others were before.
     finder: PathFinder
+    # Of a robot that goes alone, at a cost or none.
     objective: Objective
+    # Of one that goes when another one has left.
     after: Objective
 
 

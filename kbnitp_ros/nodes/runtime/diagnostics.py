@@ -45,19 +45,11 @@ class Activity(Enum):
 
 
 class State(NamedTuple):
-    """
-    What a node does, and of what.
+    """What a node does, and of what."""
 
-    Attributes
-    ----------
-    activity : Activity
-        What it does.
-    sentence : str
-        The same with what it is about, as diagnostics and the console show it.
-
-    """
-
+    # What it does.
     activity: Activity
+    # The same with what it is about, as diagnostics and the console show it.
     sentence: str
 
 
@@ -77,30 +69,19 @@ def done(how: str) -> State:
 
 
 class Diagnostics:
-    """
-    Counts what comes in and shows it every second, and at once when something is refused.
-
-    Attributes
-    ----------
-    accepted, refused : int
-        Messages so far.
-    waiting : int
-        Messages held until what they belong to has come.
-    state : State
-        What the node does.
-    warning : str
-        What is not as it should be for now; empty when nothing.
-    values : dict of str to str
-        What else is to be told.
-
-    """
+    """Counts what comes in and shows it every second, and at once when something is refused."""
 
     def __init__(self, node: Node) -> None:
+        # Messages so far.
         self.accepted = 0
         self.refused = 0
+        # Messages held until what they belong to has come.
         self.waiting = 0
+        # What the node does.
         self.state = working('running')
+        # What is not as it should be for now; empty when nothing.
         self.warning = ''
+        # What else is to be told.
         self.values: dict[str, str] = {}
         self._last_refusal = ''
         self._failure = ''

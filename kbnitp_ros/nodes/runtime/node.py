@@ -50,7 +50,7 @@ FAREWELL = 0.3
 SAY_FIRST = 3.0
 SAY_AGAIN = 10.0
 
-# The logger, below that of its node, which has a line for each deployment.
+# The logger below that of its node, for a line about each deployment; it can be silenced alone.
 DEPLOYMENTS = 'deployments'
 
 T = TypeVar('T')
@@ -59,28 +59,14 @@ PACKAGE = __name__.partition('.')[0]
 
 
 class MissionNode(GraphNode):
-    """
-    A node of the mission: its parameters and its diagnostics.
-
-    Attributes
-    ----------
-    values : dict
-        The parameters by name, kept up to date.
-    diagnostics : Diagnostics
-        What it has accepted and refused.
-    deployment_logger : RcutilsLogger
-        For a line about each deployment; it can be silenced alone.
-    is_over : bool
-        Whether its work is done, so that its process ends.
-    exit_code : int
-        Of the process that ends so.
-
-    """
+    """A node of the mission: its parameters and its diagnostics."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        # By name, kept up to date.
         self.values = declare(self, name)
         self.diagnostics = Diagnostics(self)
+        # Whether its work is done, so that its process ends, and with which code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
