@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation-based calibration where hazards are heard of, change or are used up."""
+"""Simulation-based calibration where losses are heard and hazards change, go or cluster."""
 
 from dataclasses import dataclass, replace
 
 import brute_force
 from kbnitp_ros.core import (
     Belief,
+    Clustering,
     Dynamics,
     Estimator,
     Execution,
@@ -23,7 +24,7 @@ from test_calibration import least_p, ranks_of, SIGNIFICANT
 
 pytestmark = pytest.mark.full
 
-WORLDS, BINS, ROBOTS = 120, 10, 20
+WORLDS, BINS, ROBOTS, DRAWS = 120, 10, 20, 400
 FIELD = Grid(3, 3)
 DENSITY, KAPPA, BACKGROUND = 0.3, 0.7, 0.27
 PRIOR = Belief.prior(FIELD, DENSITY, DENSITY * KAPPA + (1 - DENSITY) * BACKGROUND, KAPPA)
@@ -39,19 +40,40 @@ class Kind:
     contact: float = 0.0
     dynamics: Dynamics = STATIC
     unknowns: Unknowns = ALL_KNOWN
+    clustering: Clustering | None = None
 
 
 KINDS = {
     'heard': Kind(contact=0.9, unknowns=LETHALITY),
     'changing': Kind(dynamics=CHANGING),
     'used_up': Kind(dynamics=Dynamics('used_up'), contact=0.5),
+    'clustered': Kind(unknowns=LETHALITY, clustering=Clustering(FIELD, 'learn')),
 }
+
+
+def pairs(hazard):
+    """Count the pairs of hazards that share a side, in each row of (draws, cells)."""
+    maps = hazard.reshape(-1, FIELD.height, FIELD.width)
+    across, down = maps[..., 1:] & maps[..., :-1], maps[:, 1:] & maps[:, :-1]
+    return across.sum(axis=(1, 2)) + down.sum(axis=(1, 2))
+
+
+def clustered(world, clustering, rng):
+    """Draw a coupling and a world of that prior; return them, the coupling by its place."""
+    bins = clustering.bins
+    place = int(rng.choice(bins.values.size, p=np.exp(bins.log_prior)))
+    states, chances = brute_force.clustered_prior(FIELD, bins.values[place], DENSITY)
+    hazard = states[rng.choice(len(states), p=chances)].astype(bool)
+    target = rng.random(FIELD.cells) < np.where(hazard, KAPPA, BACKGROUND)
+    return replace(world, hazard=hazard, target=target), {'coupling': place}
 
 
 def ranks(number, kind, believed, as_told):
     """Draw a world and a mission, and return the rank of the truth in each posterior."""
     rng = np.random.default_rng([24, number])
     world, places = World.random(FIELD, rng, DENSITY, KAPPA, BACKGROUND), {}
+    if kind.clustering is not None:
+        world, places = clustered(world, kind.clustering, rng)
     lethality = 0.6
     for name, prior in kind.unknowns.priors.items():
         bins = prior.bins()
@@ -65,6 +87,7 @@ def ranks(number, kind, believed, as_told):
         believed.unknowns,
         int(rng.integers(2**32)),
         dynamics=believed.dynamics,
+        clustering=believed.clustering,
     )
     execution = Execution(contact=kind.contact)
     for robot in range(ROBOTS):
@@ -75,7 +98,14 @@ def ranks(number, kind, believed, as_told):
         )
         world = made.world
         estimator.assimilate(as_told(made.observation))
-    return ranks_of(estimator, places, world, rng)
+    coupling = places.pop('coupling', None)
+    found = ranks_of(estimator, places, world, rng)
+    if coupling is not None:
+        drawn, _ = estimator.draws(DRAWS, rng)
+        true, of_draws = pairs(world.hazard[None])[0], pairs(drawn)
+        ties = rng.random() * (of_draws == true).mean()
+        found['pairs of hazards'] = (of_draws < true).mean() + ties
+    return found
 
 
 def worst(kind, believed=None, as_told=lambda observation: observation):
@@ -109,4 +139,10 @@ def test_losses_told_a_step_late_are_found():
 )
 def test_dynamics_of_another_kind_are_found(kind, dynamics):
     p, _ = worst(KINDS[kind], replace(KINDS[kind], dynamics=dynamics))
+    assert p < SIGNIFICANT
+
+
+def test_independence_of_clustered_hazards_is_found():
+    kind = replace(KINDS['clustered'], clustering=Clustering(FIELD, 1.7))
+    p, _ = worst(kind, replace(kind, clustering=None))
     assert p < SIGNIFICANT
