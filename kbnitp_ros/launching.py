@@ -80,11 +80,7 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
     """
     Return the arguments that all launch files of missions take.
 
-    Parameters
-    ----------
-    defaults : str
-        Of those that are also parameters, other than what the parameter file says.
-
+    Some are also parameters: of these `defaults` are other than what the parameter file says.
     """
     return [
         DeclareLaunchArgument(
@@ -139,17 +135,7 @@ def mission_description(
     arguments: Sequence[DeclareLaunchArgument],
     nodes: Callable[[MissionArguments], Iterable[Action]],
 ) -> LaunchDescription:
-    """
-    Return what a launch file starts.
-
-    Parameters
-    ----------
-    arguments : sequence of DeclareLaunchArgument
-        All that the file takes.
-    nodes : callable
-        Returns the nodes of a mission, once its arguments are known.
-
-    """
+    """Return what a launch file starts: nodes of a mission, once its arguments are known."""
     hear_interrupts_once()
     names = [argument.name for argument in arguments]
 
@@ -246,12 +232,8 @@ class MissionArguments:
         """
         Return the nodes of the base, and RViz.
 
-        Parameters
-        ----------
-        of_real_robots : str
-            Parameters where neither an argument nor the parameter file says anything but the
-            default, which is for simulated robots.
-
+        `of_real_robots` are parameters where neither an argument nor the parameter file says
+        anything but the default, which is for simulated robots.
         """
         said, known = self._values('planner'), parameters_of('planner')
         self._options = {
@@ -288,23 +270,11 @@ class MissionArguments:
         ends_mission: bool = True,
     ) -> Node:
         """
-        Return a node of the mission.
+        Return a node of the mission, which is also the name of its executable.
 
-        If the mission is recorded, it is started again when it dies, and goes on with the log.
-
-        Parameters
-        ----------
-        name : str
-            Its name and executable.
-        own : dict, optional
-            Parameters that it alone is given.
-        awaits : sequence of str
-            The roles that it awaits; if there is a recorder, that, too.
-        namespace : str
-            Of its own, below that of the mission.
-        ends_mission : bool
-            Whether the others go on without it.
-
+        If the mission is recorded, it is started again when it dies, and goes on with the log, and
+        the recorder is awaited, too. A node that does not end the mission leaves the others
+        running.
         """
         known, log = parameters_of(name), self._log
         told = {

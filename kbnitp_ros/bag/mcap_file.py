@@ -131,12 +131,8 @@ def read_mcap(path: Path, on_corruption: OnCorruption = refuse) -> Iterator[Reco
     """
     Yield the messages and the metadata records of a file in the order they were written.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    on_corruption : callable
-        Takes a LogError wherever the file is corrupt; if it returns, reading goes on after that.
+    `on_corruption` takes a LogError wherever the file is corrupt; if it returns, reading goes on
+    after that.
 
     Raises
     ------

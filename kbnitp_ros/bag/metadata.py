@@ -104,10 +104,7 @@ def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
     """
     Write metadata.yaml, which makes the folder a bag; it is the old or the new one at any time.
 
-    Returns
-    -------
-    bool
-        False if the folder has that of another bag: it is left alone.
+    Return False if the folder has that of another bag, which is left alone.
 
     Raises
     ------

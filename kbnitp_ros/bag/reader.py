@@ -200,12 +200,8 @@ def read_part(part: Path, on_corruption: OnCorruption = refuse) -> Iterator[Reco
     """
     Yield what is in a file of a log.
 
-    Parameters
-    ----------
-    part : Path
-        The file.
-    on_corruption : callable
-        Takes a LogError wherever the file is corrupt; what can be read after it is yielded too.
+    `on_corruption` takes a LogError wherever the file is corrupt; what can be read after it is
+    yielded too.
 
     Raises
     ------

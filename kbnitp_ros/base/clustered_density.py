@@ -15,12 +15,6 @@ def density_note(ledger: Ledger) -> str:
 
     It does while robots entered less than half of the cells that may have a hazard: the belief
     about the others then follows the density and the coupling, which few cells tell of.
-
-    Parameters
-    ----------
-    ledger : Ledger
-        The deployments taken in, and what is known by them.
-
     """
     estimator, grid = ledger.estimator, ledger.grid
     density = estimator.parameters.get('hazard_density')

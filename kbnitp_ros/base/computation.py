@@ -16,15 +16,8 @@ class Computation(Generic[T]):
     Something that takes long, in a thread of its own.
 
     Compiled kernels leave Python's lock to others, and no computation can be interrupted: one that
-    is not wanted any more runs to its end, and nothing comes of it.
-
-    Parameters
-    ----------
-    compute : callable
-        Returns the result.
-    when_over : callable
-        Called in that thread when it is over.
-
+    is not wanted any more runs to its end, and nothing comes of it. `when_over` is called in that
+    thread.
     """
 
     def __init__(self, compute: Callable[[], T], when_over: Callable[[], object]) -> None:

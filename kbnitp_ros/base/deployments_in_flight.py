@@ -52,15 +52,8 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     An order that its agent refuses is as if it had never been. Of the others a robot is known to
     have departed when its agent says so, and, with the parameter `recorded`, when that is on disk:
-    it moves no sooner. With `presume_departure` it is when its path is.
-
-    Parameters
-    ----------
-    values : mapping
-        The planner's parameters by name.
-    kept : int
-        How many paths of an agent their publisher keeps for those who join late.
-
+    it moves no sooner. With `presume_departure` it is when its path is. The publisher of an
+    agent's paths keeps as many as `kept` for those who join late.
     """
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
@@ -138,12 +131,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
         """
-        Take note of a path, whoever sent it.
-
-        Returns
-        -------
-        bool
-            Whether a robot in flight takes this path, and not the one that it was sent on.
+        Take note of a path; return whether a robot takes it in place of the one it was sent on.
 
         Raises
         ------
@@ -171,13 +159,9 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def record(self, key: DeploymentKey, content: int) -> bool:
         """
-        Take note of what path is on disk; those of others do not matter.
+        Take note of what is on disk; return whether a robot takes it, and not what it was sent on.
 
-        Returns
-        -------
-        bool
-            Whether a robot in flight takes that path, and not the one that it was sent on.
-
+        Those of others do not matter.
         """
         robot = self._in_flight.get(key)
         if robot is None or content != robot.content:
@@ -195,12 +179,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
         """
-        Take note of what an agent says of an order.
-
-        Returns
-        -------
-        bool
-            Whether it says something new.
+        Take note of what an agent says of an order; return whether it says something new.
 
         Raises
         ------
@@ -240,17 +219,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             self._in_flight[key].has_departed = True
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
-        """
-        Take note that a robot was reported.
-
-        Parameters
-        ----------
-        key : DeploymentKey
-            Its deployment.
-        reported : int or None
-            When its agent made the report, in nanoseconds; None if it was given up.
-
-        """
+        """Take note that a robot was reported by its agent at a time, or was given up."""
         if self._departures.is_refused(key):
             # Whoever comes back has been away.
             self._sent.add(key)
@@ -261,12 +230,8 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         """
         Return the robots in flight that have timed out.
 
-        Parameters
-        ----------
-        now : int
-            Time in nanoseconds, which is set back only where it is simulated; 0 as long as a
-            simulated clock has not started.
-
+        The time, in nanoseconds, is set back only where it is simulated, and 0 as long as a
+        simulated clock has not started.
         """
         jump, self._time = min(0, now - self._time), now
         if now <= 0:

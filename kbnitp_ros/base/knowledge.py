@@ -36,17 +36,8 @@ class Knowledge:
 
     A belief message has the hazards of single cells alone. What several cells are like together is
     drawn from an estimator that assimilates the same paths and reports, when it is asked for. That
-    takes long, and may be asked for in several threads.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    values : mapping
-        The planner's parameters by name, kept up to date.
-    robot_types : mapping of str to RobotType
-        Of agents whose robots are not like all others.
-
+    takes long, and may be asked for in several threads. The planner's parameters are kept up to
+    date; only agents whose robots are not like all others have a type here.
     """
 
     def __init__(

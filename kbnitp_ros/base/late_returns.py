@@ -22,12 +22,6 @@ class LateReturns:
 
     Each is awaited for as long again as it was allowed to be away, by the machine's own clock,
     which always runs.
-
-    Parameters
-    ----------
-    values : mapping
-        The planner's parameters by name, kept up to date.
-
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:

@@ -63,18 +63,10 @@ class MissionTracker:
         Check that the estimator of this mission can have published a belief.
 
         A belief may come before its publisher is counted, so its own contents decide: no belief
-        holds more deployments than paths were sent. Only the first one that a node hears may,
-        from an estimator that is alone: then the paths died with the planner before.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The belief.
-        authors : int
-            How many nodes publish beliefs. One alone may have been started again with other
-            parameters.
-        known : int
-            How many deployments' paths are known.
+        holds more deployments than paths were sent. Only the first one that a node hears may, from
+        an estimator that is alone: then the paths died with the planner before. `authors` is how
+        many nodes publish beliefs, of which one alone may have been started again with other
+        parameters, and `known` of how many deployments the paths are known.
 
         Raises
         ------

@@ -20,18 +20,8 @@ def check_changes(
     """
     Check parameters that are to change; those that are none of this package's are left alone.
 
-    Parameters
-    ----------
-    changes : mapping
-        The new values by name.
-    values : mapping
-        The planner's parameters by name, as they are.
-    grid : Grid
-        The field.
-    believed : mapping of str to RobotType
-        The types of agents' robots as the belief has them, as far as they are known.
-    sent : int
-        How many robots were sent.
+    `values` are the planner's as they are; robots are `believed` to be of a type as far as it is
+    known.
 
     Raises
     ------

@@ -21,20 +21,8 @@ def reach_note(
     Return how much of a field paths within these limits reach; empty if it is enough.
 
     Cells that are cut off are left out: no path reaches them, however long (see `cut_off_note`).
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    max_steps : int
-        The most steps of a path.
-    enough : float
-        Which part of the cells, from 0 to 1.
-    bases : sequence of int or None
-        Where robots start; None for the base of the grid.
-    max_distance : float
-        The longest path, metres; 0 for no limit.
-
+    `enough` is a part of the cells, from 0 to 1. A base that is None is that of the grid, and a
+    distance of 0 metres no limit.
     """
     fields = [grid.at(base) for base in dict.fromkeys(bases)]
     steps = np.min([field.steps_to_base for field in fields], axis=0)

@@ -49,17 +49,7 @@ class Rounds:
     """
     Plans rounds, each on a belief.
 
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    values : mapping
-        The planner's parameters by name, kept up to date.
-    warn : callable
-        Called with a sentence for the operator.
-    knowledge : Knowledge
-        The goal, and what is known of the hazards for it.
-
+    The parameters are the planner's, kept up to date; `warn` is told sentences for the operator.
     """
 
     def __init__(
@@ -97,23 +87,10 @@ class Rounds:
         """
         Return the search for the paths of robots that leave together.
 
-        It has all that it needs by itself, so that it may run while other things change.
-
-        Parameters
-        ----------
-        known : Snapshot
-            The belief to plan on.
-        agents : sequence of str
-            Whose robots leave.
-        out : dict
-            The paths of those that are out.
-        stamp : int
-            Names the first of these deployments, in nanoseconds.
-        refused : sequence of sequence of ndarray
-            The paths of each round that was refused in place of this one.
-        noted : sequence of ndarray
-            The paths of this round that were taken note of before it is planned.
-
+        It has all that it needs by itself, so that it may run while other things change. `stamp`
+        names the first of these deployments, in nanoseconds. The robots of `out` are out; the
+        rounds of `refused` were refused in place of this one, and the paths of `noted` taken note
+        of before it is planned.
         """
 
         def robot_type(agent: str) -> RobotType:

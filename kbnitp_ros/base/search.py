@@ -34,17 +34,9 @@ class Situation(NamedTuple):
 
 class Search(Computation[PlannedRound]):
     """
-    A search for the paths of the next round.
+    A search for the paths of the next round in a situation.
 
-    Parameters
-    ----------
-    find : callable
-        The search.
-    situation : Situation
-        What it is begun for.
-    when_over : callable
-        Called in its thread when it is over.
-
+    `when_over` is called in its thread.
     """
 
     def __init__(

@@ -55,16 +55,7 @@ def set_parameter(
     """
     Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one.
 
-    Parameters
-    ----------
-    parameters : mapping of str to dict
-        The values of each node, which are changed.
-    rule : str
-        As typed after --set.
-    command : str
-        The command's name.
-    own : collection of str
-        Which parameters it decides by itself.
+    The values of each node are changed. Those in `own` the command decides by itself.
 
     Raises
     ------

@@ -104,21 +104,9 @@ class Processes:
         """
         Start a node.
 
-        Parameters
-        ----------
-        node : str
-            The executable's name.
-        parameters : mapping, optional
-            Values by parameter name.
-        namespace : str
-            Where its topics are.
-        remaps : mapping, optional
-            What it calls a topic, and the name to use instead.
-        levels : mapping, optional
-            From which level on a logger says something, by its name, such as ``planner``.
-        output : file, optional
-            Where its stdout and stderr go; to those of this process when None.
-
+        The executable is called `node`; `remaps` has the names to use instead of its topics',
+        `levels` from which level on a logger, such as ``planner``, says something. Without
+        `output` it writes to stdout and stderr of this process.
         """
         full_name = f'{namespace.rstrip("/")}/{node}'
         arguments = [node, '--ros-args', '--enclave', full_name]
@@ -149,18 +137,9 @@ class Processes:
 
     def stop(self, patience: float = PATIENCE) -> dict[str, int]:
         """
-        End all nodes as Ctrl-C does, those that do not listen by force.
+        End all nodes as Ctrl-C does, those that do not listen within some seconds by force.
 
-        Parameters
-        ----------
-        patience : float
-            How long all of them together are waited for, in seconds.
-
-        Returns
-        -------
-        dict
-            Exit codes by full names; negative for a node that a signal ended.
-
+        Return exit codes by full names; negative for a node that a signal ended.
         """
         for process in self.started.values():
             process.send_signal(signal.SIGINT)

@@ -89,14 +89,7 @@ def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOp
     """
     Check that the goal can be sought and reached, and that the mission can be over by its stops.
 
-    Parameters
-    ----------
-    values : mapping
-        Of the parameters of the planner, by name.
-    grid : Grid
-        The field.
-    options : iterable of SearchOptions
-        Of the searches for the robots of each agent.
+    `values` are the planner's, `options` those of the searches for the robots of each agent.
 
     Raises
     ------

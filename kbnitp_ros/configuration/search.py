@@ -55,14 +55,7 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     """
     Check that the planner can search with these parameters, and have the memory that it takes.
 
-    Parameters
-    ----------
-    values : mapping
-        Of the parameters of the planner, by name.
-    grid : Grid
-        The field.
-    believed : mapping of str to RobotType
-        The types of agents' robots as the belief has them, as far as they are known.
+    `values` are the planner's. Robots are `believed` to be of a type as far as it is known.
 
     Raises
     ------

@@ -40,19 +40,10 @@ def differences(
     recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
 ) -> Iterator[Difference]:
     """
-    Yield where a recorded message differs.
+    Yield where a recorded message differs in the fields that were computed.
 
-    Parameters
-    ----------
-    recorded : object
-        As decoded from a log.
-    computed : Fields
-        Its fields are the ones compared.
-    tolerance : float
-        How far numbers may be apart to be called rounded: this, or times their size if above 1.
-    rounded : collection of str
-        The fields of a single number that may be rounded; those of arrays may be.
-
+    Numbers are called rounded if they are no further apart than `tolerance`, or that times their
+    size if above 1: those of arrays, and of the fields in `rounded`.
     """
     for name, ours in vars(computed).items():
         theirs = getattr(recorded, name)

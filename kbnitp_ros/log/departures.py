@@ -32,12 +32,7 @@ class Departures:
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
         """
-        Take note of a status; a refusal leaves everything as it was.
-
-        Returns
-        -------
-        bool
-            Whether it says something new.
+        Take note of a status, and return whether it says something new; a refusal changes nothing.
 
         Raises
         ------
@@ -77,17 +72,7 @@ class Departures:
         )
 
     def end(self, key: DeploymentKey, reported: int | None) -> None:
-        """
-        Take note of a report.
-
-        Parameters
-        ----------
-        key : DeploymentKey
-            Of which deployment.
-        reported : int or None
-            When the agent made it, in nanoseconds; None if others gave the robot up.
-
-        """
+        """Take note of a report that its agent made at a time, or others who gave it up (None)."""
         self._reported[key] = self._reported.get(key) if reported is None else reported
         self.out.discard(key)
         if self.is_refused(key):

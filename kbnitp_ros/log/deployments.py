@@ -61,16 +61,8 @@ def read_deployments(
     """
     Return the deployments on record that the estimator takes, in the order they were made.
 
-    Parameters
-    ----------
-    log : str or Path
-        The log of one mission, finished or not.
-    grid : Grid
-        The mission's.
-    max_steps : int
-        The most steps of a path from now on; those on record may have as many as they had to.
-    robot_types : mapping of str to RobotType
-        Of the robots of each agent from now on.
+    `max_steps` and the types of robots are those from now on: paths on record may have as many
+    steps as they had to.
 
     Raises
     ------
@@ -118,12 +110,8 @@ def read_newest_round(
     Return the belief that the newest deployments on record were planned on, and which these are.
 
     A round's first path, which need not be on record, has the stamp of the belief that it was
-    planned on. A belief in some of the round's robots is younger than the round.
-
-    Returns
-    -------
-    tuple or None
-        None if that belief is not on record.
+    planned on. A belief in some of the round's robots is younger than the round. Return None if it
+    is not on record.
 
     Raises
     ------
@@ -186,17 +174,9 @@ def read_mission(log: str | Path) -> int | None:
 
 def is_of_mission(logged: LoggedMessage, mission: int | None) -> bool:
     """
-    Return whether a path or a report on record can be of a mission.
+    Return whether a path or report on record can be of the mission begun at a time.
 
-    A report is of the mission of its path.
-
-    Parameters
-    ----------
-    logged : LoggedMessage
-        The path or report.
-    mission : int or None
-        When that began, in nanoseconds; None if nothing on record states it.
-
+    A report is of the mission of its path. The time is in nanoseconds; None if none is stated.
     """
     if mission is None or logged.type_name != PATH:
         return True

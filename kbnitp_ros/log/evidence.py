@@ -48,10 +48,7 @@ def record(register: Deployments, logged: LoggedMessage) -> bool:
     """
     Tell a register of a path or a report on record, as the estimator is told when it comes.
 
-    Returns
-    -------
-    bool
-        Whether an outcome is another one now.
+    Return whether an outcome is another one now.
 
     Raises
     ------
@@ -261,16 +258,8 @@ class Evidence(Deployments):
         Return the path and the report of a deployment that a belief names.
 
         A report that was not on disk yet when recorder and agent died is on record only as the
-        agent made it again: then that one, with the content that is named.
-
-        Parameters
-        ----------
-        evidence : Assimilated
-            What the belief says.
-        index : int
-            Which of the beliefs on record it is, from 0.
-        stamp : int
-            That of the belief, in nanoseconds.
+        agent made it again: then that one, with the content that is named. `index` tells which of
+        the beliefs on record names it, from 0, and `stamp` when that is from.
 
         Raises
         ------

@@ -11,12 +11,7 @@ NAME = 'mission.mcap'
 
 def new_log(folder: Path | None = None) -> Path:
     """
-    Return where the log of a mission that begins now goes, in a folder of its own.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Made if it is not there; runs/TIME when None.
+    Return where the log of a mission that begins now goes, in a folder of its own: runs/TIME.
 
     Raises
     ------

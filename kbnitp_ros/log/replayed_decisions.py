@@ -34,12 +34,6 @@ class ReplayedDecisions:
 
     Whether a decision is reached depends on the confidence, which an operator may change: that is
     not compared.
-
-    Parameters
-    ----------
-    asked : Asked or None
-        What they answer; None if that is not known.
-
     """
 
     def __init__(self, asked: Asked | None) -> None:

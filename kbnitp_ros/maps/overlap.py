@@ -15,22 +15,10 @@ def pixels_under(
     cells: int, cell_size: float, first: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
-    Return the first pixel under each cell and the one after the last; any overlap counts.
+    Return the first pixel under each cell and the one after the last, shape (cells,) each.
 
-    Parameters
-    ----------
-    cells : int
-        How many cells lie along the axis.
-    cell_size : float
-        Side of a cell, in pixels.
-    first : float
-        Where the first cell begins, in pixels from the map's edge.
-
-    Returns
-    -------
-    start, stop : ndarray of int, shape (cells,)
-        They may lie beyond the map.
-
+    Any overlap counts, and they may lie beyond the map. `first` is where the first cell begins,
+    like `cell_size` in pixels.
     """
     edges = first + np.arange(cells + 1) * cell_size
     start = np.floor(edges[:-1] + ON_THE_EDGE).astype(np.intp)
@@ -42,13 +30,7 @@ def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[n
     """
     Return how much of each pixel lies under each cell, in pixels, shape (cells, pixels).
 
-    Parameters
-    ----------
-    cells, cell_size, first
-        As for `pixels_under`.
-    pixels : int
-        How many the map has along the axis.
-
+    As of `pixels_under`, on a map of so many pixels along the axis.
     """
     start = first + np.arange(cells) * cell_size
     pixel = np.arange(pixels)

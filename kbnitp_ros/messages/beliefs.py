@@ -139,22 +139,10 @@ def belief_fields(
     """
     Return the fields of the message of what is believed now.
 
-    Nothing in it depends on when it is made: the same evidence gives the same belief.
-
-    Parameters
-    ----------
-    ledger : Ledger
-        The deployments so far.
-    started : int
-        The stamp of a prior: when the estimator started, in nanoseconds.
-    mission : int
-        When the mission began, in nanoseconds.
-    since : int
-        Number of deployments in the belief that it adds to; 0: it names all that it holds.
-    assimilated : iterable of DeploymentKey, optional
-        Whose evidence was assimilated since that belief, in deployment order; all deployments
-        unless given.
-
+    Nothing in it depends on when it is made: the same evidence gives the same belief. A prior has
+    the stamp at which the estimator `started`. With `since` it adds to the belief of so many
+    deployments, and names what was `assimilated` after that, in deployment order; else it names
+    all that it holds. Times are in nanoseconds.
     """
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)

@@ -51,19 +51,7 @@ def check_filter(filter_type: int, base: float, multiplier: float) -> None:
 def filter_info(
     filter_type: int, base: float, multiplier: float, mask_topic: str, stamp: int
 ) -> CostmapFilterInfo:
-    """
-    Return the message that has Nav2's filters take a map for their mask.
-
-    Parameters
-    ----------
-    filter_type, base, multiplier
-        As of `check_filter`.
-    mask_topic : str
-        The full name of the topic of the map.
-    stamp : int
-        Of the message, in nanoseconds.
-
-    """
+    """Return the message that has Nav2's filters take the map of a topic for their mask."""
     from nav2_msgs.msg import CostmapFilterInfo
 
     fields = Fields(

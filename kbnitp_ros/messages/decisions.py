@@ -32,21 +32,7 @@ def decision_fields(decision: Decision, deployments: int) -> Fields:
 def decision_message(
     grid: Grid, decision: Decision, deployments: int, stamp: int, mission: int
 ) -> DecisionMessage:
-    """
-    Return the message of a decision.
-
-    Parameters
-    ----------
-    grid : Grid
-        Where the cells' centres are.
-    decision : Decision
-        What may be relied on.
-    deployments : int
-        In the belief that it is made with.
-    stamp, mission : int
-        Of that belief, in nanoseconds.
-
-    """
+    """Return the message of a decision made with a belief: its deployments, stamp and mission."""
     from kbnitp_msgs.msg import Decision as DecisionMessage
 
     return DecisionMessage(

@@ -44,17 +44,8 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TO
     """
     Return the message that sends an agent along `cells`.
 
-    Parameters
-    ----------
-    grid : Grid
-        Where the cells' centres are; the poses are turned as its rows are.
-    cells : array_like of int, shape (steps + 1,)
-        The path, the base first and last.
-    stamp : int
-        Names the deployment together with the agent, in nanoseconds; never used twice.
-    mission : int
-        When the mission began, in nanoseconds.
-
+    The poses are turned as the rows of the grid are. Together with the agent `stamp`, which is
+    never used twice, names the deployment; both times are in nanoseconds.
     """
     from geometry_msgs.msg import PoseStamped, Quaternion
     from nav_msgs.msg import Path
@@ -114,15 +105,7 @@ def read_path_name(message: Any) -> int:
 
 
 def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
-    """
-    Return which deployment a nav_msgs/Path names, whatever its poses are.
-
-    Returns
-    -------
-    DeploymentKey or None
-        None if the topic is not AGENT/path.
-
-    """
+    """Return which deployment a path names, whatever its poses are; None if not on AGENT/path."""
     if not topic.endswith('/path'):
         return None
     return DeploymentKey(agent_of(topic), from_stamp(message.header.stamp))
@@ -136,21 +119,7 @@ def agent_of(topic: str) -> str:
 def report_message(
     key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
 ) -> DeploymentReport:
-    """
-    Return the message of how a deployment ended.
-
-    Parameters
-    ----------
-    key : DeploymentKey
-        Which one.
-    observation : Observation
-        What came of it.
-    stamp : int
-        When the base learnt it, in nanoseconds.
-    source : Source
-        Who says so.
-
-    """
+    """Return the message of how a deployment ended, which the base learnt at a time."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
 
     readings = () if observation.readings is None else observation.readings.tolist()

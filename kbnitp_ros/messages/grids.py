@@ -63,12 +63,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
     """
     Return the grid with the geometry of a nav_msgs/MapMetaData.
 
-    Parameters
-    ----------
-    info : nav_msgs/MapMetaData
-        Sizes in cells, resolution and origin in metres.
-    **rest
-        Of the grid, what this message does not name, such as its base.
+    `rest` is what this message does not name of the grid, such as its base.
 
     Raises
     ------
@@ -106,17 +101,9 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
 
 def occupancy_fields(grid: Grid, probabilities: ArrayLike, stamp: int) -> Fields:
     """
-    Return the fields of a map for people to look at.
+    Return the fields of a map for people to look at, computed at a time in nanoseconds.
 
-    Parameters
-    ----------
-    grid : Grid
-        Its blocked cells are shown as -1.
-    probabilities : array_like, shape (cells,)
-        In [0, 1]; the truth is a map of 0 and 1.
-    stamp : int
-        When the map was computed, in nanoseconds.
-
+    Blocked cells are shown as -1. The truth is a map of probabilities 0 and 1.
     """
     percent = np.rint(100.0 * np.asarray(probabilities, dtype=np.float64)).astype(np.int8)
     return Fields(
@@ -137,10 +124,7 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
     """
     Return the probabilities that a nav_msgs/OccupancyGrid shows.
 
-    Returns
-    -------
-    ndarray, shape (height * width,)
-        In [0, 1], to half a percent; NaN where the map says -1.
+    They are true to half a percent, shape (cells,); NaN where the map says -1.
 
     Raises
     ------

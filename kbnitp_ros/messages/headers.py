@@ -58,14 +58,7 @@ def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
     """
     Return the nanoseconds of a builtin_interfaces/Time that came from outside.
 
-    Parameters
-    ----------
-    name : str
-        Of the field, for errors.
-    stamp : builtin_interfaces/Time
-        As received, or as decoded from a log.
-    last : int
-        The last one allowed, in nanoseconds.
+    `name` is that of the field, for errors, and `last` the last time allowed.
 
     Raises
     ------
@@ -100,15 +93,9 @@ def read_name(name: str, stamp: Any) -> int:
 
 def next_name(earliest: int, *names: int) -> int:
     """
-    Return the first name of a deployment, in nanoseconds, that is after all others.
+    Return the first name, in nanoseconds, that is after those in use and not too early.
 
-    Parameters
-    ----------
-    earliest : int
-        The first one that may be used.
-    names : int
-        Those in use; one too late to be counted on from does not count.
-
+    One in use that is too late to be counted on from does not count.
     """
     return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
 

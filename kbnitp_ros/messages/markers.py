@@ -18,19 +18,7 @@ SIZE = 0.3
 
 
 def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
-    """
-    Return a sphere for each step that the robot looked in, in their order.
-
-    Parameters
-    ----------
-    grid : Grid
-        Where the cells' centres are.
-    observation : Observation
-        Of a robot that returned; the marker of a lost one is empty.
-    stamp : int
-        When the base learnt it, in nanoseconds.
-
-    """
+    """Return a sphere for each step that the robot looked in, in order; none of a lost one."""
     readings = np.empty(0) if observation.readings is None else observation.readings
     looked = np.flatnonzero(readings != -1)
     centers = grid.centers(observation.path[1:][looked])

@@ -51,14 +51,7 @@ def mission_of_belief(message: Any) -> int:
 
 def check_mission(told: int, own: int | None) -> None:
     """
-    Check that a message belongs to a node's mission.
-
-    Parameters
-    ----------
-    told : int
-        When the mission of the message began, in nanoseconds.
-    own : int or None
-        When the node's did; None if it has not joined any.
+    Check that a message belongs to a node's mission; None if that has not joined any.
 
     Raises
     ------

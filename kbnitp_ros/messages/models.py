@@ -32,17 +32,7 @@ class Known:
 
 
 def model_fields(ledger: Ledger, stamp: int) -> Fields:
-    """
-    Return the fields of the message that goes with a belief.
-
-    Parameters
-    ----------
-    ledger : Ledger
-        The deployments so far.
-    stamp : int
-        Of the belief, in nanoseconds.
-
-    """
+    """Return the fields of the message that goes with a belief of this stamp, in nanoseconds."""
     parameters = ledger.estimator.parameters.values()
     return Fields(
         header=header_fields(stamp),

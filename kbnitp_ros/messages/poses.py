@@ -11,21 +11,7 @@ from tf2_msgs.msg import TFMessage
 
 
 def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
-    """
-    Return the transform from the grid's frame to AGENT/base_link.
-
-    Parameters
-    ----------
-    grid : Grid
-        Where the cell's centre is; the robot is turned as its rows are.
-    agent : str
-        Whose robot it is.
-    cell : int
-        Where the robot is.
-    stamp : int
-        When, in nanoseconds.
-
-    """
+    """Return the transform from the grid's frame to AGENT/base_link, turned as its rows."""
     ((x, y),) = grid.centers([cell]).tolist()
     transform = Transform(
         translation=Vector3(x=x, y=y), rotation=Quaternion(**vars(orientation_fields(grid.yaw)))

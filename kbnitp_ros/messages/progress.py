@@ -71,21 +71,8 @@ def progress_message(
     """
     Return the message of how a mission stands.
 
-    Parameters
-    ----------
-    ledger : Ledger
-        The deployments so far.
-    before : Held or None
-        What was believed before the last report; None if nothing was.
-    world : World or None
-        The truth, if it is known.
-    stamp : int
-        Of the belief that it goes with, in nanoseconds.
-    out : int
-        How many robots have departed and were not reported.
-    standing : Standing
-        As the planner tells it.
-
+    `before` is what was believed before the last report, `world` the truth if it is known, `stamp`
+    that of the belief, in nanoseconds; `out` robots have departed and were not reported.
     """
     from kbnitp_msgs import msg
 

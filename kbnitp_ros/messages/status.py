@@ -61,13 +61,6 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
 
     Whether it can follow what was said before is for `Departures.take` to say.
 
-    Parameters
-    ----------
-    message : kbnitp_msgs/AgentStatus
-        As received, or as decoded from a log.
-    agent : str
-        Whose topic it came on.
-
     Raises
     ------
     ValueError

@@ -39,13 +39,8 @@ class NewEvidence:
         """
         Return what the belief of a ledger, which is published next, says of its evidence.
 
-        Returns
-        -------
-        since : int
-            Number of deployments in the belief that it adds to; 0: it is complete.
-        assimilated : sequence of DeploymentKey
-            Whose evidence was assimilated since, in deployment order.
-
+        That is the number of deployments in the belief that it adds to, 0 if it is complete; and
+        whose evidence was assimilated since, in deployment order.
         """
         since, held = self._since, len(ledger.deployments)
         named = sorted(self._keys, key=deployment_order) if since else ledger.deployments

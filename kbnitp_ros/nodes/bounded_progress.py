@@ -13,15 +13,7 @@ from kbnitp_ros.nodes.runtime.node import FieldNode
 
 
 class BoundedProgress:
-    """
-    Publishes the estimator's progress once more, with the bound that the plan came with.
-
-    Parameters
-    ----------
-    node : FieldNode
-        The planner.
-
-    """
+    """Publishes the estimator's progress once more, with the bound that the plan came with."""
 
     def __init__(self, node: FieldNode) -> None:
         self._publisher = node.create_publisher(Progress, 'progress', qos.LATCHED)

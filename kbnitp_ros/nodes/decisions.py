@@ -38,19 +38,10 @@ class Decisions:
     """
     The decisions of the planner.
 
-    With a goal it publishes one on `decision` for each belief, and the lane on `decision/lane`
-    for people to look at. The service `safest_path` answers for any two places, one call after
+    With a goal it publishes one on `decision` for each belief, and the lane on `decision/lane` for
+    people to look at. The service `safest_path` answers for any two places, one call after
     another. Both are computed in threads of their own, so that the planner goes on listening.
-
-    Parameters
-    ----------
-    node : MissionNode
-        The planner.
-    grid : Grid
-        The field.
-    act : callable
-        Called after each decision.
-
+    `act` is called after each decision.
     """
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:

@@ -47,14 +47,7 @@ def detection_class(name: str) -> type:
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
     """
-    Return what a message of the detector says.
-
-    Parameters
-    ----------
-    message : std_msgs/Bool or vision_msgs/Detection2DArray
-        As received.
-    values : mapping
-        The parameters `detection_type`, `detection_class` and `detection_score`.
+    Return what a message of the detector says, by the parameters of its type.
 
     Raises
     ------

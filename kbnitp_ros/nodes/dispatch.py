@@ -39,19 +39,7 @@ class Dispatch:
     """
     The planner's robots, from their orders to their reports.
 
-    Parameters
-    ----------
-    node : FieldNode
-        The planner.
-    agents : sequence of str
-        The team.
-    rounds : Rounds
-        Takes note of the paths.
-    knowledge : Knowledge
-        Takes note of the paths and reports.
-    act : callable
-        Called after each report.
-
+    `rounds` and `knowledge` take note of the paths; `act` is called after each report.
     """
 
     def __init__(

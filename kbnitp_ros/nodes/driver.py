@@ -86,19 +86,8 @@ class Driver:
     """
     Sends a robot along legs, one goal at a time.
 
-    Parameters
-    ----------
-    node : Node
-        Has the action's client.
-    name : str
-        Of the action.
-    namespace : str
-        Where that is; empty for that of the node.
-    grid : Grid
-        Where the cells are.
-    patience : float
-        Seconds without a word from the action server after which it is taken for dead.
-
+    It takes an action server for dead after `patience` seconds without a word from it. A namespace
+    that is empty is that of the node.
     """
 
     def __init__(self, node: Node, name: str, namespace: str, grid: Grid, patience: float) -> None:
@@ -133,17 +122,9 @@ class Driver:
 
     def not_ready(self, place: tuple[float, float], stamp: int) -> str:
         """
-        Return what Nav2 lacks to take the first goal of a deployment; empty when nothing.
+        Return what Nav2 lacks to take the first goal of a robot at a place; empty when nothing.
 
         An action server of Nav2 is there before it is active, and rejects goals until then.
-
-        Parameters
-        ----------
-        place : tuple of float
-            Where the robot is, x and y in metres.
-        stamp : int
-            The time, in nanoseconds.
-
         """
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited
@@ -170,17 +151,9 @@ class Driver:
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
         """
-        Send the robot along a leg; `is_busy` until that is over, however it ends.
+        Send the robot from where it is, x and y, along a leg, of which it is in the first cell.
 
-        Parameters
-        ----------
-        start : tuple of float
-            Where the robot is, x and y in metres.
-        leg : sequence of int
-            The cells, the one that it is in first.
-        stamp : int
-            The time, in nanoseconds.
-
+        `is_busy` until that is over, however it ends.
         """
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
         self._number += 1

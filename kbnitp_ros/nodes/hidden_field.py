@@ -26,25 +26,9 @@ class HiddenField:
     Where hazards stay, a robot leaves as soon as it has its path. Where they do not, the field is
     a fold of all paths in deployment order, and a robot leaves when those before it are known. All
     agents take part in each round in their order, so robot n of an agent, counted from 0, waits
-    for n + 1 paths of each agent before it and n of each one after it.
-
-    Parameters
-    ----------
-    grid : Grid
-        Where the robots go.
-    world : World
-        Before the first deployment.
-    dynamics : Dynamics
-        How hazards change.
-    execution : Execution
-        How robots depart from their orders.
-    models : mapping of str to SensorModel
-        What the robots of each agent are like.
-    agents : sequence of str
-        Of the team, in their order.
-    generator : callable
-        Returns the randomness of an agent's robot, counted from 0.
-
+    for n + 1 paths of each agent before it and n of each one after it. `models` has what the
+    robots of each agent are like; `generator` returns the randomness of an agent's robot, counted
+    from 0.
     """
 
     def __init__(

@@ -21,16 +21,8 @@ class Hold:
     """
     What an agent is told: it lets robots depart once it has heard that none is held.
 
-    Parameters
-    ----------
-    node : MissionNode
-        The agent's.
-    prefix : str
-        What the names of the agent's topics begin with; empty in a namespace of its own, which is
-        below that of the mission.
-    act : callable
-        Called with each message.
-
+    `prefix`, which the names of the agent's topics begin with, is empty in a namespace of its own,
+    which is below that of the mission. `act` is called with each message.
     """
 
     def __init__(
@@ -59,12 +51,6 @@ class Holding:
     What the planner tells all agents.
 
     It hears its own words, so that it can contradict others who publish them.
-
-    Parameters
-    ----------
-    node : MissionNode
-        The planner.
-
     """
 
     def __init__(self, node: MissionNode) -> None:

@@ -39,13 +39,8 @@ class Instances:
     """
     Listens for diagnostics that name an instance other than the one of this process.
 
-    Parameters
-    ----------
-    node : MissionNode
-        This one; its diagnostics name its instance if it tells `own` under the key `INSTANCE`.
-    is_meant : callable
-        Returns whether a node matters, given its full name and the values of its diagnostics.
-
+    The node's own diagnostics name its instance if they tell `own` under the key `INSTANCE`.
+    `is_meant` says by the full name and the diagnostics of another whether it matters.
     """
 
     def __init__(

@@ -15,17 +15,7 @@ PERIOD = 1.0  # seconds from one question to the next
 
 
 class Lifecycle:
-    """
-    Asks a node for its lifecycle state.
-
-    Parameters
-    ----------
-    node : Node
-        Asks.
-    name : str
-        The full name of the other node.
-
-    """
+    """Asks another node, by its full name, for its lifecycle state."""
 
     def __init__(self, node: Node, name: str) -> None:
         self._name = name

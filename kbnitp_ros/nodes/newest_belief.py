@@ -20,21 +20,7 @@ from rclpy.subscription import Subscription
 
 
 class NewestBelief:
-    """
-    Hears the beliefs that robots are sent on.
-
-    Parameters
-    ----------
-    node : FieldNode
-        The planner.
-    agents : sequence of str
-        The team.
-    in_flight : DeploymentsInFlight
-        The robots that were sent.
-    take : callable
-        Called with each belief that is the newest.
-
-    """
+    """Hears the beliefs that robots are sent on; `take` is called with each that is the newest."""
 
     def __init__(
         self,

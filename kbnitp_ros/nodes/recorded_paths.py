@@ -32,21 +32,9 @@ class RecordedPaths(Generic[P]):
     on AGENT/recorded: of several paths of one stamp all nodes take the one on disk. An
     acknowledgement may come before its path and is not kept, since anybody can send any number of
     them. The recorder's publisher keeps them: they are asked for again as long as a path lacks its
-    own. Without the parameter a path is taken when it comes.
-
-    Parameters
-    ----------
-    node : FieldNode
-        Hears them.
-    agent : str
-        Whose they are.
-    prefix : str
-        What the names of the agent's topics begin with.
-    read : callable
-        Returns what a path says; None if it is known. Raises ValueError if it is to be refused.
-    take : callable
-        Called with what a path says that is on record. Raises ValueError if it is to be refused.
-
+    own. Without the parameter a path is taken when it comes. `read` returns what a path says, None
+    if it is known; `take` is called with what one says that is on record. Both raise ValueError
+    for one that is to be refused.
     """
 
     def __init__(
@@ -98,15 +86,8 @@ class RecordedPaths(Generic[P]):
         """
         Have a robot move when its departure is on record; at once without that parameter.
 
-        Parameters
-        ----------
-        stamp : int
-            That of its path, in nanoseconds.
-        content : int
-            Hash of the status that says so, which is published after this.
-        depart : callable
-            Called then.
-
+        `stamp` is that of its path, `content` the hash of the status, which is published after
+        this.
         """
         if self._node.values['recorded']:
             self._departures[stamp, content] = depart

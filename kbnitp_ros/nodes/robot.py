@@ -280,12 +280,7 @@ class RobotNode(FieldNode):
 
     def _step_at(self, stamp: int | None) -> int:
         """
-        Return in which step the robot looked, counted from 1; 0 for none.
-
-        Parameters
-        ----------
-        stamp : int or None
-            When it looked, in nanoseconds; None for now.
+        Return in which step the robot looked at a time, or now; counted from 1, 0 for none.
 
         Raises
         ------

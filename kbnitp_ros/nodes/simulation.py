@@ -137,18 +137,8 @@ class AgentPaths:
     """
     The paths of one agent, each told to the simulation.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Where the robots go.
-    name : str
-        The agent's.
-    prefix : str
-        What the names of its topics begin with.
-    mission : int or None
-        When the mission began that is gone on with, in nanoseconds; None as long as no robot has
-        left.
-
+    `mission` is the time at which the mission began that is gone on with; None as long as no robot
+    has left.
     """
 
     def __init__(
@@ -210,14 +200,6 @@ class SimulatedAgent(AgentPaths):
 
     A robot is at home when its path comes. It departs when it may, and moves when that is on
     record.
-
-    Parameters
-    ----------
-    simulation, name, prefix, mission
-        As of `AgentPaths`.
-    recorded : dict
-        The deployments on record of the mission that is gone on with.
-
     """
 
     def __init__(

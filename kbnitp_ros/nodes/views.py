@@ -35,15 +35,8 @@ class Views:
     The grids and the progress of an estimator, of its last belief at most every `PERIOD`.
 
     A belief that others follow within that time may have no views; the last one always has. The
-    truth is heard if that is published, to score the belief; nothing else learns of it.
-
-    Parameters
-    ----------
-    node : FieldNode
-        The estimator.
-    agents : sequence of str
-        Of the mission. Each agent that is a node of its own publishes the same truth.
-
+    truth is heard if that is published, to score the belief; nothing else learns of it. Each agent
+    that is a node of its own publishes the same truth.
     """
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:

@@ -31,18 +31,9 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     Other packages add to it with entry points of the group ``kbnitp_ros.<kind>s``. They are looked
     for when a name is asked for that is not the package's own, or when all are listed. One that
-    cannot be had is refused with a RuntimeWarning, and everything else works.
-
-    Parameters
-    ----------
-    kind : str
-        What each entry is, in one word.
-    check : callable
-        Takes what is to be added and returns it as an entry; a TypeError or ValueError says what
-        it lacks.
-    own : mapping of str to object
-        The package's own, which go through the same check.
-
+    cannot be had is refused with a RuntimeWarning, and everything else works. `kind` says in one
+    word what each entry is. `check` takes what is to be added, the package's own too, and returns
+    it as an entry; a TypeError or ValueError says what it lacks.
     """
 
     def __init__(

@@ -126,18 +126,8 @@ def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
     """
     Return how many hazards a deployment used up in each cell, by the belief before its report.
 
-    Parameters
-    ----------
-    mission : Mission
-        In whose field hazards that strike are gone.
-    place : int
-        Of the moment that took the report in, from 1.
-
-    Returns
-    -------
-    ndarray, shape (cells,)
-        Expected numbers, each in [0, 1]; 0 everywhere if the report is not on record.
-
+    These are expected numbers in [0, 1], shape (cells,), by the moment, from 1, that took the
+    report in; 0 everywhere if that is not on record.
     """
     moment, before = mission.moments[place], mission.moments[place - 1].belief
     if moment.outcome is None or moment.deployment is None:

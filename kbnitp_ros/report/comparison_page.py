@@ -52,15 +52,7 @@ SIDES = ('A', 'B')
 
 
 def comparison_of(first: Pair, second: Pair) -> str:
-    """
-    Return the page of two missions in one field.
-
-    Parameters
-    ----------
-    first, second : Pair
-        A and B; `check_one_field` has found their cells to be the same places.
-
-    """
+    """Return the page of two missions in one field, as `check_one_field` finds them to be."""
     missions = first.mission, second.mission
     titles = [title_of(each.log) for each in missions]
     maps = list(maps_of(*missions))

@@ -57,17 +57,7 @@ class Curves:
 def curves_of(
     mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> Curves:
-    """
-    Return how a mission went.
-
-    Parameters
-    ----------
-    mission : Mission
-        As read from its log.
-    progress : callable
-        Passes the numbers of the moments on; may show how far this has come.
-
-    """
+    """Return how a mission went; `progress` passes the numbers of the moments on."""
     moments, world = mission.moments, mission.world
     beliefs = [each.belief for each in moments]
     joint_entropy = np.array([each.joint_entropy() for each in beliefs])

@@ -43,25 +43,10 @@ def write_report(
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
     """
-    Write a report: all of its files, or nothing.
+    Write a report, all of its files or nothing, and return what the page leaves out.
 
-    Parameters
-    ----------
-    folder : Path
-        Where; it is made, and may be there if it is empty.
-    mission : Mission
-        As read from its log.
-    curves : Curves
-        Of the mission.
-    note : str
-        What else is to be known of the mission.
-    done : callable
-        Is told of each part that is done.
-
-    Returns
-    -------
-    str
-        What the page leaves out; empty if nothing.
+    The folder is made, and may be there if it is empty. `note` says what else is to be known of
+    the mission; `done` is told of each part that is done.
 
     Raises
     ------

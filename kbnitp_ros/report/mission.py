@@ -165,12 +165,7 @@ def read_mission(
     """
     Return what a log tells of its mission.
 
-    Parameters
-    ----------
-    log : str or Path
-        Its first file, or its folder.
-    progress : callable
-        Passes the log's messages on; may show how far the reading has come.
+    `progress` passes the log's messages on; it may show how far the reading has come.
 
     Raises
     ------

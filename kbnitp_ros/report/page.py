@@ -114,15 +114,10 @@ ON_EARTH = (
 
 def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
     """
-    Return the page of a mission, and what it leaves out.
+    Return the page of a mission, and what it leaves out; empty if nothing.
 
     All that is in the log is shown as long as the page has no more than `MOST_BYTES`; else every
     second moment with its deployment, or every third, and so on.
-
-    Returns
-    -------
-    page, left_out : str
-        HTML, and a sentence that is empty if nothing is left out.
 
     Raises
     ------

@@ -35,15 +35,9 @@ def datum_of(parameters: Parameters) -> Datum | None:
 
 def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
     """
-    Return the image of the map that a mission took its field from.
+    Return the image of the map that a mission took its field from, and why there is none.
 
-    Returns
-    -------
-    site : Site or None
-        None if the field is of no map in a file, or that is another one by now.
-    note : str
-        Why there is none although a map was named; empty otherwise.
-
+    There is none, without a reason, if the field is of no map in a file.
     """
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:

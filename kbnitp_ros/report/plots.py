@@ -48,19 +48,8 @@ def map_plot(
     """
     Return a map as Plotly's JSON; the page gives it its colours.
 
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    values : ndarray, shape (cells,), optional
-        What is drawn, NaN for nothing; without them there is room for what the page puts in.
-    most, least : float
-        The largest value that there can be, and the smallest.
-    lane : ndarray of int, shape (steps + 1,), optional
-        A way to draw.
-    north : float, optional
-        The angle from the frame's x axis to north, in rad.
-
+    Without values, of which NaN is not drawn, there is room for what the page puts in. `lane` is a
+    way to draw, `north` the angle from the frame's x axis to north, in rad.
     """
     directions = directions_of(grid, north)
     place = (

@@ -115,17 +115,7 @@ def draw_number(
     """
     Draw what was known of a number at each moment, and what it is, from 0 to 1.
 
-    Parameters
-    ----------
-    axes : Axes
-        Where.
-    name : str
-        Of the number.
-    quantiles : ndarray, shape (moments, 5)
-        Its 5, 25, 50, 75 and 95 % quantiles.
-    truth : float or None
-        What it is, if that is known.
-
+    The quantiles are those of 5, 25, 50, 75 and 95 %, shape (moments, 5).
     """
     low, lower, middle, upper, high = quantiles.T
     moments = np.arange(middle.size)

@@ -58,13 +58,7 @@ class Deployment:
         Return what the robot that is home tells of its field.
 
         One that never left the cell of its base has stayed there for a step, in which it looked
-        for nothing.
-
-        Parameters
-        ----------
-        most : int
-            How many steps it may tell of: of a longer walk loops are left out, see `steps_within`.
-
+        for nothing. Of a walk of more than `most` steps loops are left out, see `steps_within`.
         """
         kept = steps_within(self.cells, most)
         steps = [self.steps[number - 1] for number in kept] or [Step(self.base, 0)]

@@ -18,15 +18,8 @@ class Fixes:
     """
     The newest place that fixes tell.
 
-    Parameters
-    ----------
-    in_map : callable
-        Returns x and y in metres of a latitude and a longitude in degrees.
-    frame : str
-        Of the robot, where the antenna is.
-    largest : float
-        The largest standard deviation of a fix, east or north, in metres.
-
+    `in_map` returns x and y in metres of a latitude and a longitude in degrees; the antenna is in
+    the `frame`. The standard deviation of a fix, east or north, may be `largest` metres.
     """
 
     def __init__(
@@ -77,14 +70,7 @@ class Fixes:
 
     def place(self, now: int, oldest: float) -> Place:
         """
-        Return where the robot is.
-
-        Parameters
-        ----------
-        now : int
-            The time, in nanoseconds.
-        oldest : float
-            How old the fix may be, in seconds.
+        Return where the robot is now, in nanoseconds, by a fix of at most so many seconds ago.
 
         Raises
         ------

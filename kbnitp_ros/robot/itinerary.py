@@ -16,17 +16,8 @@ class Itinerary:
     A leg that fails is tried again from where the robot is. After too many tries in a row that
     brought it to no new cell, the robot goes home the way it came, without its loops: that far it
     has survived. When that fails as often, the next goals are the base by the shortest way and the
-    way it came in turns, without end: nothing else is left to do.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    path : sequence of int
-        The path, the base first and last; empty for a robot that only goes home.
-    attempts : int
-        How often a leg is tried that makes no progress, at least 1.
-
+    way it came in turns, without end: nothing else is left to do. The path is empty for a robot
+    that only goes home. A leg that makes no progress is tried so many times, at least once.
     """
 
     def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
@@ -49,15 +40,7 @@ class Itinerary:
         return self._grid.base if self.heads_home else self._legs[0][-1]
 
     def next_leg(self, walk: Sequence[int]) -> Leg:
-        """
-        Return the cells of the next goal, the one that the robot is in first.
-
-        Parameters
-        ----------
-        walk : sequence of int
-            The cells that it has been in since it left, the one that it is in last.
-
-        """
+        """Return the cells of the next goal; the first of them is the last of the walk so far."""
         if self.heads_home:
             is_turn_of_shortest = self._tried // self._attempts % 2 == 1
             if is_turn_of_shortest:

@@ -102,12 +102,7 @@ class Journal:
 
     def begin(self, mission: int) -> None:
         """
-        Have it be that of a mission, at home.
-
-        Parameters
-        ----------
-        mission : int
-            When that began, in nanoseconds.
+        Have it be that of a mission, named by its beginning in nanoseconds, at home.
 
         Raises
         ------
@@ -267,16 +262,7 @@ class Journal:
 
     def refuse(self, stamp: int, time: int, reason: str) -> None:
         """
-        Keep that the robot does not follow an order, for good.
-
-        Parameters
-        ----------
-        stamp : int
-            That of its path, in nanoseconds.
-        time : int
-            When it is refused, in nanoseconds.
-        reason : str
-            Why.
+        Keep that the robot does not follow an order, for good, and when and why it does not.
 
         Raises
         ------

@@ -81,14 +81,7 @@ class Transforms:
 
     def place(self, now: int, oldest: float) -> Place:
         """
-        Return where the frame is.
-
-        Parameters
-        ----------
-        now : int
-            The time, in nanoseconds.
-        oldest : float
-            How old what it is made of may be, in seconds.
+        Return where the frame is now, in nanoseconds, by what is at most so many seconds old.
 
         Raises
         ------

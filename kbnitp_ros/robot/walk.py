@@ -19,18 +19,9 @@ class Walk:
     """
     The cell that a robot is in, and the steps that take it to the next.
 
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    cell : int
-        Where the robot is at first.
-    patience : float
-        How long, in seconds, a position must last that is further than one cell away: until then
-        it may be an error of who tells positions.
-    max_speed : float
-        What the robot can drive, in m/s; 0 when that is not checked.
-
+    A position further than one cell away must last for `patience` seconds: until then it may be an
+    error of who tells positions. A robot drives `max_speed` m/s at most; 0 when that is not
+    checked.
     """
 
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
@@ -48,17 +39,10 @@ class Walk:
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
         """
-        Return the cells that a robot has entered which is seen at a position.
+        Return the cells that a robot has entered which is seen at x, y, in metres, at a time.
 
         Of a robot that was not seen for more than a cell these are the cells of a shortest way:
         it must have come by some way, and that it survived is evidence of the shortest at least.
-
-        Parameters
-        ----------
-        x, y : float
-            Where it is, in metres.
-        time : float
-            When, in seconds.
 
         Raises
         ------

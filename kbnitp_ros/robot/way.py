@@ -20,18 +20,8 @@ def legs_of(path: Sequence[int]) -> list[Leg]:
     A goal counts as reached when the robot is near its last pose, wherever the others are, so a
     way that ends where it starts is done before it begins. And a controller takes the nearest
     point of a path for where the robot is on it. So no leg enters a cell twice, its start
-    included; but for stays, which are legs of their own.
-
-    Parameters
-    ----------
-    path : sequence of int
-        Cells, each a neighbour of the one before, or the same.
-
-    Returns
-    -------
-    list of tuple of int
-        Each leg starts in the cell that the one before ends in.
-
+    included; but for stays, which are legs of their own. Each leg starts in the cell that the one
+    before ends in.
     """
     legs: list[Leg] = []
     leg = [path[0]]
@@ -68,20 +58,8 @@ def steps_within(cells: Sequence[int], most: int) -> list[int]:
     What is left is a walk from the same start to the same end, of steps that were made: the walk
     as far as it goes, and from there the last way out of each cell, which leads home without
     loops. A step that is left out is evidence that is not reported; no other takes its place.
-
-    Parameters
-    ----------
-    cells : sequence of int, shape (steps + 1,)
-        The walk; it ends where it starts.
-    most : int
-        How many steps may be left.
-
-    Returns
-    -------
-    list of int
-        Numbers of steps, counted from 1, in order. All if they are not too many; none if no walk
-        but that of no step is short enough.
-
+    Steps are counted from 1. All are told of if they are not too many; none if no walk but that of
+    no step is short enough.
     """
     steps = len(cells) - 1
     if steps <= most:

@@ -22,15 +22,7 @@ class Span:
 
 
 class Whereabouts:
-    """
-    In which step the robot was at any time not long ago.
-
-    Parameters
-    ----------
-    kept : int
-        How long ago is still known, in nanoseconds.
-
-    """
+    """In which step the robot was at any time no longer ago than is kept, in nanoseconds."""
 
     def __init__(self, kept: int) -> None:
         self._kept = kept
@@ -38,16 +30,9 @@ class Whereabouts:
 
     def note(self, time: int, step: int) -> None:
         """
-        Take note of where the robot was seen.
+        Take note of the step, from 1, or `NONE`, that the robot was seen in at a time.
 
-        Parameters
-        ----------
-        time : int
-            When, in nanoseconds. If that is before the last time, the clock was set back, and what
-            was known is forgotten.
-        step : int
-            In which step, counted from 1, or `NONE`.
-
+        If that is before the last time, the clock was set back, and what was known is forgotten.
         """
         spans = self._spans
         if spans and time < spans[-1].last:

@@ -228,14 +228,8 @@ def run_benchmark(folder: Path, workers: int | None = None, **changes: int) -> l
     """
     Run the benchmark and write its table and its figure.
 
-    Parameters
-    ----------
-    folder : Path
-        For what is written.
-    workers : int, optional
-        As of `compare`. What is timed runs in this process, before the others.
-    **changes
-        Keys of its scenario with other values: then it is another benchmark.
+    What is timed runs in this process, before the `workers`. With `changes`, keys of its scenario
+    with other values, it is another benchmark.
 
     Raises
     ------

@@ -55,15 +55,7 @@ def means_chart(
     """
     Draw the means over trials with their intervals, from the prior on.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What was run.
-    series : callable
-        Returns what is drawn of a lethality, method and team, shape (trials, points).
-    across, up, scale : str
-        As of `panels_figure`.
-
+    `series` returns what is drawn of a lethality, method and team, shape (trials, points).
     """
 
     def draw(
@@ -111,19 +103,7 @@ def reliability_chart(results: Results) -> Figure:
 
 
 def draw_reliability(panels: NDArray[np.object_], results: Results, contender: Contender) -> None:
-    """
-    Draw the reliability of a contender's maps.
-
-    Parameters
-    ----------
-    panels : ndarray of Axes, shape (2,)
-        Of hazards and of targets.
-    results : Results
-        Of the study.
-    contender : Contender
-        Of the study.
-
-    """
+    """Draw the reliability of a contender's maps of hazards and of targets."""
     lethalities = results.scenario.lethalities
     for axes in panels:
         axes.plot([0, 1], [0, 1], color='0.7', linewidth=0.8)
@@ -145,21 +125,10 @@ def reliability(
     believed: NDArray[np.float64], truth: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """
-    Compare probabilities with how often what they are of is there.
+    Return how likely things are held to be, and which part of them is there, by classes.
 
-    Parameters
-    ----------
-    believed : ndarray, shape (...)
-        Probabilities.
-    truth : ndarray of bool, shape (...)
-        What is there.
-
-    Returns
-    -------
-    held, there : ndarray, shape (classes,)
-        The mean probability and the share that is there, in `CLASSES` classes of equally many
-        cells from the least to the most likely; fewer if there are fewer cells.
-
+    There are `CLASSES` of equally many cells from the least to the most likely; fewer if there are
+    fewer cells.
     """
     order = np.argsort(believed, axis=None, kind='stable')
     classes = np.array_split(order, min(CLASSES, order.size))

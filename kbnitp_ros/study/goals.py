@@ -111,23 +111,8 @@ def measured_for(
     """
     Return `OF_GOALS` before the first robot and after each.
 
-    Parameters
-    ----------
-    asked : Asked
-        The decision.
-    grid : Grid
-        The field.
-    max_steps : int
-        The most steps of a path.
-    estimator : Estimator
-        Before the first robot. It takes in what came of a mission that did not make its decisions.
-    mission : SimulatedMission
-        What was done.
-    is_own : bool
-        Whether decisions of the mission are made on what this estimator believes.
-    beliefs, worlds : sequence of Belief and of World
-        What is believed and the truth, before the first robot and after each.
-
+    The estimator, as it is before the first robot, takes in what came of a mission whose decisions
+    are not its own.
     """
     goal = asked.sought()
 

@@ -30,20 +30,6 @@ def world_of(
     Draw the world of a trial.
 
     As many numbers are drawn from `rng` whatever the layout.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The study.
-    grid : Grid
-        The field.
-    truth : mapping of str to float
-        The numbers of the world.
-    rng : numpy.random.Generator
-        Of the trial.
-    trial : int
-        Its number.
-
     """
     densities = {name: truth[name] for name in vars(scenario.world)}
     if scenario.hazards.layout == 'independent':

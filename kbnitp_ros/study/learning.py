@@ -115,15 +115,7 @@ def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64
     """
     Draw how far a number is from what is believed, and how far it is believed to be.
 
-    Parameters
-    ----------
-    axes : Axes
-        Where.
-    known : ndarray, shape (trials, robots + 1, learnt)
-        What was known of it.
-    truth : ndarray, shape (trials, 1)
-        What it is.
-
+    `known` has shape (trials, robots + 1, learnt), `truth` (trials, 1).
     """
     error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
     spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))

@@ -43,20 +43,9 @@ def at_equal_log_loss(
     Compare two missions at the lowest log loss that both reach.
 
     Each counts up to where it first got there, since it could have been ended then; between two
-    robots as the log loss is between theirs.
-
-    Parameters
-    ----------
-    least, this : ndarray, shape (2, robots + 1)
-        The robots lost and the log loss of a mission where a robot costs least and of this one,
-        before the first robot and after each; both begin with the same log loss.
-
-    Returns
-    -------
-    ndarray, shape (6,)
-        `EQUAL`: that log loss, the robots sent until then by each, those lost, and how many more
-        this one lost.
-
+    robots as the log loss is between theirs. Both have the robots lost and the log loss before the
+    first robot and after each, shape (2, robots + 1), and begin with the same log loss. Return
+    `EQUAL`.
     """
     lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
     level = max(log_loss[-1] for log_loss in lowest)
@@ -68,18 +57,9 @@ def at_equal_log_loss(
 
 def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> Mean:
     """
-    Compare the mean missions of two sets of trials, paired by their worlds.
+    Compare the mean missions of two sets of trials, paired by their worlds, as `EQUAL`.
 
-    Parameters
-    ----------
-    least, this : ndarray, shape (trials, 2, robots + 1)
-        As `trade` gives them.
-
-    Returns
-    -------
-    Mean
-        Of `EQUAL`, each shape (6,).
-
+    Both are of shape (trials, 2, robots + 1), as `trade` gives them.
     """
     resampled = [
         at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))

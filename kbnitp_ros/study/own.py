@@ -30,14 +30,9 @@ class Own(NamedTuple):
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
     """
-    Return what is to be compared, by the names that tables have.
+    Return what is to be compared, of a kind told in a word, by the names that tables have.
 
-    Parameters
-    ----------
-    kind : str
-        What each is, in one word.
-    given : iterable of str or callable, or mapping of str to callable
-        Functions and classes have their own names if they are given without any.
+    Functions and classes have their own names if they are given without any.
 
     Raises
     ------

@@ -69,17 +69,8 @@ def panels_figure(
     """
     Return a figure with a panel a lethality, and rows of them for each group of contenders.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What was run.
-    draw : callable
-        Draws the line of a contender into the panel of a lethality, in a style, with a label.
-    across, up : str
-        What the axes are, which all panels share.
-    scale : str
-        Of the upward axis: linear or log.
-
+    `draw` draws the line of a contender into the panel of a lethality, in a style, with a label.
+    `across` and `up` say what the axes are, which all panels share; `scale` is linear or log.
     """
     labels, groups = labels_of(scenario), groups_of(scenario.contenders)
     lethalities = scenario.lethalities

@@ -46,13 +46,8 @@ def mean_of(samples: NDArray[np.float64]) -> Mean:
     Return the mean over trials with its 95 % bootstrap interval.
 
     The trials are resampled with the same random numbers in every call. The interval spans the
-    2.5 % and 97.5 % quantiles of the resampled means; of a single trial it is NaN.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (trials, ...)
-        One value, or one series, a trial.
-
+    quantiles 2.5 % and 97.5 % of the resampled means; of a single trial it is NaN. The samples are
+    a value or a series a trial, shape (trials, ...).
     """
     return interval(samples.mean(axis=0), resampled_means(samples))
 
@@ -66,15 +61,9 @@ def differences(
     one: NDArray[np.float64], other: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
     """
-    Return one series less another of the same trials, as JSON can hold it.
+    Return one series less another of the same trials after so many robots, for JSON.
 
-    Parameters
-    ----------
-    one, other : ndarray, shape (trials, robots + 1)
-        Before the first robot and after each.
-    robots : sequence of int
-        After how many the means and intervals are wanted.
-
+    Both have shape (trials, robots + 1).
     """
     return [as_json(mean_of((one - other)[:, after])) for after in robots]
 
@@ -83,16 +72,8 @@ def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     Return the means over trials that are drawn again and again, with replacement.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (trials, ...)
-        One value, or one series, a trial.
-
-    Returns
-    -------
-    ndarray, shape (resamples, ...)
-        The trials drawn are the same in every call. A single trial has no resamples.
-
+    From shape (trials, ...) to (resamples, ...). The trials drawn are the same in every call; a
+    single trial has no resamples.
     """
     trials = len(samples)
     resamples = RESAMPLES if trials > 1 else 0
@@ -102,15 +83,9 @@ def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
     """
-    Return what was found with the 95 % interval of what the resamples give.
+    Return a mean of the trials with the 95 % interval of what the resamples give.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (...)
-        Of the trials as they are.
-    resampled : ndarray, shape (resamples, ...)
-        The same of each resample; without any the interval is NaN.
-
+    Without resamples the interval is NaN.
     """
     if not len(resampled):
         return Mean(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))

@@ -18,18 +18,6 @@ def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int)
     The map says of each cell whether it has a hazard. In cells drawn at random it is wrong, the
     same for all teams but for how many they are, and it is taken for right as often as the team
     trusts it.
-
-    Parameters
-    ----------
-    prior : Belief
-        Without the map.
-    world : World
-        What it is of.
-    team : Strategy
-        How often it is right, and how often it is trusted to be.
-    seed, trial : int
-        Of the study, and of the world in it.
-
     """
     if not team.survey:
         return prior

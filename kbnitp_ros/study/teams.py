@@ -32,19 +32,10 @@ def information_gained(
 
 def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
     """
-    Return what a series is before the first round and after each.
+    Return what a series is before the first round and after each, shape (trials, rounds + 1).
 
-    Parameters
-    ----------
-    series : ndarray, shape (trials, robots + 1)
-        Before the first robot and after each.
-    agents : int
-        That leave together; fewer in the last round if the robots do not come out even.
-
-    Returns
-    -------
-    ndarray, shape (trials, rounds + 1)
-
+    Of the agents that leave together there are fewer in the last round if the robots do not come
+    out even.
     """
     robots = series.shape[1] - 1
     return series[:, [*range(0, robots, agents), robots]]

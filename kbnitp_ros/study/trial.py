@@ -175,15 +175,7 @@ def knowledge(
     """
     Yield what is believed, and known of numbers, before the first robot and after each.
 
-    Parameters
-    ----------
-    start : Estimator
-        What is known before the first; it stays as it is.
-    mission : SimulatedMission
-        What came of the robots.
-    is_own : bool
-        Whether the mission was planned on what is believed, and so has it.
-
+    `start` stays as it is. A mission that was planned on what is believed has it.
     """
     yield start.belief, start.parameters
     estimator = start.copy()

@@ -27,22 +27,10 @@ def hold(
     seed: int,
 ) -> None:
     """
-    See that laws hold in cases that are drawn.
+    See that laws hold in cases that are drawn of seeds, as many as `cases`, from `seed` on.
 
-    Parameters
-    ----------
-    registry : Registry
-        Of what the laws are about.
-    given : object
-        What is tried, or its name.
-    laws : mapping of str to callable
-        Each law in words, and what takes the subject and a case and raises where it is broken.
-    draw : callable
-        The case of a seed.
-    cases : int
-        How many, of the seeds from `seed` on.
-    seed : int
-        Of the first case, at least 0.
+    What is given is tried, or what is registered under that name. Each law, in words, takes the
+    subject and a case and raises where it is broken.
 
     Raises
     ------

@@ -42,18 +42,10 @@ class _Setting(ctypes.Structure):
 @contextmanager
 def exit_at_the_latest(seconds: float, code: int) -> Iterator[None]:
     """
-    End the process if what is in the ``with`` statement takes longer.
+    End the process with a code if what is in the ``with`` statement takes more seconds.
 
     Unlike a signal's handler or a thread of Python this needs no lock of Python's: the C library
     calls `_exit` itself.
-
-    Parameters
-    ----------
-    seconds : float
-        How long it may take.
-    code : int
-        The exit code then, from 0 to 255.
-
     """
     timer = c_void_p()
     event = _Event(code, 0, SIGEV_THREAD, ctypes.cast(LIBC._exit, c_void_p), None)

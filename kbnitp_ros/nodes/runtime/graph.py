@@ -116,11 +116,7 @@ class Listeners:
     """
     Who listens to topics, by role.
 
-    Parameters
-    ----------
-    node : Node
-        Looks at the graph: once for each node that listens, however many topics it listens to.
-
+    The graph is looked at once for each node that listens, however many topics it listens to.
     """
 
     def __init__(self, node: Node) -> None:

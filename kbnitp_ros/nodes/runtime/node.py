@@ -183,19 +183,7 @@ class MissionNode(GraphNode):
 
     def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
         """
-        Pass items on, and say on the console how many, as long as it takes.
-
-        Parameters
-        ----------
-        items : iterable
-            Such as the messages of a log.
-        doing : str
-            What is done with them: 'taking in FILE'.
-
-        Yields
-        ------
-        object
-            Each of the items.
+        Pass items on, and say on the console how many, as long as it takes: 'taking in FILE'.
 
         Raises
         ------
