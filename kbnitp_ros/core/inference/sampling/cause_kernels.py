@@ -244,12 +244,13 @@ def draw_cause(
     start = flights.first_step[t]
     steps = flights.first_step[t + 1] - start
     peak = -inf
+    log_failed = log(flights.failed[t]) if flights.failed[t] > 0.0 else -inf
     for k in range(steps):
         e, weight = flights.entry[start + k], flights.weight[start + k]
         log_weight[2 * k] = -inf
         log_weight[2 * k + 1] = -inf
-        if weight > 0.0 and impossible == 0 and flights.failed[t] > 0.0:
-            log_weight[2 * k] = log(weight) + log(flights.failed[t]) + total
+        if weight > 0.0 and impossible == 0:
+            log_weight[2 * k] = log(weight) + log_failed + total
         if e < 0:
             peak = max(peak, log_weight[2 * k])
             continue
@@ -275,15 +276,15 @@ def draw_cause(
             impossible += 1
     if peak == -inf:
         return -1
-    whole = 0.0
+    share, whole = log_weight, 0.0
     for each in range(2 * steps):
-        whole += exp(log_weight[each] - peak)
+        share[each] = exp(log_weight[each] - peak)
+        whole += share[each]
     drawn, below, cause = uniform * whole, 0.0, -1
     for each in range(2 * steps):
-        share = exp(log_weight[each] - peak)
-        if share > 0.0:
+        if share[each] > 0.0:
             cause = each
-            below += share
+            below += share[each]
             if drawn < below:
                 break
     return cause
@@ -315,22 +316,22 @@ def cell_log_likelihood(
 
 
 @compiled
-def paths_log_likelihood(
+def steps_log_likelihood(
     flights: Flights,
     change: Change,
-    one: int,
-    other: int,
+    spans: tuple[tuple[int, int], tuple[int, int]],
     events: Events,
     before: NDArray[np.float64],
     room: CellRoom,
 ) -> float:
-    """Return the log likelihood of all cells on the paths of two losses."""
+    """Return the log likelihood of all cells that the steps of two spans lead to."""
     room.search[0] += 1
     total = 0.0
-    for loss in (one, other):
-        t = flights.lost[loss]
-        for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
-            c = flights.cell[e]
+    for start, end in spans:
+        for step in range(start, end):
+            if flights.entry[step] < 0:
+                continue
+            c = flights.cell[flights.entry[step]]
             if room.seen_in[c] != room.search[0]:
                 room.seen_in[c] = room.search[0]
                 total += cell_log_likelihood(flights, change, c, events, before, room.joint)
@@ -390,15 +391,21 @@ def exchange(
     _, from_here = step_into(flights, one, here, 0.0)
     _, from_there = step_into(flights, other, there, 0.0)
     was, was_other = causes[one], causes[other]
-    old = paths_log_likelihood(flights, change, one, other, events, before, room)
+    # Before and after the two steps of each loss, its cause changes nothing in the cells.
+    step, step_other = was // 2, was_other // 2
+    spans = (
+        (first + min(step, to), first + max(step, to) + 1),
+        (second + min(step_other, back), second + max(step_other, back) + 1),
+    )
+    old = steps_log_likelihood(flights, change, spans, events, before, room)
     set_cause(flights, one, 2 * to + 1, events)
     set_cause(flights, other, 2 * back + 1, events)
-    new = paths_log_likelihood(flights, change, one, other, events, before, room)
+    new = steps_log_likelihood(flights, change, spans, events, before, room)
     is_taken = False
     if new > -inf:
         ratio = flights.weight[first + to] * flights.weight[second + back]
         ratio *= ways_to * ways_back
-        by = flights.weight[first + was // 2] * flights.weight[second + was_other // 2]
+        by = flights.weight[first + step] * flights.weight[second + step_other]
         by *= from_here * from_there
         is_taken = log(1.0 - uniforms[4]) < new - old + log(ratio) - log(by)
     if is_taken:
