@@ -45,7 +45,7 @@ def test_what_the_method_is_said_to_take():
     cells = smoother.CONDITIONED_CELLS
     says(page, 'the ', cells, ' undecided cells with the largest product of message and variance')
     says(page, f'to each of their {2**cells} joint values $v$ in turn')
-    says(page, f'has changed by more than a part in {1 / smoother.TOLERANCE:,.0f}, and only')
+    says(page, f'has changed by more than a part in {1 / smoother.TOLERANCE:,.0f}.')
     says(page, 'or for ', smoother.ROUNDS, ' rounds')
 
 
@@ -85,7 +85,7 @@ def test_what_the_search_is_said_to_take():
     says(page, f'{most // 2} teams of two robots, {most // 4} of four, {most // 8} of eight')
     says(page, 'one of nine and more')
     assert most // 9 == 1 < most // 8
-    says(page, 'readings tell in the regions of others counted at a tenth')
+    says(page, 'readings in the regions of others counted at a tenth')
     assert voronoi.ELSEWHERE == 0.1
 
 
