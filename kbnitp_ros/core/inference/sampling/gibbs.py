@@ -319,7 +319,8 @@ def located_ratio(
 def hazards_around(ties: Ties, hazardous: NDArray[np.int8], cell: int) -> int:
     """Return how many of a cell's neighbours are hazardous."""
     count = 0
-    for neighbor in ties.neighbors[cell]:
+    for side in range(ties.neighbors.shape[1]):
+        neighbor = ties.neighbors[cell, side]
         if neighbor >= 0:
             count += hazardous[neighbor]
     return count
@@ -378,12 +379,17 @@ def draw_hazards(
     # Handing so many arrays to a function takes longer than what it does without such losses.
     any_located = located.cell.size > 0
     any_tied = ties.neighbors.shape[0] > 0
+    # By the number of hazardous neighbours: a power takes longer than all else of most cells.
+    tied = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         odds = factors.odds[chain % factors.odds.shape[0]]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         tabulate_losses(state, factors, chain, table)
         if any_located:
             sum_all_steps(sums, located, state, factors, chain)
+        if any_tied:
+            for around in range(tied.size):
+                tied[around] = ties.strength[chain] ** around
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
             here = hazardous[cell]
@@ -402,8 +408,7 @@ def draw_hazards(
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
             if any_tied:
-                around = hazards_around(ties, hazardous, cell)
-                ratio = min(ratio * ties.strength[chain] ** around, LARGE)
+                ratio = min(ratio * tied[hazards_around(ties, hazardous, cell)], LARGE)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
             if drawn != here:

@@ -42,10 +42,12 @@ MOST_SWEEPS = 32
 PRIOR_SWEEPS = 64
 
 # How far chance may take a converged belief from what endless sweeps would give (KL divergence,
-# nats), with all numbers known and with some to learn. What is yet to be learnt of a number moves
-# the belief by nats, so there more is left to chance.
+# nats), with all numbers known, with some to learn and with a coupling to learn. What is yet to be
+# learnt of a number moves the belief by nats, so there more is left to chance; a coupling moves
+# the cells that were never visited as well.
 CONVERGED = 2.5e-4
 CONVERGED_LEARNING = 5e-3
+CONVERGED_CLUSTERING = 1e-2
 
 # The variance of a hazard below which a cell tells nothing of how much chains repeat themselves.
 TOLD_APART = 0.01
@@ -172,7 +174,7 @@ class Sampler:
         held[self._state.cells] = True
         state = self._state.with_cells(np.flatnonzero(held), self._hypotheses, rng)
         chains = Chains(self._hypotheses, tally, state, rng)
-        converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
+        converged = self._converged
         for _ in range(MOST_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 chains.sweep()
@@ -186,6 +188,13 @@ class Sampler:
         self.sampling_error, self.is_converged = error, error <= converged
         self.parameters = chains.learnt()
         self.model = chains.model()
+
+    @property
+    def _converged(self) -> float:
+        """How much may be left to chance."""
+        if 'coupling' in self._hypotheses.unknown:
+            return CONVERGED_CLUSTERING
+        return CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """

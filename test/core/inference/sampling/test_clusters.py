@@ -123,7 +123,7 @@ def test_more_sweeps_come_closer(monkeypatch):
     few, _ = divergences(range(4))
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
-    monkeypatch.setattr(sampler, 'CONVERGED_LEARNING', 0.0)
+    monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', 0.0)
     many, _ = divergences(range(4))
     assert np.mean(many) < np.mean(few) / 3
     assert np.max(many) < 5e-5
