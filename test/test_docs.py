@@ -61,6 +61,7 @@ def test_what_sampling_is_said_to_take():
     says(page, f'\\sum \\frac{{v}}{{{chain_state.GROUPS} \\cdot 2 p}}')
     says(page, f'until it is below {sampler.CONVERGED:.5f} nats')
     says(page, f'below {sampler.CONVERGED_LEARNING:.3f} where numbers are learnt')
+    says(page, f'below {sampler.CONVERGED_CLUSTERING} where a coupling is learnt')
     says(page, f'and {sampler.MOST_SWEEPS} at most')
     says(page, IN_WORDS[sampler.SWEEPS].capitalize(), ' sweeps are made at a time')
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from math import exp, inf, log
+from math import inf, log
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled
@@ -100,16 +100,16 @@ class CauseRoom(NamedTuple):
     ----------
     now : ndarray, shape (entries, 2)
         P(Z) before the step, given the past.
-    log_chance : ndarray, shape (entries,)
-        Log chance of what comes after.
-    log_weight : ndarray, shape (2 * most steps,)
-        Of each cause.
+    chance : ndarray, shape (entries,)
+        Of what comes after.
+    share : ndarray, shape (2 * most steps,)
+        Of each cause, up to a factor.
 
     """
 
     now: NDArray[np.float64]
-    log_chance: NDArray[np.float64]
-    log_weight: NDArray[np.float64]
+    chance: NDArray[np.float64]
+    share: NDArray[np.float64]
 
 
 class CellRoom(NamedTuple):
@@ -229,57 +229,42 @@ def draw_cause(
     room: CauseRoom,
 ) -> int:
     """Draw the cause of a loss given all others; -1 if none explains it."""
-    now, log_chance, log_weight = room
-    total, impossible = 0.0, 0
+    now, chance, share = room
+    # Of the chances above 0, to what it was before the first step; and how many chances are 0.
+    product, impossible = 1.0, 0
     for e in range(flights.first_entry[t], flights.first_entry[t + 1]):
         c = flights.cell[e]
         now[e, 0] = state[c, 0, 0] + state[c, 0, 1]
         now[e, 1] = state[c, 1, 0] + state[c, 1, 1]
-        chance = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
-        log_chance[e] = log(chance) if chance > 0.0 else -inf
-        if chance > 0.0:
-            total += log_chance[e]
-        else:
+        chance[e] = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
+        if chance[e] <= 0.0:
             impossible += 1
     start = flights.first_step[t]
     steps = flights.first_step[t + 1] - start
-    peak = -inf
-    log_failed = log(flights.failed[t]) if flights.failed[t] > 0.0 else -inf
+    whole = 0.0
     for k in range(steps):
         e, weight = flights.entry[start + k], flights.weight[start + k]
-        log_weight[2 * k] = -inf
-        log_weight[2 * k + 1] = -inf
-        if weight > 0.0 and impossible == 0:
-            log_weight[2 * k] = log(weight) + log_failed + total
-        if e < 0:
-            peak = max(peak, log_weight[2 * k])
-            continue
-        own = log_chance[e]
-        struck = now[e, 1] * ahead[e, change.after_strike] * flights.struck[t] * weight
-        if struck > 0.0:
+        share[2 * k] = weight * flights.failed[t] * product if impossible == 0 else 0.0
+        share[2 * k + 1] = 0.0
+        if e >= 0:
+            if chance[e] > 0.0:
+                product /= chance[e]
+            else:
+                impossible -= 1
             if impossible == 0:
-                log_weight[2 * k + 1] = log(struck) + total - own
-            elif impossible == 1 and own == -inf:
-                log_weight[2 * k + 1] = log(struck) + total
-        peak = max(peak, log_weight[2 * k], log_weight[2 * k + 1])
-        if own == -inf:
-            impossible -= 1
-        else:
-            total -= own
-        now[e, 0] += now[e, 1] * flights.spent[t]
-        now[e, 1] *= flights.remains[t]
-        chance = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
-        log_chance[e] = log(chance) if chance > 0.0 else -inf
-        if chance > 0.0:
-            total += log_chance[e]
-        else:
-            impossible += 1
-    if peak == -inf:
-        return -1
-    share, whole = log_weight, 0.0
-    for each in range(2 * steps):
-        share[each] = exp(log_weight[each] - peak)
-        whole += share[each]
+                struck = now[e, 1] * ahead[e, change.after_strike] * flights.struck[t]
+                share[2 * k + 1] = weight * struck * product
+            now[e, 0] += now[e, 1] * flights.spent[t]
+            now[e, 1] *= flights.remains[t]
+            chance[e] = now[e, 0] * ahead[e, 0] + now[e, 1] * ahead[e, 1]
+            if chance[e] > 0.0:
+                product *= chance[e]
+            else:
+                impossible += 1
+        whole += share[2 * k] + share[2 * k + 1]
+        if whole == 0.0:
+            # On a long path the product would be 0 before the first step that can be the cause.
+            product = 1.0
     drawn, below, cause = uniform * whole, 0.0, -1
     for each in range(2 * steps):
         if share[each] > 0.0:

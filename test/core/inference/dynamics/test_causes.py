@@ -6,6 +6,7 @@ from kbnitp_ros.core import (
     Belief,
     Dynamics,
     Estimator,
+    Grid,
     Observation,
     RobotType,
     SensorModel,
@@ -67,6 +68,21 @@ def test_more_sweeps_come_closer(kind, monkeypatch):
     after = np.mean(list(divergences(kind, range(20))))
     assert after < 0.0003
     assert after < 0.5 * before
+
+
+def test_a_loss_late_on_a_long_path_is_explained():
+    """All steps survived before it have a probability of less than the least number."""
+    grid = Grid(500, 1)
+    prior = Belief.prior(grid, 0.9, 0.5, 0.5)
+    out = np.arange(grid.cells)
+    lost = Observation([*out, *out[-2::-1]], False, None, 2 * grid.cells - 5)
+    one_pass, sampled = (
+        Estimator(prior, SensorModel(0.9), method, dynamics=Dynamics('used_up'))
+        for method in ('kappa_bnitp', METHOD)
+    )
+    one_pass.assimilate(lost)
+    sampled.assimilate(lost)
+    assert divergence(one_pass.belief.joint, sampled.belief.joint) < 0.01
 
 
 def test_explanations_are_exchanged_without_malfunction():
