@@ -82,7 +82,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', [*TEAMS, 'planners', *KINDS])
+@for_each('name', [*TEAMS, 'planners', *KINDS, 'areas'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -121,6 +121,7 @@ def test_every_figure_is_shown():
         'used_up_sampled_log_loss.png',
         'static_hazards_log_loss.png',
         'blobs_log_loss.png',
+        'areas_decision.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -717,3 +718,23 @@ def test_what_a_second_base_is_worth():
             # Of differences of rounded numbers.
             drop = numbers(one[column])[0] - numbers(two[column])[0]
             assert abs(drop - less) <= 0.11
+
+
+def test_what_it_takes_to_declare_areas_free():
+    (said,) = re.findall(
+        r'\| lethality \| goal `area` .*\n\|.*\n((?:\|.*\n)+)', (DOCS / 'results.md').read_text()
+    )
+    rows = rows_of('areas', 1)
+    for line, four in zip(map(cells_of, said.splitlines()), zip(*[iter(rows)] * 4)):
+        for cell, at in zip(line[1:], (1, 0, 2, 3)):
+            robots, lost, worlds = (
+                numbers(four[at][of])[0] for of in ('robots', 'lost', 'worlds')
+            )
+            assert cell == f'{robots:.0f}, {lost:.0f} lost, ' + (
+                f'{worlds:.2f}' if worlds else '0'
+            )
+    most = [max(numbers(row['wrongly'])[0] for row in rows[at : at + 4]) for at in (0, 4, 8)]
+    assert most == [0.028, 0.012, 0.006]
+    more = [numbers(rows[at]['more robots']) for at in (1, 5, 9)]
+    assert [each[0] for each in more] == [6.4, -5.8, -4.0]
+    assert more[0][1] > 0 > max(more[1][2], more[2][2])
