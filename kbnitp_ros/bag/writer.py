@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from kbnitp_ros.bag.errors import LogError
 from kbnitp_ros.bag.file_writer import COMPRESSIONS, Definition, FileWriter
@@ -259,12 +258,7 @@ class LogWriter:
         """Return the writer itself."""
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the log, also after an error: what was written is worth having."""
         self.close()
 

@@ -130,14 +130,10 @@ EXAMPLES = (
 @command('demo')
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run the command.
+    Run the command and return its exit code.
 
-    Returns
-    -------
-    int
-        0 if the mission came to its end and the log replays to the same beliefs, else 1; 2 for
-        unusable options, 130 if interrupted.
-
+    It is 0 if the mission came to its end and the log replays to the same beliefs, else 1; 2 for
+    unusable options, 130 if interrupted.
     """
     try:
         options = parse(argv)

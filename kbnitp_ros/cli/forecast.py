@@ -66,13 +66,9 @@ SPREAD = ('5 %', 'median', '95 %')
 @command('forecast')
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run the command.
+    Run the command and return its exit code.
 
-    Returns
-    -------
-    int
-        0 if all missions are done, 1 if one failed, 2 for unusable options, 130 if interrupted.
-
+    It is 0 if all missions are done, 1 if one failed, 2 for unusable options, 130 if interrupted.
     """
     options = parse(argv)
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -14,7 +14,6 @@ import socket
 import subprocess
 import sys
 import time
-from types import TracebackType
 from typing import Any, IO
 
 from kbnitp_ros.files import share
@@ -155,11 +154,6 @@ class Processes:
         """Return these processes, none of them started."""
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End all nodes."""
         self.stop()

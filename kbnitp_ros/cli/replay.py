@@ -45,13 +45,9 @@ T = TypeVar('T', LoggedMessage, Recorded)
 @command('replay')
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run the command.
+    Run the command and return its exit code.
 
-    Returns
-    -------
-    int
-        0 if no belief is different, 1 if one is, 2 if the log cannot be used or repaired.
-
+    It is 0 if no belief is different, 1 if one is, 2 if the log cannot be used or repaired.
     """
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     add_log(parser)

@@ -46,13 +46,9 @@ EXAMPLES = (
 @command('report')
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run the command.
+    Run the command and return its exit code.
 
-    Returns
-    -------
-    int
-        0 if all is written, 2 if the log cannot be used or nothing can be written.
-
+    It is 0 if all is written, 2 if the log cannot be used or nothing can be written.
     """
     parser = command_parser('report', DESCRIPTION, *EXAMPLES)
     add_log(parser)

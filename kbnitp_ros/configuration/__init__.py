@@ -6,13 +6,13 @@ from kbnitp_ros.configuration.agents import (
     base_of,
     most_distance,
     most_steps,
+    own_robot_types,
     robot_type_of,
     robot_types_of,
     value_for,
 )
-from kbnitp_ros.configuration.datum import datum_of
 from kbnitp_ros.configuration.estimator import estimator_of
-from kbnitp_ros.configuration.field import grid_of
+from kbnitp_ros.configuration.field import datum_of, grid_of
 from kbnitp_ros.configuration.goal import check_goal, goal_of, stop_of
 from kbnitp_ros.configuration.known import (
     check_known,
@@ -70,6 +70,7 @@ __all__ = [
     'most_steps',
     'nearest',
     'own_name',
+    'own_robot_types',
     'parameter_of',
     'parameters_of',
     'prior_of',

@@ -103,3 +103,9 @@ def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotTyp
 def robot_types_of(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
     """Return the types of the robots of all agents, on the grid of these parameters."""
     return {agent: robot_type_of(values, agent, grid) for agent in values['agents']}
+
+
+def own_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
+    """Return `robot_types_of` for the agents whose robots are not like all others."""
+    types = robot_types_of(values, grid)
+    return {agent: robot_type for agent, robot_type in types.items() if robot_type.own}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grid that the parameters describe."""
+"""The grid that the parameters describe, and where on the earth it lies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kbnitp_ros.configuration.agents import base_of
 from kbnitp_ros.configuration.names import own_name
 from kbnitp_ros.configuration.table import LONGEST_SIDE
 from kbnitp_ros.core import Grid
-from kbnitp_ros.maps import Map, read_map
+from kbnitp_ros.maps import Datum, Map, read_map
 from kbnitp_ros.messages.grids import told_resolution, told_yaw
 
 
@@ -105,3 +105,8 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
                 f'base {grid.base} of the mission: choose a cell that is joined to it'
             )
     return grid
+
+
+def datum_of(values: Mapping[str, Any]) -> Datum | None:
+    """Return the datum that these parameters give, if any; raises ValueError off the earth."""
+    return Datum.of(values['datum'])

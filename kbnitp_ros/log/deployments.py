@@ -16,8 +16,8 @@ from kbnitp_ros.log.evidence import BELIEF, check_same_field, Evidence, PATH, RE
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import key_of_path
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import mission_of_belief, mission_of_path
+from kbnitp_ros.messages.headers import from_stamp, read_stamp
+from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.status import AgentStatus, State
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +161,7 @@ def read_mission(log: str | Path) -> int | None:
         for logged in read_log(log, (BELIEF, PATH)):
             with suppress(ValueError):
                 if logged.type_name == BELIEF:
-                    mission = mission_of_belief(logged.message)
+                    mission = read_stamp('mission', logged.message.mission)
                     stated.pop(mission, None)
                     stated[mission] = None
                 elif key_of_path(logged.topic, logged.message):

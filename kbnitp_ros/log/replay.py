@@ -47,8 +47,8 @@ from kbnitp_ros.messages.beliefs import (
 )
 from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.messages.fields import Fields
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
+from kbnitp_ros.messages.headers import from_stamp, read_stamp
+from kbnitp_ros.messages.missions import NOT_TOLD
 from kbnitp_ros.messages.operator_action import read_operator_action
 from kbnitp_ros.messages.progress import MissionState, Standing
 from kbnitp_ros.messages.status import read_status
@@ -215,7 +215,7 @@ class Fold:
         assert self.report.prior is not None
         stamp = from_stamp(belief.header.stamp)
         # That of the paths, which may tell none.
-        is_told = mission_of_belief(belief) != NOT_TOLD
+        is_told = read_stamp('mission', belief.mission) != NOT_TOLD
         mission = self.report.prior.mission if is_told else NOT_TOLD
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
         # What it was computed from.

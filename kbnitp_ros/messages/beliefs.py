@@ -41,7 +41,7 @@ from kbnitp_ros.messages.headers import (
     shown,
     stamp_fields,
 )
-from kbnitp_ros.messages.missions import mission_of_belief, NOT_TOLD
+from kbnitp_ros.messages.missions import NOT_TOLD
 import numpy as np
 
 if TYPE_CHECKING:
@@ -273,7 +273,7 @@ def read_belief_maps(message: Any) -> Snapshot:
     read_name('deployment', message.deployment)
     return Snapshot(
         stamp=read_stamp('header.stamp', message.header.stamp),
-        mission=mission_of_belief(message),
+        mission=read_stamp('mission', message.mission),
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(

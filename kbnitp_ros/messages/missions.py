@@ -36,19 +36,6 @@ def mission_of_path(message: Any) -> int:
     return read_stamp('poses[0].header.stamp', told)
 
 
-def mission_of_belief(message: Any) -> int:
-    """
-    Return when the mission of a kbnitp_msgs/BeliefMaps began, in nanoseconds.
-
-    Raises
-    ------
-    ValueError
-        If it is no time.
-
-    """
-    return read_stamp('mission', message.mission)
-
-
 def check_mission(told: int, own: int | None) -> None:
     """
     Check that a message belongs to a node's mission; None if that has not joined any.

@@ -15,7 +15,7 @@ POSE = 256
 READING = 8
 CELL = 96
 RECORDED = 28
-STATUS_SIZE = REST
+STATUS_SIZE = MODEL_SIZE = PROGRESS_SIZE = REST
 OWN = 1 << 16
 EVIDENCE = 96
 
@@ -41,16 +41,6 @@ def largest_operator_action(robots: int, max_steps: int) -> int:
 def largest_belief(cells: int) -> int:
     """Return the most bytes of a kbnitp_msgs/BeliefMaps of so many cells."""
     return REST + OWN + EVIDENCE * MOST_DEPLOYMENTS + CELL * cells
-
-
-def largest_model() -> int:
-    """Return the most bytes of a kbnitp_msgs/ModelBelief."""
-    return REST
-
-
-def largest_progress() -> int:
-    """Return the most bytes of a kbnitp_msgs/Progress."""
-    return REST
 
 
 def largest_map(pixels: int) -> int:

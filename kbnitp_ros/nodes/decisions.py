@@ -11,7 +11,7 @@ from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.base.computation import Computation
 from kbnitp_ros.base.knowledge import Knowledge
-from kbnitp_ros.configuration import robot_types_of
+from kbnitp_ros.configuration import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
 from kbnitp_ros.log.evidence import first_belief, PATH, REPORT
 from kbnitp_ros.messages.beliefs import Snapshot
@@ -45,11 +45,7 @@ class Decisions:
     """
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
-        self.knowledge = Knowledge(
-            grid,
-            node.values,
-            {agent: each for agent, each in robot_types_of(node.values, grid).items() if each.own},
-        )
+        self.knowledge = Knowledge(grid, node.values, own_robot_types(node.values, grid))
         self._node = node
         self._grid = grid
         self._act = act

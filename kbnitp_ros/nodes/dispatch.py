@@ -25,7 +25,6 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.missions import mission_of_path
-from kbnitp_ros.messages.sizes import largest_path, largest_report, RECORDED, STATUS_SIZE
 from kbnitp_ros.messages.status import read_status
 from kbnitp_ros.messages.status import State as AgentState
 from kbnitp_ros.nodes.runtime import qos
@@ -92,35 +91,14 @@ class Dispatch:
         """Hear what becomes of robots from now on."""
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         for agent in self._agents:
-            self._node.hear(
-                DeploymentReport,
-                f'{agent}/report',
-                partial(self._on_report, agent),
-                qos.EVIDENCE,
-                largest_report(value_for(self._values, 'max_steps', agent)),
-            )
-            self._node.hear(
-                AgentStatus,
-                f'{agent}/status',
-                partial(self._on_status, agent),
-                qos.EVIDENCE,
-                STATUS_SIZE,
-            )
+            self._node.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
+            self._node.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
             if self._values['recorded']:
-                self._node.hear(
-                    Recorded,
-                    f'{agent}/recorded',
-                    partial(self._on_recorded, agent),
-                    qos.EVIDENCE,
-                    RECORDED,
-                )
+                self._node.hear_agent(Recorded, agent, partial(self._on_recorded, agent))
 
     def _hear_paths(self, agent: str) -> Subscription:
         """Take the paths of an agent, which another planner may send."""
-        largest = largest_path(value_for(self._values, 'max_steps', agent))
-        return self._node.hear(
-            Path, f'{agent}/path', partial(self._on_path, agent), qos.EVIDENCE, largest
-        )
+        return self._node.hear_agent(Path, agent, partial(self._on_path, agent))
 
     @property
     def publishers(self) -> list[Publisher]:

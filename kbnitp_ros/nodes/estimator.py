@@ -17,8 +17,7 @@ from kbnitp_ros.configuration import (
     datum_of,
     estimator_of,
     MOST_AGENTS,
-    robot_types_of,
-    value_for,
+    own_robot_types,
 )
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.log.departures import Departures, read_departures
@@ -31,7 +30,6 @@ from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.models import model_belief
-from kbnitp_ros.messages.sizes import largest_report, STATUS_SIZE
 from kbnitp_ros.messages.status import read_status
 from kbnitp_ros.nodes.assimilated import NewEvidence
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
@@ -59,11 +57,7 @@ class EstimatorNode(FieldNode):
         # The report reads it in the log: what is wrong is said before the mission.
         datum_of(self.values)
         estimator = estimator_of(self.values, self.grid)
-        robot_types = {
-            agent: robot_type
-            for agent, robot_type in robot_types_of(self.values, self.grid).items()
-            if robot_type.own
-        }
+        robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
         # That of the paths in the ledger; None as long as there is none.
@@ -93,20 +87,8 @@ class EstimatorNode(FieldNode):
                 self, agent, f'{agent}/', partial(self._read_path, agent), self._take_path
             )
             sent.listen()
-            self.hear(
-                DeploymentReport,
-                f'{agent}/report',
-                partial(self._on_report, agent),
-                qos.EVIDENCE,
-                largest_report(value_for(self.values, 'max_steps', agent)),
-            )
-            self.hear(
-                AgentStatus,
-                f'{agent}/status',
-                partial(self._on_status, agent),
-                qos.EVIDENCE,
-                STATUS_SIZE,
-            )
+            self.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
+            self.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from kbnitp_ros.nodes.parameter_watch import full_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from std_msgs.msg import Bool
@@ -68,12 +67,7 @@ class Holding:
     def _on_hold(self, message: Bool) -> None:
         if self._is_held is None or message.data == self._is_held:
             return
-        topic = self._publisher.topic_name
-        others = sorted(
-            full_name(each.node_namespace, each.node_name)
-            for each in self._node.get_publishers_info_by_topic(topic)
-            if each.topic_type == BOOL
-        )
+        others = self._node.authors(self._publisher.topic_name, BOOL)
         # What was told just before is heard, too.
         if len(others) > 1:
             self._node.diagnostics.refuse(

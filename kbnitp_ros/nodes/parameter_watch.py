@@ -11,6 +11,7 @@ from typing import Any
 
 from kbnitp_ros.messages.headers import shown
 from kbnitp_ros.messages.sizes import check_size
+from kbnitp_ros.nodes.runtime.graph import full_name
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.exceptions import NameValidationException
@@ -107,11 +108,6 @@ class ParameterWatch:
         # What anybody says of a node that is not there is no reason to look for it.
         if event.node in self._present:
             self._due.add(event.node)
-
-
-def full_name(namespace: str, name: str) -> str:
-    """Return what a node in a namespace is called."""
-    return f'{namespace.rstrip("/")}/{name}'
 
 
 class Inquiry:

@@ -11,7 +11,7 @@ from kbnitp_ros.log.departures import STATUS
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.nodes.instances import Instance
-from kbnitp_ros.nodes.parameter_watch import full_name, NAMELESS
+from kbnitp_ros.nodes.parameter_watch import NAMELESS
 from kbnitp_ros.nodes.recorders import Recorders, records, TOPIC
 from kbnitp_ros.nodes.runtime.node import MissionNode
 
@@ -74,12 +74,7 @@ class Peers:
             before = self._planners.get(agent, 1)
             planners = self._node.count_authors(f'{agent}/path', PATH)
             if planners > max(before, 1):
-                topic = self._node.resolve_topic_name(f'{agent}/path')
-                nodes = sorted(
-                    full_name(each.node_namespace, each.node_name)
-                    for each in self._node.get_publishers_info_by_topic(topic)
-                    if each.topic_type == PATH
-                )
+                nodes = self._node.authors(f'{agent}/path', PATH)
                 self._looks[agent] += 1
                 # DDS tells the name of a node a moment after its publishers, if it has one.
                 if NAMELESS in nodes and self._looks[agent] < LOOKS:

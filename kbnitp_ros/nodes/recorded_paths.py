@@ -8,11 +8,9 @@ import time
 from typing import Generic, TypeVar
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.headers import from_stamp, read_name
-from kbnitp_ros.messages.sizes import largest_path, RECORDED
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
@@ -60,8 +58,7 @@ class RecordedPaths(Generic[P]):
 
     def listen(self) -> None:
         """Take paths from now on."""
-        largest = largest_path(value_for(self._node.values, 'max_steps', self._agent))
-        self._node.hear(Path, f'{self._prefix}path', self._on_path, qos.EVIDENCE, largest)
+        self._node.hear_agent(Path, self._agent, self._on_path, self._prefix)
         if self._node.values['recorded']:
             self._recorded = self._hear_recorded()
             self._node.create_poll(self._ask_again)
@@ -97,9 +94,7 @@ class RecordedPaths(Generic[P]):
     def _hear_recorded(self) -> Subscription:
         self._has_missed = False
         self._ask_at = time.monotonic() + self._interval
-        return self._node.hear(
-            Recorded, f'{self._prefix}recorded', self._on_recorded, qos.EVIDENCE, RECORDED
-        )
+        return self._node.hear_agent(Recorded, self._agent, self._on_recorded, self._prefix)
 
     def _on_path(self, message: Path) -> None:
         try:

@@ -35,25 +35,24 @@ from kbnitp_ros.messages.operator_action import read_action_name
 from kbnitp_ros.messages.sizes import (
     check_size,
     largest_belief,
-    largest_model,
     largest_operator_action,
     largest_path,
-    largest_progress,
     largest_report,
+    MODEL_SIZE,
+    PROGRESS_SIZE,
     STATUS_SIZE,
 )
 from kbnitp_ros.messages.status import read_status
 from kbnitp_ros.messages.status import State as AgentState
-from kbnitp_ros.nodes.parameter_watch import full_name, ParameterWatch
+from kbnitp_ros.nodes.parameter_watch import ParameterWatch
 from kbnitp_ros.nodes.recorders import Precedence
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, State, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
+from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.topic import Message, message_class, time_received, Topic
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -99,8 +98,8 @@ LARGEST = {
     STATUS: STATUS_SIZE,
     BELIEF: largest_belief(MOST_CELLS),
     GRID: largest_belief(MOST_CELLS),
-    MODEL: largest_model(),
-    PROGRESS: largest_progress(),
+    MODEL: MODEL_SIZE,
+    PROGRESS: PROGRESS_SIZE,
     OPERATOR: largest_operator_action(MOST_AGENTS, MOST_STEPS),
 }
 
@@ -176,8 +175,7 @@ class RecorderNode(MissionNode):
         self._on_parameters(self.get_fully_qualified_name(), self.values)
         self.create_poll(self._check_log)
         self.create_look(self._discover)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(SYNC_PERIOD, self._sync, clock=steady)
+        self.create_poll(self._sync, SYNC_PERIOD)
 
     def finish(self) -> None:
         """Record what has arrived."""
@@ -374,7 +372,8 @@ class RecorderNode(MissionNode):
         # Of these many keep nobody waiting; but the paths that were read with them do.
         is_seldom_awaited = topic.type_name in (BELIEF, STATUS)
         is_evidence = topic.type_name in EVIDENCE and not is_seldom_awaited
-        if is_evidence or (is_seldom_awaited and self._is_any_untold):
+        is_any_untold = any(each.untold for each in self._topics.values())
+        if is_evidence or (is_seldom_awaited and is_any_untold):
             # One sync serves all that waits: the paths of a round come together, and so does a
             # whole history. What was published before this is then on the disk before it counts.
             self._write_arrived()
@@ -508,10 +507,6 @@ class RecorderNode(MissionNode):
             self._paths[mission] += 1
             self._ordered.add(DeploymentKey(agent_of(name), stamp))
         return self._first.setdefault(key, content)
-
-    @property
-    def _is_any_untold(self) -> bool:
-        return any(topic.untold for topic in self._topics.values())
 
     def _tell_recorded(self) -> None:
         """Tell the agents which of their paths are on the disk."""

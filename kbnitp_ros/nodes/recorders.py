@@ -9,10 +9,9 @@ import time
 
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.nodes.instances import INSTANCE, Instance, Instances, SILENT
-from kbnitp_ros.nodes.parameter_watch import full_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
-from kbnitp_ros.nodes.runtime.graph import PUBLISHED
+from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
 
 # Every recorder publishes it from its start to its end, and no other node does.
@@ -61,12 +60,8 @@ class Recorders:
         own = sum(each.topic_name == self._topic for each in self._node.publishers)
         if self._node.count_publishers(self._topic) <= own:
             return Counter()
-        known = self._node.get_publishers_info_by_topic(self._topic)
-        return Counter(
-            full_name(each.node_namespace, each.node_name)
-            for each in known
-            if each.topic_type == PUBLISHED['recorder']
-        ) - Counter({self._node.get_fully_qualified_name(): own})
+        known = self._node.authors(self._topic, PUBLISHED['recorder'])
+        return Counter(known) - Counter({self._node.get_fully_qualified_name(): own})
 
     @property
     def alive(self) -> list[Instance]:

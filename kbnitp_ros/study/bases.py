@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
-from kbnitp_ros.study.loss_cost import at_equal_log_loss, trade
+from kbnitp_ros.study.loss_cost import at_equal_log_loss, compare, trade
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.summary import interval, Mean, mean_of, resampled_means, Row
+from kbnitp_ros.study.summary import Mean, mean_of, Row
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,9 +28,7 @@ def base_rows(results: Results) -> Iterator[Row]:
     for lethality, method, two in product(scenario.lethalities, scenario.methods, others):
         missions = [trade(results, lethality, method, team) for team in (one, two)]
         value = missions[0][:, 1, -1] - missions[1][:, 1, -1]
-        found = at_equal(*(each.mean(axis=0) for each in missions))
-        resampled = [at_equal(*means) for means in zip(*map(resampled_means, missions))]
-        compared = interval(found, np.reshape(resampled, (-1, len(EQUAL))))
+        compared = compare(*missions, at_equal=at_equal)
         measured = {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
         yield {
             'lethality': lethality,

@@ -22,7 +22,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.figures import FORMATS, LETTERS, save, SERIES, WIDTH
 from kbnitp_ros.files import naming, share
-from kbnitp_ros.study.charts import BAND, LOG_LOSS_LABEL
+from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import read_scenario, Scenario
@@ -216,10 +216,7 @@ def figure_of(entries: Sequence[Entry]) -> Figure:
 def draw(axes: Axes, entries: dict[str, Entry]) -> None:
     """Draw a line with its interval for each."""
     for place, (name, entry) in enumerate(entries.items()):
-        style = SERIES[place % len(SERIES)]
-        mean, low, high = mean_of(entry.series(*LOG_LOSS))
-        axes.plot(mean, **style.line(mean.size), label=name)
-        axes.fill_between(range(mean.size), low, high, color=style.colour, alpha=BAND, linewidth=0)
+        draw_mean(axes, entry.series(*LOG_LOSS), SERIES[place % len(SERIES)], name)
     axes.grid(alpha=0.3)
     axes.legend()
 

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from kbnitp_ros.figures import SERIES, Style, WIDTH
 from kbnitp_ros.study.panels import labels_of, legend_above, panels_figure
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Strategy
+from kbnitp_ros.study.scenario import Contender, in_percent, Strategy
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -29,44 +29,43 @@ LOG_LOSS_LABEL = 'log loss of hazard and target (nats)'
 
 def entropy_chart(results: Results) -> Figure:
     """Draw the mean entropy after each deployment, a panel a lethality: the paper's figure."""
-
-    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
-        return results.series(lethality, method, 'entropy', team=team)
-
-    return means_chart(results.scenario, series, 'deployment', 'entropy H(Z) + H(X) (nats)')
+    return means_chart(results, ('entropy',), 'deployment', 'entropy H(Z) + H(X) (nats)')
 
 
 def log_loss_chart(results: Results) -> Figure:
     """Draw the mean log loss after each deployment against the truth, a panel a lethality."""
-
-    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
-        return results.series(lethality, method, *LOG_LOSS, team=team)
-
-    return means_chart(results.scenario, series, 'deployment', LOG_LOSS_LABEL, 'log')
+    return means_chart(results, LOG_LOSS, 'deployment', LOG_LOSS_LABEL, 'log')
 
 
 def means_chart(
-    scenario: Scenario,
-    series: Callable[[float | None, str, Strategy], NDArray[np.float64]],
+    results: Results,
+    measures: Sequence[str],
     across: str,
     up: str,
     scale: str = 'linear',
+    points: Callable[[NDArray[np.float64], Strategy], NDArray[np.float64]] = lambda each, _: each,
 ) -> Figure:
     """
-    Draw the means over trials with their intervals, from the prior on.
+    Draw the mean of a sum of measures over trials with its intervals, from the prior on.
 
-    `series` returns what is drawn of a lethality, method and team, shape (trials, points).
+    `points` returns what is drawn of a series of a strategy, shape (trials, robots + 1).
     """
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
     ) -> None:
-        mean, low, high = mean_of(series(lethality, *contender))
-        axes.plot(mean, **style.line(mean.size), label=label)
-        axes.fill_between(range(mean.size), low, high, color=style.colour, alpha=BAND, linewidth=0)
+        series = results.series(lethality, contender.method, *measures, team=contender.team)
+        draw_mean(axes, points(series, contender.team), style, label)
         axes.margins(x=0.02)
 
-    return panels_figure(scenario, draw, across, up, scale)
+    return panels_figure(results.scenario, draw, across, up, scale)
+
+
+def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str) -> None:
+    """Draw a line of the mean of samples, shape (trials, points), with its interval."""
+    mean, low, high = mean_of(samples)
+    axes.plot(mean, **style.line(mean.size), label=label)
+    axes.fill_between(range(mean.size), low, high, color=style.colour, alpha=BAND, linewidth=0)
 
 
 def reliability_chart(results: Results) -> Figure:

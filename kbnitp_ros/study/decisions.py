@@ -77,7 +77,8 @@ def certificate_rows(results: Results) -> Iterator[Row]:
             results.series(lethality, method, name, team=team)
             for name in ('p_free', 'free', 'independent_draws')
         )
-        is_sure = is_reached(p_free, draws, confidence)
+        are_enough = (1.0 - confidence) * draws >= FEWEST_LEFT_OUT
+        is_sure = are_enough & (p_free >= confidence)
         stopped = is_sure.any(axis=1)
         if not stopped.any():
             continue
@@ -95,14 +96,6 @@ def certificate_rows(results: Results) -> Iterator[Row]:
             'free': mean_of(true),
             'difference': mean_of(true - stated),
         }
-
-
-def is_reached(
-    p_free: NDArray[np.float64], independent: NDArray[np.float64], confidence: float
-) -> NDArray[np.bool_]:
-    """Return where a probability, told by so many independent draws, reaches a confidence."""
-    enough: NDArray[np.bool_] = (1.0 - confidence) * independent >= FEWEST_LEFT_OUT
-    return enough & (p_free >= confidence)
 
 
 def area_rows(results: Results) -> Iterator[Row]:
@@ -146,8 +139,4 @@ def decision_chart(results: Results) -> Figure:
         if asks_for(results.scenario, 'area')
         else ('free', 'share of worlds in which it is free')
     )
-
-    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
-        return results.series(lethality, method, measure, team=team)
-
-    return means_chart(results.scenario, series, 'deployment', up)
+    return means_chart(results, (measure,), 'deployment', up)

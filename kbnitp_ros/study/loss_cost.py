@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 
 from kbnitp_ros.figures import Style
@@ -55,17 +55,20 @@ def at_equal_log_loss(
     return np.array([level, *sent, *lost, lost[1] - lost[0]])
 
 
-def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> Mean:
+def compare(
+    least: NDArray[np.float64],
+    this: NDArray[np.float64],
+    *,
+    at_equal: Callable[..., NDArray[np.float64]] = at_equal_log_loss,
+) -> Mean:
     """
-    Compare the mean missions of two sets of trials, paired by their worlds, as `EQUAL`.
+    Compare the mean missions of two sets of trials, paired by their worlds.
 
     Both are of shape (trials, 2, robots + 1), as `trade` gives them.
     """
-    resampled = [
-        at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))
-    ]
-    found = at_equal_log_loss(least.mean(axis=0), this.mean(axis=0))
-    return interval(found, np.reshape(resampled, (-1, len(EQUAL))))
+    resampled = [at_equal(*means) for means in zip(resampled_means(least), resampled_means(this))]
+    found = at_equal(least.mean(axis=0), this.mean(axis=0))
+    return interval(found, np.reshape(resampled, (-1, found.size)))
 
 
 def at_equal_log_loss_more(

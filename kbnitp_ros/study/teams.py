@@ -8,7 +8,7 @@ from itertools import product
 
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL, means_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Scenario, Strategy, team_labels
+from kbnitp_ros.study.scenario import Scenario, team_labels
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of, Row
 from matplotlib.figure import Figure
 import numpy as np
@@ -20,14 +20,6 @@ def differ_in_size(scenario: Scenario) -> bool:
     sizes = {team.agents for team in scenario.teams}
     others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
     return len(sizes) > 1 and len(others) == 1
-
-
-def information_gained(
-    results: Results, lethality: float | None, method: str, team: Strategy
-) -> NDArray[np.float64]:
-    """Return the joint entropy of the prior less that of the belief, (trials, robots + 1)."""
-    entropy = results.series(lethality, method, 'joint_entropy', team=team)
-    return entropy[:, :1] - entropy
 
 
 def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
@@ -59,7 +51,8 @@ def team_rows(results: Results) -> Iterator[Row]:
     labels, common = team_labels(scenario), common_rounds(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)
     for lethality, (method, team) in product(scenario.lethalities, scenario.contenders):
-        information = information_gained(results, lethality, method, team)
+        entropy = results.series(lethality, method, 'joint_entropy', team=team)
+        information = entropy[:, :1] - entropy
         log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
         lost = results.series(lethality, method, 'robots_lost', team=team)
         rounds = after_rounds(information, team.agents).shape[1] - 1
@@ -80,9 +73,11 @@ def team_rows(results: Results) -> Iterator[Row]:
 
 def teams_chart(results: Results) -> Figure:
     """Draw the mean log loss after each round, a panel a lethality."""
-
-    def series(lethality: float | None, method: str, team: Strategy) -> NDArray[np.float64]:
-        log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
-        return after_rounds(log_loss, team.agents)
-
-    return means_chart(results.scenario, series, 'round', LOG_LOSS_LABEL, 'log')
+    return means_chart(
+        results,
+        LOG_LOSS,
+        'round',
+        LOG_LOSS_LABEL,
+        'log',
+        lambda series, team: after_rounds(series, team.agents),
+    )

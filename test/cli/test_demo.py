@@ -105,23 +105,28 @@ def whole(tmp_path_factory):
     return out, done.stdout
 
 
+def mission_of(robots, grid, lethality, seed, options, **others):
+    """Return the world of a demo, and its deployments as the core makes them."""
+    rng = np.random.default_rng(seed)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    prior, model = Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(lethality)
+    method = 'kappa_bnitp_sampled'
+    return world, run_mission(grid, prior, model, world, robots, rng, method, options, **others)
+
+
+def learning(seed):
+    """Return what the demo learns unless told otherwise."""
+    return Learning(Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=seed)
+
+
 @pytest.mark.processes
 def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
     out, _ = whole
     for name in ('maps.png', 'progress.png'):
         assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
 
-    grid, model = Grid(6, 4), SensorModel(0.9)
-    rng = np.random.default_rng(3)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    expected = run_mission(
-        grid, prior, model, world, 6, rng, 'kappa_bnitp_sampled',
-        SearchOptions('relaxed', max_steps=6),
-        learning=Learning(
-            Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=3
-        ),
-    )  # fmt: skip
+    options = SearchOptions('relaxed', max_steps=6)
+    world, expected = mission_of(6, Grid(6, 4), 0.9, 3, options, learning=learning(3))
     history = read_history(out / 'mission.mcap')
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
@@ -156,17 +161,8 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert '40 deployments' in resumed.stdout
     history = read_history(log)
-    grid, model = Grid(4, 4), SensorModel(0.3)
-    rng = np.random.default_rng(7)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    expected = run_mission(
-        grid, prior, model, world, 40, rng, 'kappa_bnitp_sampled',
-        SearchOptions(max_steps=6),
-        learning=Learning(
-            Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=7
-        ),
-    )  # fmt: skip
+    options = SearchOptions(max_steps=6)
+    _, expected = mission_of(40, Grid(4, 4), 0.3, 7, options, learning=learning(7))
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]
@@ -233,14 +229,8 @@ def test_a_team_that_loses_robots_in_silence(tmp_path):
     done = run_demo(*options, *small, *known, '--out', tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     history = read_history(tmp_path)
-    grid, model = Grid(4, 4), SensorModel(0.9)
-    rng = np.random.default_rng(0)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-    expected = run_mission(
-        grid, prior, model, world, 8, rng, 'kappa_bnitp_sampled',
-        SearchOptions('relaxed', max_steps=6), team=Team(3, 'voronoi'),
-    )  # fmt: skip
+    options = SearchOptions('relaxed', max_steps=6)
+    _, expected = mission_of(8, Grid(4, 4), 0.9, 0, options, team=Team(3, 'voronoi'))
     assert 0 < sum(d.observation.survived for d in expected) < 8
     assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
 

@@ -15,8 +15,7 @@ from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.configuration import grid_of, parameter_of
 from kbnitp_ros.core import Observation
 from kbnitp_ros.messages.deployments import path_message, report_message
-from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.missions import mission_of_belief
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 from onlooker import AGENT
@@ -223,7 +222,7 @@ class Forger:
         A belief in all robots, another path of the newest stamp, and 5,200 acknowledgements.
         """
         belief = deepcopy(self._mission.onlooker.belief)
-        mission = mission_of_belief(belief)
+        mission = from_stamp(belief.mission)
         belief.deployments = self._robots
         key, _ = self._newest()
         other = path_message(self._grid, [0, 1, 0], key.stamp, mission)
@@ -246,7 +245,7 @@ class Forger:
         """Send with volatile and best-effort publishers what would count if it were heard."""
         key, _ = self._newest()
         belief = deepcopy(self._mission.onlooker.belief)
-        path = path_message(self._grid, [0, 1, 0], key.stamp, mission_of_belief(belief))
+        path = path_message(self._grid, [0, 1, 0], key.stamp, from_stamp(belief.mission))
         belief.deployments = self._robots
         report = report_message(*self._lost())
         for profile in INCOMPATIBLE:

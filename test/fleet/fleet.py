@@ -236,6 +236,14 @@ class Fleet:
     def state(self, name='scout_1'):
         return self.field.state(f'{self._mission}/{name}/robot')
 
+    @classmethod
+    def simulated(cls, field, **options):
+        """Return a fleet whose robots are simulated, and what the first of them reports."""
+        fleet = cls(field, **options)
+        reports = fleet.reports()
+        fleet.simulate()
+        return fleet, reports
+
     def reports(self, name='scout_1'):
         return self.field.listen(DeploymentReport, f'{self._mission}/{name}/report')
 

@@ -15,7 +15,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.messages.models import model_belief, QUANTILES, read_model_belief
-from kbnitp_ros.messages.sizes import largest_model
+from kbnitp_ros.messages.sizes import MODEL_SIZE
 from laws import for_each
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -64,7 +64,7 @@ def test_what_is_learnt_comes_back_bit_for_bit():
 
 def test_the_largest_is_read():
     message = model_belief(ledger_of(ALL), 0)
-    assert len(serialize_message(message)) < largest_model()
+    assert len(serialize_message(message)) < MODEL_SIZE
 
 
 @for_each(

@@ -26,10 +26,14 @@ def estimator(field):
     """Start an estimator and give the test its topics."""
     field.beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', PARAMETERS)
-    field.paths = field.talk(Path, '/scout_1/path')
-    field.reports = field.talk(DeploymentReport, '/scout_1/report')
+    field.paths, field.reports = evidence(field)
     field.until(lambda: field.beliefs, 'prior')
     return field
+
+
+def evidence(field):
+    """Return who publishes the paths and the reports of an agent."""
+    return field.talk(Path, '/scout_1/path'), field.talk(DeploymentReport, '/scout_1/report')
 
 
 def until_held(field, deployments):
@@ -205,8 +209,7 @@ def test_bad_input_is_refused_counted_and_changes_nothing(estimator):
 def test_an_outcome_that_cannot_be_is_refused(field):
     field.beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', {**PARAMETERS, 'sensor.malfunction': 0.0, 'prior.hazard': 0.0})
-    paths = field.talk(Path, '/scout_1/path')
-    reports = field.talk(DeploymentReport, '/scout_1/report')
+    paths, reports = evidence(field)
     paths.publish(path(1))
     reports.publish(lost(1))
     assert 'impossible' in field.until_refused('/estimator', 1)
@@ -219,8 +222,7 @@ def test_a_restarted_estimator_has_learnt_the_same(field):
     beliefs = field.listen(BeliefMaps, '/belief')
     models = field.listen(ModelBelief, '/model')
     field.start('estimator', parameters)
-    paths = field.talk(Path, '/scout_1/path')
-    reports = field.talk(DeploymentReport, '/scout_1/report')
+    paths, reports = evidence(field)
     for number in range(1, 6):
         paths.publish(path(number))
         reports.publish(lost(number) if number % 2 else returned(number))
@@ -253,8 +255,7 @@ def test_a_weakly_known_density_of_clustered_hazards_is_told(field):
     parameters = {**PARAMETERS, **SAMPLED, **learnt}
     beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', parameters)
-    paths = field.talk(Path, '/scout_1/path')
-    reports = field.talk(DeploymentReport, '/scout_1/report')
+    paths, reports = evidence(field)
     field.until(lambda: beliefs, 'prior')
     told = 'hazards cluster and their density is only known as '
     field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
@@ -275,8 +276,7 @@ def test_sampling_that_does_not_settle_is_told(field):
     parameters = {**PARAMETERS, **SAMPLED, 'learn': list(LEARN), **intervals}
     beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', parameters)
-    paths = field.talk(Path, '/scout_1/path')
-    reports = field.talk(DeploymentReport, '/scout_1/report')
+    paths, reports = evidence(field)
     for number in range(1, 9):
         paths.publish(path(number))
         reports.publish(returned(number) if number % 3 else lost(number))

@@ -58,6 +58,23 @@ def state_mission(field):
     field.node.create_publisher(BeliefMaps, '/m/belief', qos.LATCHED).publish(prior())
 
 
+def record_path(field):
+    """Record a path; return the log, what the recorder tells of paths, and who publishes them."""
+    log = record(field)
+    state_mission(field)
+    told = field.listen(Recorded, '/m/scout_1/recorded')
+    paths = field.talk(Path, '/m/scout_1/path')
+    paths.publish(path(1))
+    field.until(lambda: told, 'word of path 1')
+    return log, told, paths
+
+
+def channels(log):
+    """Return the channels of a log that is finished."""
+    with log.open('rb') as file:
+        return make_reader(file).get_summary().channels.values()
+
+
 def recorded(log):
     """Return the messages of a log by topic."""
     messages = defaultdict(list)
@@ -136,9 +153,7 @@ def test_the_log_names_the_quality_of_service_offered(field):
     publisher.publish(String(data='x'))
     field.until(lambda: '/m/latched' in recorded(log), 'message')
     field.processes.stop()
-    with log.open('rb') as file:
-        channels = make_reader(file).get_summary().channels.values()
-    (metadata,) = [channel.metadata for channel in channels if channel.topic == '/m/latched']
+    (metadata,) = [channel.metadata for channel in channels(log) if channel.topic == '/m/latched']
     (offered,) = yaml.safe_load(metadata['offered_qos_profiles'])
     assert offered['reliability'] == 'reliable'
     assert offered['durability'] == 'transient_local'
@@ -152,11 +167,9 @@ def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
         field.until(lambda p=publisher, n=readers: p.get_subscription_count() == n, 'readers')
         field.node.destroy_publisher(publisher)
     field.processes.stop()
-    with log.open('rb') as file:
-        channels = make_reader(file).get_summary().channels.values()
     offered = [
         (profile['reliability'], profile['durability'])
-        for channel in channels
+        for channel in channels(log)
         if channel.topic == '/m/number'
         for profile in yaml.safe_load(channel.metadata['offered_qos_profiles'])
     ]
@@ -217,12 +230,7 @@ def test_what_is_no_evidence_is_on_the_disk_while_it_is_recorded(field):
 
 
 def test_a_resumed_log_holds_everything(field):
-    log = record(field)
-    state_mission(field)
-    told = field.listen(Recorded, '/m/scout_1/recorded')
-    paths = field.talk(Path, '/m/scout_1/path')
-    paths.publish(path(1))
-    field.until(lambda: told, 'word of path 1')
+    log, told, paths = record_path(field)
     recorder = field.processes.started['/m/recorder']
     recorder.kill()
     recorder.wait()
@@ -239,12 +247,7 @@ def test_a_resumed_log_holds_everything(field):
 
 
 def test_a_log_has_one_recorder_at_a_time(field):
-    log = record(field)
-    state_mission(field)
-    told = field.listen(Recorded, '/m/scout_1/recorded')
-    paths = field.talk(Path, '/m/scout_1/path')
-    paths.publish(path(1))
-    field.until(lambda: told, 'word of path 1')
+    log, told, paths = record_path(field)
     # Outside the mission, so that it does not record the first one's last words.
     field.start('recorder', {'resume': str(log)}, '/other')
     other = field.processes.started.pop('/other/recorder')
@@ -515,12 +518,7 @@ def test_a_file_that_may_not_grow_ends_the_recorder_and_what_was_written_stays(f
 
 @pytest.mark.parametrize('what', ['folder', 'file', 'replaced'])
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
-    log = record(field)
-    state_mission(field)
-    told = field.listen(Recorded, '/m/scout_1/recorded')
-    paths = field.talk(Path, '/m/scout_1/path')
-    paths.publish(path(1))
-    field.until(lambda: told, 'word of path 1')
+    log, told, paths = record_path(field)
     recorder = field.processes.started['/m/recorder']
     # Between two of its looks nothing may be said to be safe, either.
     recorder.send_signal(signal.SIGSTOP)

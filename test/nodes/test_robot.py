@@ -21,9 +21,7 @@ ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
     'driver', some(['follow_path', 'follow_waypoints', 'navigate_through_poses'], 3)
 )
 def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     fleet.start(driver=driver)
     key = fleet.send(1, ROUND)
     report = fleet.report_of(reports, key)
@@ -33,9 +31,7 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
 
 
 def test_a_robot_walks_a_turned_field(field):
-    fleet = Fleet(field, placed=(40.0, -7.0, 2.1))
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, placed=(40.0, -7.0, 2.1))
     fleet.start(driver='navigate_through_poses')
     report = fleet.report_of(reports, fleet.send(1, ROUND))
     assert [cell for cell, _ in report.readings] == ROUND[1:]
@@ -47,9 +43,7 @@ DATUM = (55.944904, -3.186693, -0.8)
 
 
 def test_a_robot_walks_by_fixes(field):
-    fleet = Fleet(field, placed=(40.0, -7.0, 2.1), datum=DATUM)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, placed=(40.0, -7.0, 2.1), datum=DATUM)
     # Nobody tells where this frame is but fixes.
     fleet.start(driver='navigate_through_poses', position='fix', remapped={'/tf': '/nobody'})
     report = fleet.report_of(reports, fleet.send(1, ROUND))
@@ -105,9 +99,7 @@ def test_a_datum_off_the_earth_is_refused_at_the_start(field):
 
 
 def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
-    fleet = Fleet(field, detection_type='detection2d_array')
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, detection_type='detection2d_array')
     fleet.start(driver='navigate_through_poses', detection_class='target')
     report = fleet.report_of(reports, fleet.send(1, ROUND))
     fleet.see_that_it_is_true(report)
@@ -163,9 +155,7 @@ def fail(fleet, how, when):
 )
 def test_a_failure_is_tried_again_and_the_walk_is_reported_as_it_was(field, driver, failures):
     rng = np.random.default_rng(len(failures))
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     fleet.start(driver=driver, server_timeout=0.5)
     numbers = count(1)
     for how in failures:
@@ -195,9 +185,7 @@ def is_out_and_back(report):
 
 
 def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     fleet.start(attempts=2)
     key = fleet.send(1, WAY_ROUND)
     field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
@@ -214,9 +202,7 @@ def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
 
 
 def test_a_robot_whose_goal_is_cancelled_goes_home(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     fleet.start()
     key = fleet.send(1, WAY_ROUND)
     field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
@@ -229,9 +215,7 @@ def test_a_robot_whose_goal_is_cancelled_goes_home(field):
 
 
 def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
-    fleet = Fleet(field, speed=1.0)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, speed=1.0)
     fleet.start(time_budget=5.0)
     report = fleet.report_of(reports, fleet.send(1, WAY_ROUND))
     fleet.see_that_it_is_true(report)
@@ -242,9 +226,7 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
 
 
 def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
-    fleet = Fleet(field, speed=1.0)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, speed=1.0)
     fleet.start(max_speed=1.5, tf_timeout=0.5)
     key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
     field.until(lambda: 2 in fleet.walked(), 'robot under way')

@@ -139,9 +139,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
 
 
 def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     fleet.start()
     field.until(lambda: '/tf: all is well' in field.said('/scout_1/robot'), 'TF')
     paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
@@ -173,9 +171,7 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
 
 
 def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     for number, mission in ((1, 5), (2, 7), (3, 9)):
         fleet.start()
         fleet.report_of(reports, fleet.send(number, [0, 1, 0], mission=mission))
@@ -190,9 +186,7 @@ def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field
 
 
 def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     first = fleet.start()
     del field.processes.started['/scout_1/robot']
     fleet.start(journal=str(field.folder / 'other.journal'))
@@ -211,9 +205,7 @@ def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):
 
 
 def test_a_robot_in_the_field_says_that_it_hears_of_another_of_its_name(field):
-    fleet = Fleet(field, speed=1.0)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field, speed=1.0)
     first = fleet.start()
     key = fleet.send(1, [0, 1, 2, 3, 4, 5, 5, 5, 4, 3, 2, 1, 0])
     field.until(lambda: fleet.state().startswith('driving'), 'first robot in the field')
@@ -268,9 +260,7 @@ def test_a_journal_that_is_not_its_own_keeps_a_robot_from_starting(field):
 
 
 def test_a_disk_that_is_full_costs_no_step(field):
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     robot = fleet.start()
     field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
     journal = fleet.journal('scout_1')

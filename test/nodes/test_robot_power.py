@@ -49,9 +49,7 @@ def cut_power(fleet, rng):
 def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
     field = request.getfixturevalue('field')
     rng = np.random.default_rng(5)
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
 
     fleet.start()
     where = {'in the field': 0, 'at home': 0}
@@ -78,9 +76,7 @@ def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
 
 def test_a_launched_robot_that_is_killed_in_the_field_comes_home(field):
     pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
-    fleet = Fleet(field)
-    reports = fleet.reports()
-    fleet.simulate()
+    fleet, reports = Fleet.simulated(field)
     parameters = field.folder / 'robot.yaml'
     given = {**FIELD, 'await_nodes': ['test'], 'stay_time': 0.3}
     # JSON is YAML.

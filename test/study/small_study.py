@@ -1,6 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A study of a few short missions."""
 
+from dataclasses import replace
+import json
+
+from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.trial import run_trial, trials_of
 import yaml
 
 CONTENT = {
@@ -39,3 +45,19 @@ def changed(key, value):
 def write(path, content=CONTENT):
     path.write_text(yaml.safe_dump(content, sort_keys=False))
     return path
+
+
+def compared_by(scenario, teams):
+    """Return the results of missions by some strategies, of one method at one lethality."""
+    scenario = replace(scenario, teams=teams, methods=('kappa_bnitp',), lethalities=(0.9,))
+    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+
+
+def written(results, comparison, folder):
+    """Write a report; return its summary, and the rows of a comparison with their cells."""
+    write_report(results, folder)
+    summary = json.loads((folder / 'summary.json').read_text())
+    told = comparison.table(summary[comparison.name]).markdown()
+    assert (folder / 'summary.md').read_text().endswith(told)
+    lines = (line.strip('| ').split(' | ') for line in told.splitlines()[4:])
+    return summary, list(zip(summary[comparison.name]['rows'], lines, strict=True))

@@ -2,16 +2,14 @@
 """Last contacts are compared with none, in the same worlds."""
 
 from dataclasses import replace
-import json
 
 from kbnitp_ros.core import continue_mission
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import CONTACT
-from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
+from small_study import compared_by, written
 
 pytestmark = pytest.mark.slow
 
@@ -21,8 +19,7 @@ TEAMS = (Strategy(last_contact=1.0), Strategy(), Strategy(last_contact=0.3))
 @pytest.fixture(scope='module')
 def contacts(scenario):
     """Return the results of missions with three probabilities of contact, not in their order."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def test_the_base_hears_of_robots_as_often_as_told(scenario, monkeypatch):
@@ -59,12 +56,8 @@ def test_each_is_compared_with_none(contacts):
 
 
 def test_the_report_has_a_table_of_it(contacts, tmp_path):
-    write_report(contacts, tmp_path)
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = CONTACT.table(summary['last_contact']).markdown()
-    assert (tmp_path / 'summary.md').read_text().endswith(told)
-    for row, line in zip(summary['last_contact']['rows'], told.splitlines()[4:], strict=True):
-        cells = line.strip('| ').split(' | ')
+    summary, rows = written(contacts, CONTACT, tmp_path)
+    for row, cells in rows:
         assert cells[:3] == ['0.9', '`kappa_bnitp`', f'{row["last_contact"]:g}']
         assert cells[3].startswith(f'{row["value"][0]["mean"]:.1f} [')
     assert not {'loss_cost', 'teams'} & summary.keys()

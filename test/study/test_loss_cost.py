@@ -13,10 +13,10 @@ from kbnitp_ros.study.loss_cost import (
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
-from kbnitp_ros.study.trial import run_trial, trials_of
 from laws import for_each
 import numpy as np
 import pytest
+from small_study import compared_by
 
 pytestmark = pytest.mark.slow
 
@@ -26,8 +26,7 @@ TEAMS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
 @pytest.fixture(scope='module')
 def costs(scenario):
     """Return the results of missions at three loss costs, not in their order."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def equal(*missions):

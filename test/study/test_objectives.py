@@ -2,16 +2,14 @@
 """Objectives are compared with the first, in the same worlds, beside loss costs."""
 
 from dataclasses import replace
-import json
 
 from kbnitp_ros.study.comparison import BY_OBJECTIVE, differ_in_objective
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.loss_cost import compare, trade
-from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
+from small_study import compared_by, written
 
 pytestmark = pytest.mark.slow
 
@@ -21,8 +19,7 @@ TEAMS = (Strategy(), Strategy(objective='behavioral', alpha=2.0), Strategy(loss_
 @pytest.fixture(scope='module')
 def compared(scenario):
     """Return the results of missions by three objectives."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def test_each_is_compared_with_the_first(compared):
@@ -48,13 +45,9 @@ def test_each_is_compared_with_the_first(compared):
 
 
 def test_the_report_has_a_table_of_it(compared, tmp_path):
-    write_report(compared, tmp_path)
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_OBJECTIVE.table(summary['objectives']).markdown()
-    assert (tmp_path / 'summary.md').read_text().endswith(told)
+    _, rows = written(compared, BY_OBJECTIVE, tmp_path)
     assert (tmp_path / 'robots_lost.png').exists()
-    for row, line in zip(summary['objectives']['rows'], told.splitlines()[4:], strict=True):
-        cells = line.strip('| ').split(' | ')
+    for row, cells in rows:
         assert cells[:2] == ['0.9', row['objective']]
         assert cells[-2].startswith(f'{row["lost_more"]["mean"]:.1f} [')
 

@@ -2,16 +2,14 @@
 """Planners are compared with the first, in the same worlds."""
 
 from dataclasses import replace
-import json
 
 from kbnitp_ros.core import continue_mission, SearchOptions
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import BY_PLANNER
-from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
+from small_study import compared_by, written
 
 pytestmark = pytest.mark.slow
 
@@ -21,8 +19,7 @@ TEAMS = (Strategy(), Strategy(planner='coverage'), Strategy(planner='random'))
 @pytest.fixture(scope='module')
 def compared(scenario):
     """Return the results of missions by three planners."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def test_each_team_has_its_planner(scenario, monkeypatch):
@@ -58,11 +55,7 @@ def test_each_is_compared_with_the_first(compared):
 
 
 def test_the_report_has_a_table_of_it(compared, tmp_path):
-    write_report(compared, tmp_path)
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_PLANNER.table(summary['planners']).markdown()
-    assert (tmp_path / 'summary.md').read_text().endswith(told)
-    for row, line in zip(summary['planners']['rows'], told.splitlines()[4:], strict=True):
-        cells = line.strip('| ').split(' | ')
+    _, rows = written(compared, BY_PLANNER, tmp_path)
+    for row, cells in rows:
         assert cells[:3] == ['0.9', '`kappa_bnitp`', f'`{row["planner"]}`']
         assert cells[-1].startswith(f'{row["lost_more"]["mean"]:.1f} [')

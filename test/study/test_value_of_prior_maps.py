@@ -2,17 +2,14 @@
 """Maps of hazards known beforehand are compared with none, in the same worlds."""
 
 from dataclasses import replace
-import json
 
 from kbnitp_ros.core import Belief, Grid, World
 from kbnitp_ros.study.comparison import BY_MAP
-from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.survey import surveyed
-from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
+from small_study import compared_by, written
 
 pytestmark = pytest.mark.slow
 
@@ -25,8 +22,7 @@ PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
 @pytest.fixture(scope='module')
 def compared(scenario):
     """Return the results of missions with three maps."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
@@ -69,12 +65,8 @@ def test_each_is_compared_with_none(compared):
 
 
 def test_the_report_has_a_table_of_it(compared, tmp_path):
-    write_report(compared, tmp_path)
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    told = BY_MAP.table(summary['prior_maps']).markdown()
-    assert (tmp_path / 'summary.md').read_text().endswith(told)
-    for row, line in zip(summary['prior_maps']['rows'], told.splitlines()[4:], strict=True):
-        cells = line.strip('| ').split(' | ')
+    summary, rows = written(compared, BY_MAP, tmp_path)
+    for row, cells in rows:
         assert cells[2:4] == [f'{row["survey"]:g}', f'{row["trusted"]:g}']
     assert not {'loss_cost', 'teams', 'planners'} & summary.keys()
 

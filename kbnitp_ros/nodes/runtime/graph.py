@@ -16,6 +16,11 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 Topics = list[tuple[str, list[str]]]
 
 
+def full_name(namespace: str, name: str) -> str:
+    """Return what a node in a namespace is called."""
+    return f'{namespace.rstrip("/")}/{name}'
+
+
 class GraphNode(Node):
     """
     A node whose looks at the graph leave out what rclpy cannot read.
@@ -62,6 +67,14 @@ class GraphNode(Node):
         except UnicodeDecodeError as error:
             self._refuse_bytes('the graph', error)
             return []
+
+    def authors(self, topic: str, type_name: str) -> list[str]:
+        """Return which nodes publish messages of a type on a topic, sorted by their full names."""
+        return sorted(
+            full_name(each.node_namespace, each.node_name)
+            for each in self.get_publishers_info_by_topic(topic)
+            if each.topic_type == type_name
+        )
 
     def refuse_once(self, what: str, why: object) -> None:
         """Say once that there is a name that cannot be read."""

@@ -8,23 +8,29 @@ import os
 import time
 from typing import Any, TypeVar
 
-from kbnitp_ros.configuration import grid_of
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_ros.configuration import grid_of, value_for
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import some
 from kbnitp_ros.maps import Map, MOST_PIXELS
 from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST
-from kbnitp_ros.messages.sizes import check_size, largest_map
+from kbnitp_ros.messages.sizes import (
+    check_size,
+    largest_map,
+    largest_path,
+    largest_report,
+    RECORDED,
+    STATUS_SIZE,
+)
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
 from kbnitp_ros.nodes.runtime.executor import frames_of_callback, OneByOne
 from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
-from kbnitp_ros.nodes.runtime.signals import (
-    stop_on_signal,
-)
+from kbnitp_ros.nodes.runtime.signals import stop_on_signal
 from kbnitp_ros.nodes.runtime.transport import deaf_to_server
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -205,9 +211,9 @@ class MissionNode(GraphNode):
         if isinstance(executor, OneByOne):
             executor.call_next(callback)
 
-    def create_poll(self, callback: Callable[[], None]) -> Timer:
-        """Call back every `POLL` seconds, also when simulated time stands still."""
-        return self.create_timer(POLL, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    def create_poll(self, callback: Callable[[], None], period: float = POLL) -> Timer:
+        """Call back every so many seconds, also when simulated time stands still."""
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_look(self, look: Callable[[], None]) -> Timer:
         """
@@ -267,6 +273,15 @@ class MissionNode(GraphNode):
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
 
+# Evidence on the topics of an agent, by type: their name, and most bytes on so many steps.
+AGENT_TOPICS: dict[type, tuple[str, Callable[[int], int]]] = {
+    Path: ('path', largest_path),
+    DeploymentReport: ('report', largest_report),
+    AgentStatus: ('status', lambda _: STATUS_SIZE),
+    Recorded: ('recorded', lambda _: RECORDED),
+}
+
+
 class FieldNode(MissionNode):
     """
     A node of the mission that knows the field.
@@ -288,6 +303,15 @@ class FieldNode(MissionNode):
         """Return the field, the same for all nodes of a mission."""
         assert self._grid is not None
         return self._grid
+
+    def hear_agent(
+        self, kind: type, agent: str, callback: Callable[[Any], None], prefix: str | None = None
+    ) -> Subscription:
+        """Subscribe to a topic of an agent, which is below its name unless a prefix is given."""
+        name, largest = AGENT_TOPICS[kind]
+        topic = f'{agent}/{name}' if prefix is None else f'{prefix}{name}'
+        most = largest(value_for(self.values, 'max_steps', agent))
+        return self.hear(kind, topic, callback, qos.EVIDENCE, most)
 
     def _await_map(self, topic: str) -> None:
         self._topic = topic
