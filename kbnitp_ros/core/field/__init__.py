@@ -4,7 +4,7 @@
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
 from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
-from kbnitp_ros.core.field.compiled import compiled, while_compiling
+from kbnitp_ros.core.field.compiled import compiled, inlined, while_compiling
 from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
 from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
@@ -53,6 +53,7 @@ __all__ = [
     'compiled',
     'cost',
     'frozen',
+    'inlined',
     'log_loss',
     'log_predicted_survival',
     'longest',

@@ -2,8 +2,8 @@
 """
 Compilation of kernels, where it can be had.
 
-A kernel is a plain function over arrays, in a file that holds nothing but kernels. numba keeps the
-machine code of a file until that file changes, and does not notice changes in other files.
+A kernel is a plain function over arrays, in a file that holds nothing but kernels, and may call
+those of other files. Machine code is kept until one of these files changes.
 
 A kernel gives the same bits compiled and interpreted if it takes its functions from `math`, which
 is the C library in both, uses neither `**` nor sums of whole arrays, and never divides by 0 or
@@ -16,6 +16,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, update_wrapper
 import logging
+from pathlib import Path
+import sys
 from typing import Any, cast, TypeVar
 from warnings import warn
 
@@ -54,23 +56,37 @@ def compiled(kernel: Kernel) -> Kernel:
     return cast(Kernel, Compiled(kernel))
 
 
-class Compiled:
-    """A kernel that is compiled, with the others of its file, when one of them is called."""
+def inlined(kernel: Kernel) -> Kernel:
+    """
+    Do what `compiled` does, and copy the code to where it is called, for each cell at best.
 
-    def __init__(self, kernel: Callable[..., Any]) -> None:
+    To hand over many arrays takes as long as much of what is done with them.
+    """
+    return cast(Kernel, Compiled(kernel, is_inlined=True))
+
+
+class Compiled:
+    """A kernel that is compiled, with all that it calls, when it is first called."""
+
+    def __init__(self, kernel: Callable[..., Any], is_inlined: bool = False) -> None:
         update_wrapper(self, kernel)
-        self._kernel = kernel
+        self._kernel, self._is_inlined = kernel, is_inlined
         self._code: Callable[..., Any] | None = None
 
     def __call__(self, *arguments: Any) -> Any:
+        return (self._code or self.code)(*arguments)
+
+    @property
+    def code(self) -> Callable[..., Any]:
+        """Return the compiled code, or the kernel itself where that cannot be."""
         if self._code is None:
+            self._code = _code_of(self._kernel, self._is_inlined)
             # numba follows a call to another kernel only if the name stands for compiled code.
             names = self._kernel.__globals__
             for name, each in list(names.items()):
                 if isinstance(each, Compiled):
-                    names[name] = each._code = _code_of(each._kernel)
-            assert self._code is not None
-        return self._code(*arguments)
+                    names[name] = each.code
+        return self._code
 
 
 def while_compiling(check: Callable[[], None]) -> None:
@@ -87,13 +103,14 @@ def while_compiling(check: Callable[[], None]) -> None:
         _CHECKS.append(check)
 
 
-def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
+def _code_of(kernel: Callable[..., Any], is_inlined: bool) -> Callable[..., Any]:
     """Return the kernel compiled, or itself where that cannot be."""
     numba = _numba()
     if numba is None or numba.config.DISABLE_JIT:
         return kernel
     try:
         kept = _kept_code(numba.core.caching.FunctionCache)(kernel)
+        kept.used = _stamps(kernel.__module__)
     except RuntimeError:
         # The documented exception where no folder can be written.
         _warn_once(
@@ -101,8 +118,8 @@ def _code_of(kernel: Callable[..., Any]) -> Callable[..., Any]:
         )
         return kernel
     # Others of the process go on meanwhile.
-    code: Callable[..., Any] = numba.njit(nogil=True)(kernel)
-    # What `cache=True` sets, but for files that cannot be used.
+    code: Callable[..., Any] = numba.njit(nogil=True, forceinline=is_inlined)(kernel)
+    # What `cache=True` sets, but for files that cannot be used and calls to other files.
     code._cache = kept  # type: ignore[attr-defined]
     return code
 
@@ -119,9 +136,12 @@ def _kept_code(function_cache: type[Any]) -> type[Any]:
         short or empty. pickle raises almost anything when it reads such a file.
         """
 
+        # numba itself looks at the kernel's own file alone.
+        used: frozenset[tuple[str, int, int]]
+
         def _index_key(self, signature: Any, codegen: Any) -> Any:
             """Return what the code is kept by: that which holds Python's lock is another."""
-            return *super()._index_key(signature, codegen), 'nogil'
+            return *super()._index_key(signature, codegen), 'nogil', self.used
 
         def load_overload(self, signature: Any, target: Any) -> Any:
             """Return the code for arguments of these types; None where it is to be compiled."""
@@ -147,6 +167,19 @@ def _kept_code(function_cache: type[Any]) -> type[Any]:
                 self.disable()
 
     return KeptCode
+
+
+@cache
+def _stamps(module: str) -> frozenset[tuple[str, int, int]]:
+    """Return when a file of kernels and those that it uses were changed, and their sizes."""
+    names = vars(sys.modules[module])
+    used = {str(getattr(each, '__module__', None)) for each in names.values()}
+    if __name__ not in used:
+        # It has no kernels.
+        return frozenset()
+    found = Path(names['__file__']).stat()
+    stamps = {(module, found.st_mtime_ns, found.st_size)}
+    return frozenset(stamps.union(*map(_stamps, used.intersection(sys.modules) - {module})))
 
 
 @cache

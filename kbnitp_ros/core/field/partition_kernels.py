@@ -28,12 +28,8 @@ def transfer(
 
     Parameters
     ----------
-    free : ndarray of bool, shape (rows, columns)
-        Which cells may have a hazard.
-    fields : ndarray, shape (values,)
-        Each a.
-    coupling : float
-        J.
+    free, fields, coupling
+        As of `log_partition`.
     log_z, count : ndarray, shape (values,)
         Take ln Z and its derivative by a: the expected number of hazards.
 

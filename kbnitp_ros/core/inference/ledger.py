@@ -33,14 +33,10 @@ class Ledger(Deployments):
 
     Parameters
     ----------
-    grid : Grid
-        What the paths are checked against.
-    max_steps : int
-        The most steps a path may have.
+    grid, max_steps, robot_types
+        As of `Deployments`.
     estimator : Estimator
         Before the first deployment.
-    robot_types : mapping of str to RobotType
-        Of the robots of each agent whose robots are not like all others.
 
     Attributes
     ----------

@@ -134,6 +134,30 @@ def test_torn_files_are_compiled_anew(tmp_path, torn):
     assert len(warnings) == (torn is replaced_by_a_folder)
 
 
+def test_code_is_compiled_anew_when_a_file_that_it_uses_changes(tmp_path):
+    other = tmp_path / 'other_kernels.py'
+    calling = f"""
+import sys
+sys.path.insert(0, {str(tmp_path)!r})
+from kbnitp_ros.core.field.compiled import compiled
+from other_kernels import part
+
+@compiled
+def whole(x):
+    return 10.0 * part(x)
+
+print(whole(1.0))
+"""
+    printed = []
+    for source in ('x / 2', 'x / 4.0'):
+        other.write_text(
+            'from kbnitp_ros.core.field.compiled import inlined\n\n'
+            f'@inlined\ndef part(x):\n    return {source}\n'
+        )
+        printed += run(calling, folder=tmp_path)[0]
+    assert printed == ['5.0', '2.5']
+
+
 MISSIONS = """
 from kbnitp_ros.core import (
     Belief, Clustering, Dynamics, Grid, Learning, plan, run_mission, SearchOptions, SensorModel,

@@ -19,7 +19,8 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.planning.objective.moments import ERROR
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.search import labels, planners
-from kbnitp_ros.core.planning.search.label_kernels import label_value, no_labels, take
+from kbnitp_ros.core.planning.search.improvement_kernels import take
+from kbnitp_ros.core.planning.search.label_kernels import label_value, new_products
 from laws import for_each
 import numpy as np
 import pytest
@@ -84,14 +85,14 @@ def test_labels_are_worth_what_their_paths_are(seed):
     options = SearchOptions('relaxed', max_steps=8, max_visits=8, width=1)
     search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options)
     rank = np.argsort(search.reach.cells)
-    products = no_labels(1, 1, search.gains).products
+    products = new_products(1, search.problem.gains)
     visits = np.empty(12, dtype=np.int64)
     for _ in range(10):
         path = brute_force.random_path(rng, 4, 3, 5, int(rng.integers(1, 9)))
         information = path_information(belief, model, path)
         assert search.exact(rank[path]) == pytest.approx(information, abs=2e-9)
-        take(rank[path], 0, 0, search.gains, visits, products)
-        value = label_value(products, 0, search.objective) / 1e9
+        take(rank[path], 0, 0, search.problem.gains, visits, products)
+        value = label_value(products, 0, search.problem.objective) / 1e9
         assert value == pytest.approx(information, abs=ERROR + 2e-9)
         assert visits.sum() == len(path) - 1
 

@@ -129,13 +129,8 @@ def condition(
     ----------
     joint : ndarray, shape (n, 2, 2)
         Before.
-    log_likelihood : ndarray, broadcastable to (n, 2, 2)
-        Of the evidence, up to a constant for each cell.
-
-    Raises
-    ------
-    ValueError
-        If the evidence is impossible.
+    log_likelihood
+        As of `given`, which raises alike.
 
     """
     with np.errstate(divide='ignore'):

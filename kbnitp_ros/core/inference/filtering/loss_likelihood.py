@@ -72,14 +72,8 @@ def located_likelihood(
 
     Parameters
     ----------
-    hazard : ndarray, shape (n,)
-        P(Z = 1) of the visited cells.
-    model : SensorModel
-        Gives s0 and s1.
-    visits : Visits
-        The n cells, and in which steps each is visited.
-    lost_at : ndarray, shape (steps,)
-        At least 0.
+    hazard, model, visits, lost_at
+        As of `lost_likelihood`, of one belief.
 
     Returns
     -------
@@ -121,14 +115,8 @@ def multi_universe_likelihood(
 
     Parameters
     ----------
-    hazard : ndarray, shape (n,)
-        P(Z = 1) of the visited cells.
-    model : SensorModel
-        Gives s0 and s1.
-    visits : Visits
-        The n cells, how often each is visited, and in which steps.
-    lost_at : ndarray, shape (steps,), optional
-        How well each step fits.
+    hazard, model, visits, lost_at
+        As of `lost_likelihood`, of one belief.
 
     Returns
     -------
@@ -172,14 +160,8 @@ def published_likelihood(
 
     Parameters
     ----------
-    hazard : ndarray, shape (n,)
-        P(Z = 1) of the visited cells.
-    model : SensorModel
-        Gives P(D = 0 | Z).
-    visits : Visits
-        The n cells, how often each is visited, and in which steps.
-    lost_at : ndarray, shape (steps,), optional
-        How well each step fits.
+    hazard, model, visits, lost_at
+        As of `lost_likelihood`, of one belief.
 
     Returns
     -------

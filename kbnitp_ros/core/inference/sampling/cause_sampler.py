@@ -63,14 +63,10 @@ class CauseSampler(KnownModel):
 
     Parameters
     ----------
-    belief : Belief
-        The prior.
-    model : SensorModel
-        What robots like all others, and their sensors, are believed to be like.
+    belief, model, seed
+        As of a `Sampler`.
     dynamics : Dynamics
         How hazards change.
-    seed : int
-        At least 0.
 
     """
 
@@ -92,16 +88,7 @@ class CauseSampler(KnownModel):
         self._causes: NDArray[np.intp] = np.empty((CHAINS, 0), np.intp)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """
-        Assimilate one more deployment.
-
-        Raises
-        ------
-        ValueError
-            If its path leaves the field or the outcome is impossible; everything then stays as it
-            was.
-
-        """
+        """Assimilate one more deployment; refuse it as a `Sampler` does."""
         one_pass = self._one_pass.copy()
         one_pass.assimilate(observation, robot_type)
         model = robot_type.model(self.model)

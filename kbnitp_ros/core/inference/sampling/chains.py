@@ -15,6 +15,12 @@ from kbnitp_ros.core.inference.sampling.chain_state import (
     Places,
 )
 from kbnitp_ros.core.inference.sampling.hypotheses import Clusters, Hypotheses
+from kbnitp_ros.core.inference.sampling.located_kernels import LARGE, weigh_by_located
+from kbnitp_ros.core.inference.sampling.number_kernels import (
+    draw_values,
+    sum_of_cells,
+    weigh_by_losses,
+)
 from kbnitp_ros.core.inference.sampling.prior_map import (
     CERTAIN_HAZARD,
     CERTAIN_TARGET,
@@ -83,12 +89,6 @@ class Chains:
         self._place = {name: each.copy() for name, each in state.place.items()}
         self.sweeps = 0
         self._undecided = np.flatnonzero(maps.hazard.undecided)
-        self._graph = tally.loss_graph(maps.possible, maps.hazard.undecided)
-        self._located = tally.located_graph(maps.possible)
-        self._ties = gibbs.Ties(np.empty((0, 4), np.intp), np.ones(CHAINS))
-        if hypotheses.clusters is not None:
-            # The chains hold all cells.
-            self._ties = gibbs.Ties(hypotheses.clusters.neighbors, self._tie())
         # On a large field robots come back from few cells: the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = maps.odds()
@@ -96,25 +96,36 @@ class Chains:
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
         # What losses have in common with others: the robot type and the number of steps.
         longest = tally.steps.max(initial=0)
-        lengths, self._length = np.unique(
+        lengths, length = np.unique(
             tally.robot_type * (longest + 1) + tally.steps, return_inverse=True
         )
-        self._type_of_length, steps = np.divmod(lengths, longest + 1)
-        exposures = np.arange(longest + 1)
+        type_of_length, steps = np.divmod(lengths, longest + 1)
         log_endured, log_spared = self._survival_of_types()
-        of_lengths = np.take(log_endured, self._type_of_length, axis=1)
-        self._endured = np.exp(times_log(steps, of_lengths))
-        self._spared = np.exp(times_log(exposures, log_spared[:, :, None]))
-        self._step_endured, self._step_spared = np.exp(log_endured), np.exp(log_spared)
+        neighbors: Places = np.empty((0, 4), np.intp)
+        if hypotheses.clusters is not None:
+            # The chains hold all cells.
+            neighbors = hypotheses.clusters.neighbors
+        self._factors = gibbs.Factors(
+            odds=np.empty((0, 0)),
+            length=length,
+            robot_type=type_of_length,
+            endured=np.exp(times_log(steps, np.take(log_endured, type_of_length, axis=1))),
+            spared=np.exp(times_log(np.arange(longest + 1), log_spared[:, :, None])),
+            step_endured=np.exp(log_endured),
+            step_spared=np.exp(log_spared),
+            graph=tally.loss_graph(maps.possible, maps.hazard.undecided),
+            located=tally.located_graph(maps.possible),
+            ties=gibbs.Ties(neighbors, self._tie()),
+        )
         self._hazard_state = gibbs.HazardState(
             self._hazardous,
             np.zeros((CHAINS, tally.steps.size), np.int32),
             self._place['malfunction'],
             self._place['lethality'],
         )
-        gibbs.count_exposures(self._hazard_state, self._graph)
+        gibbs.count_exposures(self._hazard_state, self._factors.graph)
         self._uniform = np.empty(state.hazardous.shape)
-        certain = np.where(maps.possible, gibbs.LARGE, 0.0)
+        certain = np.where(maps.possible, LARGE, 0.0)
         self._odds = np.tile(certain, (CHAINS, 1))
         self._joints = np.zeros((GROUPS, maps.possible.size, 2, 2))
         self._weights = {
@@ -136,36 +147,18 @@ class Chains:
     def draw_field(self) -> tuple[Floats, Floats]:
         """Draw the hazards alone; return the odds of targets without and with one."""
         odds, target_if_safe, target_if_hazardous = self._given_returns()
-        factors = gibbs.Factors(
-            odds,
-            self._length,
-            self._type_of_length,
-            self._endured,
-            self._spared,
-            self._step_endured,
-            self._step_spared,
-        )
+        factors = self._factors._replace(odds=odds)
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
                 self._hazard_state,
                 factors,
-                self._graph,
-                self._located,
-                self._ties,
                 self._undecided,
                 self._rng.random(out=self._uniform),
                 self._odds,
             )
             if self._tally.steps.size or self._tally.located_steps.size:
                 proposals = self._rng.random((CHAINS, SWAPS, 4))
-                gibbs.swap_hazards(
-                    self._hazard_state,
-                    factors,
-                    self._graph,
-                    self._located,
-                    self._ties,
-                    proposals,
-                )
+                gibbs.swap_hazards(self._hazard_state, factors, proposals)
             gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
         return target_if_safe, target_if_hazardous
 
@@ -211,7 +204,8 @@ class Chains:
     def _tie(self) -> Floats:
         """Return e^J of each chain."""
         clusters = self._hypotheses.clusters
-        assert clusters is not None
+        if clusters is None:
+            return np.ones(CHAINS)
         strength: Floats = np.exp(clusters.coupling[self._place['coupling']])
         return strength
 
@@ -297,7 +291,7 @@ class Chains:
         """
         log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
         weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-        gibbs.draw_values(weight, self._rng.random(CHAINS), self._place[name])
+        draw_values(weight, self._rng.random(CHAINS), self._place[name])
         self._weights[name] += weight.reshape(GROUPS, -1, weight.shape[1]).mean(axis=1)
         return weight
 
@@ -315,17 +309,18 @@ class Chains:
         where :math:`F_a = F(T_a, E_a)` is the chance of loss a.
         """
         tally, hypotheses = self._tally, self._hypotheses
-        exposures, lengths = self._hazard_state.exposures, self._length
+        exposures, factors = self._hazard_state.exposures, self._factors
+        malfunction, lethality = self._place['malfunction'], self._place['lethality']
         if 'lethality' in hypotheses.unknown:
-            values, robot_types, most = self._spared.shape
+            values, robot_types, most = factors.spared.shape
             likelihood = np.ones((CHAINS, values))
-            endured = self._endured[self._place['malfunction'][:, None], lengths]
-            spared: Floats = self._spared.reshape(values, robot_types * most).T.copy()
+            endured = factors.endured[malfunction[:, None], factors.length]
+            spared: Floats = factors.spared.reshape(values, robot_types * most).T.copy()
             place = exposures + (tally.robot_type * most).astype(np.int32)
-            gibbs.weigh_by_losses(endured, place, spared, likelihood)
+            weigh_by_losses(endured, place, spared, likelihood)
             self._weigh_by_located(
-                self._step_endured[self._place['malfunction']][:, :, None],
-                self._step_spared.T[None],
+                factors.step_endured[malfunction][:, :, None],
+                factors.step_spared.T[None],
                 likelihood,
             )
             log_likelihood = log(likelihood)
@@ -338,16 +333,16 @@ class Chains:
             weight = self._draw('lethality', log_likelihood)
             ordinary = self._rates[tally.robot_types.index(ORDINARY)]
             spared = (weight * np.exp(ordinary.log_spared)).sum(axis=1)
-            endured = np.exp(ordinary.log_endured[self._place['malfunction']])
+            endured = np.exp(ordinary.log_endured[malfunction])
             self._steps_survived += endured.sum(), (endured * spared).sum()
         if 'malfunction' in hypotheses.unknown:
-            likelihood = np.ones((CHAINS, self._endured.shape[0]))
-            spared = self._spared[self._place['lethality'][:, None], tally.robot_type, exposures]
-            length = np.broadcast_to(lengths.astype(np.int32), spared.shape).copy()
-            gibbs.weigh_by_losses(spared, length, self._endured.T.copy(), likelihood)
+            likelihood = np.ones((CHAINS, factors.endured.shape[0]))
+            spared = factors.spared[lethality[:, None], tally.robot_type, exposures]
+            length = np.broadcast_to(factors.length.astype(np.int32), spared.shape).copy()
+            weigh_by_losses(spared, length, factors.endured.T.copy(), likelihood)
             self._weigh_by_located(
-                self._step_endured.T[None],
-                self._step_spared[self._place['lethality']][:, :, None],
+                factors.step_endured.T[None],
+                factors.step_spared[lethality][:, :, None],
                 likelihood,
             )
             log_likelihood = log(likelihood)
@@ -364,7 +359,7 @@ class Chains:
                 np.ascontiguousarray(np.broadcast_to(each, shape))
                 for each in (endured, endured * spared)
             )
-            gibbs.weigh_by_located(self._hazardous, self._located, safe, exposed, likelihood)
+            weigh_by_located(self._hazardous, self._factors.located, safe, exposed, likelihood)
 
     def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
         r"""
@@ -405,7 +400,7 @@ class Chains:
             if name in unknown:
                 cells = concerned & prior.undecided[read]
                 log_likelihood = (cells & target).sum(axis=1)[:, None] * prior.offset
-                gibbs.sum_of_cells(cells, prior.log_absent[read], log_likelihood)
+                sum_of_cells(cells, prior.log_absent[read], log_likelihood)
                 self._draw(name, log_likelihood)
         for name, concerned in (('true_positive', target), ('false_positive', ~target)):
             if name in unknown:
@@ -434,12 +429,13 @@ class Chains:
             self._draw('hazard_density', field * count - log_z)
         if 'coupling' in unknown:
             pairs = np.empty(CHAINS, np.int64)
-            gibbs.count_tied(self._ties, self._hazardous, pairs)
+            gibbs.count_tied(self._factors.ties, self._hazardous, pairs)
             field, log_z = (
                 each.T[place['hazard_density']] for each in (clusters.field, clusters.log_z)
             )
             self._draw('coupling', field * count + pairs[:, None] * clusters.coupling - log_z)
-            self._ties = self._ties._replace(strength=self._tie())
+            ties = self._factors.ties._replace(strength=self._tie())
+            self._factors = self._factors._replace(ties=ties)
 
     def learnt(self) -> dict[str, Learnt]:
         """Return what is known of each unknown number by now, by its name."""

@@ -6,18 +6,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.inference.sampling.located_kernels import (
+    LARGE,
+    located_ratio,
+    LocatedGraph,
+    new_sums,
+    sum_all_steps,
+    sum_through,
+)
 import numpy as np
 from numpy.typing import NDArray
 
 # A loss is never less likely than this, so that a chain finds out of states that explain it not
 # at all; far above what rounding leaves of 1 - 1.
 LEAST = 1e-30
-# The same of a loss whose steps weigh by how well they fit, of which nothing is subtracted.
-LEAST_FIT = 1e-100
 # Products are divided before they leave the range of floating point.
-SMALL, LARGE = 1e-200, 1e300
-# How many losses may be multiplied up before that.
-OFTEN = 6
+SMALL = 1e-200
 
 
 class LossGraph(NamedTuple):
@@ -42,60 +46,6 @@ class LossGraph(NamedTuple):
     visits: NDArray[np.int32]
     first_cell: NDArray[np.int32]
     cell: NDArray[np.int32]
-
-
-class LocatedGraph(NamedTuple):
-    """
-    The losses of which it is known how well each step fits.
-
-    Attributes
-    ----------
-    first_entry : ndarray of int, shape (cells + 1,)
-        Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
-    loss, first, last : ndarray of int, shape (entries,)
-        A loss, and its first and last steps into the cell.
-    first_step : ndarray of int, shape (losses + 1,)
-        The steps of loss a are those from ``first_step[a]`` to ``first_step[a + 1] - 1``.
-    robot_type : ndarray of int, shape (losses,)
-        Of the robot.
-    cell : ndarray of int, shape (steps,)
-        The cell that each step leads to.
-    lost_at : ndarray, shape (steps,)
-        How well a loss in each step fits what was observed.
-
-    """
-
-    first_entry: NDArray[np.int32]
-    loss: NDArray[np.int32]
-    first: NDArray[np.int32]
-    last: NDArray[np.int32]
-    first_step: NDArray[np.int32]
-    robot_type: NDArray[np.int32]
-    cell: NDArray[np.int32]
-    lost_at: NDArray[np.float64]
-
-
-class LocatedSums(NamedTuple):
-    """
-    Of one chain, the parts of each located loss before and after each step; kernels change it.
-
-    Attributes
-    ----------
-    before : ndarray, shape (steps,)
-        Chance of the loss in the steps before this one, each by how well it fits.
-    reached : ndarray, shape (steps,)
-        Chance to survive the steps before this one.
-    rest : ndarray, shape (steps,)
-        Chance of the loss from this step on, of a robot that reaches it.
-    survival : ndarray, shape (types, 2)
-        s_z of one step, by robot type.
-
-    """
-
-    before: NDArray[np.float64]
-    reached: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    survival: NDArray[np.float64]
 
 
 class HazardState(NamedTuple):
@@ -155,6 +105,12 @@ class Factors(NamedTuple):
         Chance of no strike in that many exposures of a robot of each type.
     step_endured, step_spared : ndarray, shape (values, types)
         Chances of no malfunction and of no strike in one step.
+    graph : LossGraph
+        The lost paths.
+    located : LocatedGraph
+        The losses of which it is known how well each step fits.
+    ties : Ties
+        Of neighbouring hazards.
 
     """
 
@@ -165,29 +121,27 @@ class Factors(NamedTuple):
     spared: NDArray[np.float64]
     step_endured: NDArray[np.float64]
     step_spared: NDArray[np.float64]
+    graph: LossGraph
+    located: LocatedGraph
+    ties: Ties
 
 
 @compiled
 def lost(survived: float) -> float:
-    """
-    Return the chance to be lost, from that to survive.
-
-    Equation :eq:`loss-probability`.
-    """
+    """Return the chance to be lost, from that to survive (equation :eq:`loss-probability`)."""
     return max(1.0 - survived, LEAST)
 
 
 @compiled
 def tabulate_losses(
-    state: HazardState, factors: Factors, chain: int, table: NDArray[np.float64]
+    endured: NDArray[np.float64],
+    spared: NDArray[np.float64],
+    robot_type: NDArray[np.intp],
+    table: NDArray[np.float64],
 ) -> None:
     """Fill `table`, (lengths, exposures), with the chance to be lost by the rates of a chain."""
-    endured, spared = (
-        factors.endured[state.malfunction[chain]],
-        factors.spared[state.strike[chain]],
-    )
     for length in range(endured.size):
-        of_type = spared[factors.robot_type[length]]
+        of_type = spared[robot_type[length]]
         for exposures in range(of_type.size):
             table[length, exposures] = lost(endured[length] * of_type[exposures])
 
@@ -202,9 +156,9 @@ def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, haz
 @compiled
 def loss_ratio(
     exposures: NDArray[np.int32],
-    factors: Factors,
-    graph: LossGraph,
     table: NDArray[np.float64],
+    length: NDArray[np.intp],
+    graph: LossGraph,
     cell: int,
     hazards: int,
     ratio: float,
@@ -212,106 +166,10 @@ def loss_ratio(
     """Do what `add_exposures` does, and return `ratio` times that of the losses' chances."""
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         path = graph.loss[entry]
-        chance = table[factors.length[path]]
+        chance = table[length[path]]
         before = chance[exposures[path]]
         exposures[path] += hazards * graph.visits[entry]
         ratio = min(ratio * (chance[exposures[path]] / before), LARGE)
-    return ratio
-
-
-@compiled
-def new_sums(located: LocatedGraph, factors: Factors) -> LocatedSums:
-    """Return the sums of one chain, not found yet."""
-    steps = located.cell.size
-    survival = np.empty((factors.step_endured.shape[1], 2))
-    return LocatedSums(np.empty(steps), np.empty(steps), np.empty(steps), survival)
-
-
-@compiled
-def sum_steps(
-    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
-) -> None:
-    """
-    Find the sums of a located loss by the hazards of a chain.
-
-    Equation :eq:`loss-located`.
-    """
-    survival = sums.survival[located.robot_type[path]]
-    first, end = located.first_step[path], located.first_step[path + 1]
-    before, reached = 0.0, 1.0
-    for step in range(first, end):
-        survived = survival[hazardous[located.cell[step]]]
-        sums.before[step], sums.reached[step] = before, reached
-        before += reached * located.lost_at[step] * (1.0 - survived)
-        reached *= survived
-    rest = 0.0
-    for step in range(end - 1, first - 1, -1):
-        survived = survival[hazardous[located.cell[step]]]
-        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
-        sums.rest[step] = rest
-
-
-@compiled
-def sum_all_steps(
-    sums: LocatedSums,
-    located: LocatedGraph,
-    state: HazardState,
-    factors: Factors,
-    chain: int,
-) -> None:
-    """Find the sums of all located losses by the hazards and the rates of a chain."""
-    for robot_type in range(sums.survival.shape[0]):
-        endured = factors.step_endured[state.malfunction[chain], robot_type]
-        sums.survival[robot_type, 0] = endured
-        sums.survival[robot_type, 1] = (
-            endured * factors.step_spared[state.strike[chain], robot_type]
-        )
-    for path in range(located.robot_type.size):
-        sum_steps(sums, located, state.hazardous[chain], path)
-
-
-@compiled
-def located_chance(
-    sums: LocatedSums,
-    located: LocatedGraph,
-    hazardous: NDArray[np.int8],
-    entry: int,
-    hazard: int,
-) -> float:
-    """Return the chance of a located loss if the cell of an entry had this hazard."""
-    path, first, last = located.loss[entry], located.first[entry], located.last[entry]
-    survival, cell = sums.survival[located.robot_type[path]], located.cell[first]
-    rest = sums.rest[last + 1] if last + 1 < located.first_step[path + 1] else 0.0
-    for step in range(last, first - 1, -1):
-        visited = located.cell[step]
-        survived = survival[hazard if visited == cell else hazardous[visited]]
-        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
-    return float(max(sums.before[first] + sums.reached[first] * rest, LEAST_FIT))
-
-
-@compiled
-def sum_through(
-    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], cell: int
-) -> None:
-    """Find the sums of the located losses through a cell again."""
-    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
-        sum_steps(sums, located, hazardous, located.loss[entry])
-
-
-@compiled
-def located_ratio(
-    sums: LocatedSums,
-    located: LocatedGraph,
-    hazardous: NDArray[np.int8],
-    cell: int,
-    hazard: int,
-    ratio: float,
-) -> float:
-    """Return `ratio` times that of the chances with this hazard in a cell and with the other."""
-    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
-        now = located_chance(sums, located, hazardous, entry, hazard)
-        other = located_chance(sums, located, hazardous, entry, 1 - hazard)
-        ratio = min(ratio * (now / other), LARGE)
     return ratio
 
 
@@ -352,9 +210,6 @@ def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int,
 def draw_hazards(
     state: HazardState,
     factors: Factors,
-    graph: LossGraph,
-    located: LocatedGraph,
-    ties: Ties,
     cells: NDArray[np.intp],
     uniform: NDArray[np.float64],
     drawn_with: NDArray[np.float64],
@@ -374,22 +229,25 @@ def draw_hazards(
     `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
     shape, takes the conditional odds of a hazard that each was drawn with.
     """
-    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
-    sums = new_sums(located, factors)
+    graph, located, ties = factors.graph, factors.located, factors.ties
     # Handing so many arrays to a function takes longer than what it does without such losses.
-    any_located = located.cell.size > 0
-    any_tied = ties.neighbors.shape[0] > 0
+    any_located, any_tied = located.cell.size > 0, ties.neighbors.shape[0] > 0
+    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = new_sums(located, factors.step_endured.shape[1])
     # By the number of hazardous neighbours: a power takes longer than all else of most cells.
     tied = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
-        odds = factors.odds[chain % factors.odds.shape[0]]
+        malfunction, strike = state.malfunction[chain], state.strike[chain]
+        endured, spared = factors.endured[malfunction], factors.spared[strike]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
-        tabulate_losses(state, factors, chain, table)
+        tabulate_losses(endured, spared, factors.robot_type, table)
         if any_located:
-            sum_all_steps(sums, located, state, factors, chain)
+            endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
+            sum_all_steps(sums, located, hazardous, endured, alive)
         if any_tied:
             for around in range(tied.size):
                 tied[around] = ties.strength[chain] ** around
+        odds = factors.odds[chain % factors.odds.shape[0]]
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
             here = hazardous[cell]
@@ -419,14 +277,7 @@ def draw_hazards(
 
 
 @compiled
-def swap_hazards(
-    state: HazardState,
-    factors: Factors,
-    graph: LossGraph,
-    located: LocatedGraph,
-    ties: Ties,
-    uniform: NDArray[np.float64],
-) -> None:
+def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
     r"""
     Propose that a hazardous and a safe cell of a lost path change places (Metropolis).
 
@@ -440,17 +291,20 @@ def swap_hazards(
     as before, so proposals are symmetric. Where hazards cluster, the ratio has :math:`e^{J k}` as
     well, with the k neighbouring pairs of hazards that the swap brings.
     """
-    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
-    sums = new_sums(located, factors)
+    graph, located, ties = factors.graph, factors.located, factors.ties
     # Handing so many arrays to a function takes longer than what it does without such losses.
-    any_located = located.cell.size > 0
-    any_tied = ties.neighbors.shape[0] > 0
+    any_located, any_tied = located.cell.size > 0, ties.neighbors.shape[0] > 0
+    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = new_sums(located, factors.step_endured.shape[1])
     for chain in range(state.hazardous.shape[0]):
-        odds = factors.odds[chain % factors.odds.shape[0]]
+        malfunction, strike = state.malfunction[chain], state.strike[chain]
+        endured, spared = factors.endured[malfunction], factors.spared[strike]
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
-        tabulate_losses(state, factors, chain, table)
+        tabulate_losses(endured, spared, factors.robot_type, table)
         if any_located:
-            sum_all_steps(sums, located, state, factors, chain)
+            endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
+            sum_all_steps(sums, located, hazardous, endured, alive)
+        odds = factors.odds[chain % factors.odds.shape[0]]
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
             path = int(numbers[0] * (graph.first_cell.size - 1))
@@ -471,12 +325,12 @@ def swap_hazards(
                 hazardous[old] = 1
                 ratio = min(ratio * ties.strength[chain] ** more, LARGE)
             # The new hazard comes first, so that no loss is left unexplained in between.
-            ratio = loss_ratio(exposures, factors, graph, table, new, 1, ratio)
+            ratio = loss_ratio(exposures, table, factors.length, graph, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
                 hazardous[new] = 1
                 sum_through(sums, located, hazardous, new)
-            ratio = loss_ratio(exposures, factors, graph, table, old, -1, ratio)
+            ratio = loss_ratio(exposures, table, factors.length, graph, old, -1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
             changed = old if numbers[3] < ratio else new
@@ -537,123 +391,3 @@ def add_joints(
             group[cell, 0, 1] += safe * if_safe[cell]
             group[cell, 1, 0] += hazard
             group[cell, 1, 1] += hazard * if_hazardous[cell]
-
-
-@compiled
-def draw_values(
-    weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
-) -> None:
-    """Draw the place of each chain by its `weights`, (chains, values), and normalise these."""
-    for chain in range(weights.shape[0]):
-        own = weights[chain]
-        total = 0.0
-        for value in range(own.size):
-            total += own[value]
-        sought, below, drawn = uniform[chain] * total, 0.0, 0
-        for value in range(own.size):
-            below += own[value]
-            if below <= sought:
-                drawn = value + 1
-            own[value] /= total
-        place[chain] = min(drawn, own.size - 1)
-
-
-@compiled
-def weigh_by_losses(
-    kept: NDArray[np.float64],
-    place: NDArray[np.int32],
-    rest: NDArray[np.float64],
-    likelihood: NDArray[np.float64],
-) -> None:
-    r"""
-    Multiply `likelihood`, (chains, values), by that of all losses, for each value of a rate.
-
-    The product of equation :eq:`rate-conditional`,
-
-    .. math:: \prod_a F(T_a, E_a) = \prod_a \bigl( 1 - (1 - m)^{T_a} (1 - \lambda)^{E_a} \bigr).
-
-    Parameters
-    ----------
-    kept, place : ndarray, shape (chains, losses)
-        The part of the chance to survive each lost path that the rate has nothing to do with,
-        and the row of the other part.
-    rest : ndarray, shape (places, values)
-        The other part, for each value of the rate.
-    likelihood : ndarray, shape (chains, values)
-        Divided by whatever keeps it in range: only the ratios of a chain's values tell anything.
-
-    """
-    for chain in range(likelihood.shape[0]):
-        own = likelihood[chain]
-        for path in range(kept.shape[1]):
-            chance, row = kept[chain, path], rest[place[chain, path]]
-            for value in range(own.size):
-                own[value] *= lost(chance * row[value])
-            if path % OFTEN == OFTEN - 1:
-                largest = 0.0
-                for value in range(own.size):
-                    largest = max(largest, own[value])
-                for value in range(own.size):
-                    own[value] /= largest
-
-
-@compiled
-def weigh_by_located(
-    hazardous: NDArray[np.int8],
-    located: LocatedGraph,
-    safe: NDArray[np.float64],
-    exposed: NDArray[np.float64],
-    likelihood: NDArray[np.float64],
-) -> None:
-    """
-    Do what `weigh_by_losses` does, of the located losses, by equation :eq:`loss-located`.
-
-    Parameters
-    ----------
-    hazardous : ndarray of int, shape (chains, cells)
-        Z of each cell.
-    located : LocatedGraph
-        The losses.
-    safe, exposed : ndarray, shape (chains, types, values)
-        Chance to survive a step into a safe cell and into a hazard, for each value of the rate.
-    likelihood : ndarray, shape (chains, values)
-        Divided by whatever keeps it in range.
-
-    """
-    rest = np.empty(likelihood.shape[1])
-    for chain in range(likelihood.shape[0]):
-        own = likelihood[chain]
-        for path in range(located.robot_type.size):
-            robot_type = located.robot_type[path]
-            rest[:] = 0.0
-            for step in range(located.first_step[path + 1] - 1, located.first_step[path] - 1, -1):
-                if hazardous[chain, located.cell[step]]:
-                    survived = exposed[chain, robot_type]
-                else:
-                    survived = safe[chain, robot_type]
-                weight = located.lost_at[step]
-                for value in range(rest.size):
-                    alive = survived[value]
-                    rest[value] = weight * (1.0 - alive) + alive * rest[value]
-            largest = 0.0
-            for value in range(rest.size):
-                own[value] *= max(rest[value], LEAST_FIT)
-                largest = max(largest, own[value])
-            for value in range(rest.size):
-                own[value] /= largest
-
-
-@compiled
-def sum_of_cells(
-    chosen: NDArray[np.bool_], table: NDArray[np.float64], total: NDArray[np.float64]
-) -> None:
-    """
-    Add to `total`, (chains, values), the rows of `table`, (cells, values), of those chosen.
-
-    The sum over cells of the logarithm of equation :eq:`map-conditional`.
-    """
-    for chain in range(chosen.shape[0]):
-        for cell in range(chosen.shape[1]):
-            if chosen[chain, cell]:
-                for value in range(table.shape[1]):
-                    total[chain, value] += table[cell, value]

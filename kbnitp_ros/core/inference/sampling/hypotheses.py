@@ -77,14 +77,8 @@ class Hypotheses:
 
     Parameters
     ----------
-    belief : Belief
-        The prior.
-    model : SensorModel
-        What robots like all others, and their sensors, are believed to be like.
-    unknowns : Unknowns
-        Which of these numbers are not known.
-    clustering : Clustering, optional
-        Of the hazards; independent unless given.
+    belief, model, unknowns, clustering
+        As of a `Sampler`.
 
     Attributes
     ----------

@@ -159,12 +159,7 @@ class Sampler:
         """
         Assimilate one more deployment.
 
-        Raises
-        ------
-        ValueError
-            If its path leaves the field or the outcome is impossible; everything then stays as it
-            was.
-
+        A ValueError says that its path leaves the field or the outcome is impossible.
         """
         check_cells(self.belief, observation)
         tally = self._tally.with_deployment(observation, robot_type)

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from kbnitp_ros.core.field import Observation, ORDINARY, RobotType, Visits
-from kbnitp_ros.core.inference.sampling import gibbs
+from kbnitp_ros.core.inference.sampling.gibbs import LossGraph
+from kbnitp_ros.core.inference.sampling.located_kernels import LocatedGraph
 import numpy as np
 from numpy.typing import NDArray
 
@@ -145,9 +146,7 @@ class Tally:
         """Where the steps of each located loss start, and the end."""
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
-    def loss_graph(
-        self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]
-    ) -> gibbs.LossGraph:
+    def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
         """Return the lost paths with their cells of possible, and those of undecided, hazards."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
@@ -156,7 +155,7 @@ class Tally:
         path = np.append(self.path, loss + self.steps.size)
         cell = np.append(self.cell, cell)
         movable = undecided[cell]
-        return gibbs.LossGraph(
+        return LossGraph(
             group_starts(self.cell[held], self.survived.shape[1]),
             self.path[by_cell],
             self.visits[by_cell],
@@ -164,12 +163,12 @@ class Tally:
             cell[movable],
         )
 
-    def located_graph(self, possible: NDArray[np.bool_]) -> gibbs.LocatedGraph:
+    def located_graph(self, possible: NDArray[np.bool_]) -> LocatedGraph:
         """Return the located losses with their cells of possible hazards."""
         loss, cell, first, last = self._located_visits()
         held = np.flatnonzero(possible[cell])
         by_cell = held[np.argsort(cell[held], kind='stable')]
-        return gibbs.LocatedGraph(
+        return LocatedGraph(
             group_starts(cell[held], self.survived.shape[1]),
             loss[by_cell],
             first[by_cell],

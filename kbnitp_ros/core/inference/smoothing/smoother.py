@@ -171,12 +171,7 @@ class Smoother(KnownModel):
         """
         Assimilate one more deployment, at the cost of the messages that it changes.
 
-        Raises
-        ------
-        ValueError
-            If its path leaves the field or the outcome is impossible; the evidence then stays as
-            it was.
-
+        A ValueError says that its path leaves the field or the outcome is impossible.
         """
         check_cells(self._prior, observation)
         losses, model = self._losses, robot_type.model(self.model)

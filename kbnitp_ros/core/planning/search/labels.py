@@ -9,22 +9,13 @@ from math import inf
 from kbnitp_ros.core.field import Grid
 from kbnitp_ros.core.planning.objective.behavioral import powers_weights
 from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
-from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
 from kbnitp_ros.core.planning.search.gains import gains_of
-from kbnitp_ros.core.planning.search.label_kernels import (
-    improve,
-    LabelObjective,
-    no_labels,
-    out_and_back,
-    outcome_value,
-    Reach,
-    search,
-    take,
-    trace,
-)
+from kbnitp_ros.core.planning.search.improvement_kernels import exact_value, improve, out_and_back
+from kbnitp_ros.core.planning.search.label_kernels import LabelObjective, LabelProblem, Reach
 from kbnitp_ros.core.planning.search.reach import reach_of
+from kbnitp_ros.core.planning.search.search_kernels import search, trace
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,35 +96,31 @@ class LabelSearch:
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size
         check_memory(self.reach, options, outcomes.size, earlier, further, powers)
-        self.gains = gains_of(objective, self.reach.cells, max_visits)
-        self.marks = scattered(self.reach.cells.size, 62 - max_steps.bit_length())
+        self.problem = LabelProblem(
+            self.reach,
+            scattered(self.reach.cells.size, 62 - max_steps.bit_length()),
+            gains_of(objective, self.reach.cells, max_visits),
+            LabelObjective(weights, outcomes, objective.loss_cost, 10.0**DECIMALS),
+        )
         self._hazard = objective.belief.hazard[self.reach.cells]
         self._log_survival = objective.model.log_survival
-        self.objective = LabelObjective(weights, outcomes, objective.loss_cost, 10.0**DECIMALS)
         self._width = width
         # The values of closed paths, by the marks of their visits.
         self._exact: dict[int, float] = {}
         by_heuristic = width // 2
         completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 5))
         if by_heuristic:
-            self._search(1, 0, completions)
-        self._origins, self._values = self._search(width, by_heuristic, completions)
-
-    def _search(
-        self, width: int, by_heuristic: int, completions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Return where each label comes from, and the values of those at the base."""
-        return search(
-            self.reach, self.marks, self.gains, self.objective, width, by_heuristic, completions
-        )
+            search(self.problem, 1, 0, completions)
+        # Where each label comes from, and the values of those at the base.
+        self._origins, self._values = search(self.problem, width, by_heuristic, completions)
 
     def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
         """Return the paths of the best labels at the base, then the shortest, as ranks."""
         best = np.argsort(-self._values, axis=None, kind='stable')[:most]
         return [
-            self._traced(0, row, steps)
-            for steps, row in zip(*np.divmod(best, self._width))
-            if self._values[steps, row] > -inf
+            self._traced(0, slot, steps)
+            for steps, slot in zip(*np.divmod(best, self._width))
+            if self._values[steps, slot] > -inf
         ]
 
     def turned_paths(self, most: int) -> list[NDArray[np.intp]]:
@@ -148,21 +135,19 @@ class LabelSearch:
         steps = (allowed - 2) // 2
         if steps < 1:
             return []
-        values = out_and_back(
-            steps, self.reach, self._origins, self._width, self.gains, self.objective
-        )
+        values = out_and_back(self.problem, self._origins, steps)
         ways = [
-            self._traced(cell, cell * self._width, steps)
+            self._traced(cell, 0, steps)
             for cell in np.argsort(-values, kind='stable')[:most]
             if values[cell] > -inf
         ]
         return [np.concatenate((way, way[-2::-1])) for way in ways]
 
-    def _traced(self, cell: int, row: int, steps: int) -> NDArray[np.intp]:
-        """Return the path of a label in some row after so many steps at a cell, as ranks."""
+    def _traced(self, cell: int, slot: int, steps: int) -> NDArray[np.intp]:
+        """Return the path of a label in some slot after so many steps at a cell, as ranks."""
         path = np.empty(steps + 1, dtype=np.intp)
         path[steps] = cell
-        trace(self.reach, self._origins, self._width, row, path)
+        trace(self.reach, self._origins, slot, path)
         return path
 
     def improved(self, paths: Sequence[NDArray[np.intp]], replaced: int) -> list[NDArray[np.intp]]:
@@ -171,14 +156,7 @@ class LabelSearch:
         for path in paths:
             longest = np.empty(self.reach.within.size, dtype=np.intp)
             longest[: path.size] = path
-            steps = improve(
-                longest,
-                path.size - 1,
-                self.reach,
-                self.gains,
-                self.objective,
-                replaced,
-            )
+            steps = improve(self.problem, longest, path.size - 1, replaced)
             improved.append(longest[: steps + 1])
         return improved
 
@@ -186,7 +164,7 @@ class LabelSearch:
         """Return closed paths and their value, the best first, those of equal visits once."""
         of_visits: dict[int, NDArray[np.intp]] = {}
         for path in paths:
-            of_visits.setdefault(int(self.marks[path[1:]].sum()), path)
+            of_visits.setdefault(int(self.problem.marks[path[1:]].sum()), path)
         for visits, path in of_visits.items():
             if visits not in self._exact:
                 self._exact[visits] = self.exact(path)
@@ -194,19 +172,10 @@ class LabelSearch:
         return sorted(values, key=lambda ranked: (-ranked[0], ranked[1].size))
 
     def exact(self, path: NDArray[np.intp]) -> float:
-        """
-        Return the value of a closed path, without the error of the moments, rounded.
-
-        Equation :eq:`objective-value`.
-        """
+        """Return the value of a closed path, without the error of the moments, rounded."""
         if self._sought.alpha != SHANNON:
             return Candidate.along(self.reach.cells[path], self._sought).value
-        products = no_labels(1, 1, self.gains).products
-        visits = np.empty(self.reach.cells.size, dtype=np.int64)
-        take(path, 0, 0, self.gains, visits, products)
-        value = outcome_value(products, 0, self.objective)
-        value -= left_open(exposed(path[1:], self._hazard, *self._log_survival))
-        return round(value, DECIMALS)
+        return round(exact_value(self.problem, path, self._hazard, *self._log_survival), DECIMALS)
 
 
 def check_memory(

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws of the numbers that are not known, for many chains side by side."""
+
+from __future__ import annotations
+
+from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.inference.sampling.gibbs import lost
+import numpy as np
+from numpy.typing import NDArray
+
+# How many losses may be multiplied up before products are divided.
+OFTEN = 6
+
+
+@compiled
+def draw_values(
+    weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
+) -> None:
+    """Draw the place of each chain by its `weights`, (chains, values), and normalise these."""
+    for chain in range(weights.shape[0]):
+        own = weights[chain]
+        total = 0.0
+        for value in range(own.size):
+            total += own[value]
+        sought, below, drawn = uniform[chain] * total, 0.0, 0
+        for value in range(own.size):
+            below += own[value]
+            if below <= sought:
+                drawn = value + 1
+            own[value] /= total
+        place[chain] = min(drawn, own.size - 1)
+
+
+@compiled
+def weigh_by_losses(
+    kept: NDArray[np.float64],
+    place: NDArray[np.int32],
+    rest: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
+) -> None:
+    r"""
+    Multiply `likelihood`, (chains, values), by that of all losses, for each value of a rate.
+
+    The product of equation :eq:`rate-conditional`,
+
+    .. math:: \prod_a F(T_a, E_a) = \prod_a \bigl( 1 - (1 - m)^{T_a} (1 - \lambda)^{E_a} \bigr).
+
+    Parameters
+    ----------
+    kept, place : ndarray, shape (chains, losses)
+        The part of the chance to survive each lost path that the rate has nothing to do with,
+        and the row of the other part.
+    rest : ndarray, shape (places, values)
+        The other part, for each value of the rate.
+    likelihood : ndarray, shape (chains, values)
+        Divided by whatever keeps it in range: only the ratios of a chain's values tell anything.
+
+    """
+    for chain in range(likelihood.shape[0]):
+        own = likelihood[chain]
+        for path in range(kept.shape[1]):
+            chance, row = kept[chain, path], rest[place[chain, path]]
+            for value in range(own.size):
+                own[value] *= lost(chance * row[value])
+            if path % OFTEN == OFTEN - 1:
+                largest = 0.0
+                for value in range(own.size):
+                    largest = max(largest, own[value])
+                for value in range(own.size):
+                    own[value] /= largest
+
+
+@compiled
+def sum_of_cells(
+    chosen: NDArray[np.bool_], table: NDArray[np.float64], total: NDArray[np.float64]
+) -> None:
+    """
+    Add to `total`, (chains, values), the rows of `table`, (cells, values), of those chosen.
+
+    The sum over cells of the logarithm of equation :eq:`map-conditional`.
+    """
+    for chain in range(chosen.shape[0]):
+        for cell in range(chosen.shape[1]):
+            if chosen[chain, cell]:
+                for value in range(table.shape[1]):
+                    total[chain, value] += table[cell, value]

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loops of the local search that improves closed paths."""
+
+from __future__ import annotations
+
+from math import inf
+
+from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
+from kbnitp_ros.core.planning.search.label_kernels import (
+    Floats,
+    Gains,
+    label_value,
+    LabelProblem,
+    new_products,
+    outcome_value,
+    Places,
+    Products,
+    Reach,
+    visit,
+)
+from kbnitp_ros.core.planning.search.search_kernels import trace
+import numpy as np
+from numpy.typing import NDArray
+
+
+@compiled
+def most_visits(path: Places, visits: NDArray[np.int64]) -> int:
+    """Return how often a path enters the cell that it enters most; `visits` is overwritten."""
+    visits[:] = 0
+    most = 0
+    for step in range(1, path.size):
+        visits[path[step]] += 1
+        most = max(most, visits[path[step]])
+    return most
+
+
+@compiled
+def length_to(reach: Reach, cell: int, other: int) -> float:
+    """Return the length of the step from a cell to another, metres; inf if there is none."""
+    length = inf
+    for column in range(9):
+        if reach.neighbors[cell, column] == other:
+            length = reach.length[column]
+    return length
+
+
+@compiled
+def measure(path: Places, reach: Reach, walked: Floats) -> None:
+    """Write the length of a path up to each place, metres."""
+    walked[0] = 0.0
+    for step in range(1, path.size):
+        walked[step] = walked[step - 1] + length_to(reach, path[step - 1], path[step])
+
+
+@compiled
+def take(path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products) -> None:
+    """
+    Write the label of a path, ranks of cells, without the steps between two of its places.
+
+    It is written into row 0 of `to`, and its visits to each cell are counted.
+    """
+    visits[:] = 0
+    to.factor[0] = 1.0
+    to.term[0] = 0.0
+    for step in range(1, path.size):
+        if step <= first or step >= last:
+            cell = path[step]
+            visit(to, 0, gains, cell, visits[cell], to, 0)
+            visits[cell] += 1
+
+
+@compiled
+def exact_value(
+    problem: LabelProblem, path: Places, hazard: Floats, log_safe: float, log_deadly: float
+) -> float:
+    """
+    Return the value of a closed path, nats, without the error of the moments.
+
+    Equation :eq:`objective-value`, with the chances to survive as of `exposed`.
+    """
+    products = new_products(1, problem.gains)
+    take(path, 0, 0, problem.gains, np.empty(hazard.size, np.int64), products)
+    value: float = outcome_value(products, 0, problem.objective)
+    return value - left_open(exposed(path[1:], hazard, log_safe, log_deadly))
+
+
+@compiled
+def out_and_back(problem: LabelProblem, origins: NDArray[np.int32], steps: int) -> Floats:
+    """
+    Find the values of the paths that lead to a cell by its best label and back the same way.
+
+    Parameters
+    ----------
+    problem : LabelProblem
+        As for `search`.
+    origins : ndarray of int, shape (sum of within, width)
+        As of `search`.
+    steps : int
+        From the base to the cell.
+
+    Returns
+    -------
+    ndarray, shape (within[steps],)
+        For each cell, in units; -inf for those that have no such path of an allowed length.
+
+    """
+    reach, _, gains, objective = problem
+    values = np.full(reach.within[steps], -inf)
+    visits = np.zeros(reach.neighbors.shape[0], np.int64)
+    products = new_products(1, gains)
+    path, walked = np.empty(2 * steps + 1, np.int64), np.empty(2 * steps + 1)
+    start = reach.start[steps]
+    for cell in range(reach.within[steps]):
+        if origins[start + cell, 0] < 0:
+            continue
+        path[steps] = cell
+        trace(reach, origins, 0, path[: steps + 1])
+        for step in range(steps):
+            path[2 * steps - step] = path[step]
+        measure(path, reach, walked)
+        if walked[2 * steps] > reach.longest:
+            continue
+        if most_visits(path, visits) <= gains.factor.shape[1]:
+            take(path, 0, 0, gains, visits, products)
+            values[cell] = label_value(products, 0, objective)
+    return values
+
+
+@compiled
+def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
+    """
+    Replace stretches of a closed path by better ones until there are none: a local search.
+
+    A stretch of up to `most_between` cells is replaced by the best of up to so many with which
+    the path keeps to its length: all else stays, so its value is that of the whole path.
+
+    Parameters
+    ----------
+    problem : LabelProblem
+        As for `search`.
+    path : ndarray of int, shape (max_steps + 1,)
+        Ranks of the cells, the first steps + 1 of them; it is changed.
+    steps : int
+        Of the path.
+    most_between : int
+        See above.
+
+    Returns
+    -------
+    int
+        The steps it has now.
+
+    """
+    reach, _, gains, objective = problem
+    max_visits, neighbors = gains.factor.shape[1], reach.neighbors
+    visits = np.zeros(neighbors.shape[0], np.int64)
+    products = new_products(most_between + 1, gains)
+    # Metres up to each place; and up to each cell of a stretch, with all that stays.
+    walked, length = np.zeros(path.size), np.zeros(most_between + 1)
+    measure(path[: steps + 1], reach, walked)
+    stretch, best = np.empty(most_between + 1, np.int64), np.empty(most_between + 1, np.int64)
+    column = np.empty(most_between + 1, np.int64)
+    take(path[: steps + 1], 0, 0, gains, visits, products)
+    best_value = label_value(products, 0, objective)
+    # Places since the last replacement, up to all of them.
+    first, unchanged = 0, 0
+    while unchanged < steps:
+        found, last = -1, first
+        while found < 0 and last < min(first + most_between + 1, steps):
+            last += 1
+            between = last - first - 1
+            take(path[: steps + 1], first, last, gains, visits, products)
+            most = min(most_between, path.size - 1 - steps + between)
+            length[0] = walked[first] + walked[steps] - walked[last]
+            # Depth first through all stretches; row `depth` is the label with so many cells.
+            depth, stretch[0], column[0] = 0, path[first], 0
+            while depth >= 0:
+                cell = stretch[depth]
+                if column[depth] == 0:
+                    closed = length[depth] + length_to(reach, cell, path[last])
+                    value = label_value(products, depth, objective) if closed < inf else -inf
+                    if value > best_value and closed <= reach.longest:
+                        best_value, found = value, depth
+                        best[: depth + 1] = stretch[: depth + 1]
+                if column[depth] == 9 or depth == most:
+                    if depth > 0:
+                        visits[cell] -= 1
+                    depth -= 1
+                    continue
+                there = neighbors[cell, column[depth]]
+                column[depth] += 1
+                if there < 0 or visits[there] >= max_visits:
+                    continue
+                if depth + 1 < most or length_to(reach, there, path[last]) < inf:
+                    before = visits[there]
+                    visit(products, depth, gains, there, before, products, depth + 1)
+                    visits[there] += 1
+                    length[depth + 1] = length[depth] + reach.length[column[depth] - 1]
+                    depth += 1
+                    stretch[depth], column[depth] = there, 0
+        if found >= 0:
+            stop = steps + 1
+            rest = path[last:stop].copy()
+            for k in range(1, found + 1):
+                path[first + k] = best[k]
+            for k in range(rest.size):
+                path[first + found + 1 + k] = rest[k]
+            steps += found - between
+            measure(path[: steps + 1], reach, walked)
+            unchanged = 0
+        else:
+            first, unchanged = (first + 1) % steps, unchanged + 1
+    return steps
