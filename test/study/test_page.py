@@ -82,7 +82,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', [*TEAMS, 'planners', *KINDS, 'areas'])
+@for_each('name', [*TEAMS, 'planners', *KINDS, 'areas', 'lanes'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -122,6 +122,7 @@ def test_every_figure_is_shown():
         'static_hazards_log_loss.png',
         'blobs_log_loss.png',
         'areas_decision.png',
+        'lanes_decision.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -738,3 +739,29 @@ def test_what_it_takes_to_declare_areas_free():
     more = [numbers(rows[at]['more robots']) for at in (1, 5, 9)]
     assert [each[0] for each in more] == [6.4, -5.8, -4.0]
     assert more[0][1] > 0 > max(more[1][2], more[2][2])
+
+
+def test_what_a_goal_is_worth():
+    text = (DOCS / 'results.md').read_text()
+    (said,) = re.findall(r'\| lethality \| mission .*\n\|.*\n((?:\|.*\n)+)', text)
+    rows = rows_of('lanes', 1)
+    names = {'goal lane': 'goal `lane`', 'goal safest_lane': 'safest lane', 'goal map': 'map'}
+    shown = {
+        (row['lethality'], names[row['strategy']]): [
+            ', '.join(each[of].split()[0] for each in rows[at : at + 4])
+            for of in ('free', 'believed', 'lost')
+        ]
+        for at, row in enumerate(rows)
+        if row['robots'] == '10'
+    }
+    assert {(line[0], line[1]): line[2:] for line in map(cells_of, said.splitlines())} == shown
+    more = {
+        (row['lethality'], row['robots']): numbers(row['more free'])
+        for row in rows
+        if row['strategy'] == 'goal lane'
+    }
+    early = [more[lethality, robots] for lethality in ('0.3', '0.5', '0.9') for robots in FEW[:1]]
+    early += [more[lethality, '10'] for lethality in ('0.3', '0.5', '0.9')]
+    assert (min(early)[0], max(early)[0]) == (0.12, 0.23)
+    assert more['0.1', '50'][0] < 0 < more['0.1', '10'][1]
+    assert max(abs(numbers(r['free'])[0] - numbers(r['believed'])[0]) for r in rows) <= 0.051
