@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pages of docs/ as a site: they need no network, and their equations are typeset."""
 
+from itertools import product
 from pathlib import Path
 import re
 import shutil
@@ -11,10 +12,16 @@ from kbnitp_ros import core
 import pytest
 
 ROOT = Path(__file__).parents[1]
+DOCS = ROOT / 'docs'
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 # `make docs` fails on warnings by itself.
 pytestmark = [pytest.mark.full, pytest.mark.processes]
+
+# In pixels: of a phone, a tablet and a desk; and the schemes that readers may have chosen.
+WIDTHS, SCHEMES = (390, 800, 1400), ('light', 'dark')
+# Where `make docs` puts the site as well.
+PICTURES = ROOT / 'build/docs/pictures'
 
 LOADED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)="([^"]*)"')
 
@@ -25,7 +32,7 @@ def site(tmp_path_factory):
     pytest.importorskip('sphinx', reason='make docs installs what the site needs')
     html = tmp_path_factory.mktemp('site')
     options = ['--fail-on-warning', '--keep-going', '--quiet', '-d', html / '.doctrees']
-    sphinx = [sys.executable, '-m', 'sphinx', *options, '-b', 'html', ROOT / 'docs', html]
+    sphinx = [sys.executable, '-m', 'sphinx', *options, '-b', 'html', DOCS, html]
     made = subprocess.run(sphinx, capture_output=True, text=True, timeout=600)
     assert made.returncode == 0, made.stderr
     return html
@@ -54,28 +61,60 @@ def test_what_is_not_in_the_site_is_found(tmp_path):
     ]
 
 
-@pytest.mark.skipif(BROWSER is None, reason=f'no browser is installed: apt install {BROWSERS[0]}')
-def test_every_equation_is_typeset_without_a_network(site):
+@pytest.fixture(scope='module')
+def browser():
+    if BROWSER is None:
+        pytest.skip(f'no browser is installed: apt install {BROWSERS[0]}')
     sync_api = pytest.importorskip('playwright.sync_api')
-    labels = re.findall(r'^ *:label: (\S+)$', (ROOT / 'docs/mathematics.md').read_text(), re.M)
     with sync_api.sync_playwright() as playwright:
         # Root has no sandbox, as in most containers.
         browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
-        page = browser.new_context(offline=True).new_page()
-        failed = []
-        page.on('requestfailed', lambda request: failed.append(request.url))
-        page.goto((site / 'mathematics.html').as_uri())
-        page.evaluate('MathJax.startup.promise')
-        typeset = {
-            label: page.locator(f'[id="equation-{label}"] mjx-container[display="true"]').count()
-            for label in labels
-        }
-        wrong = page.locator('mjx-merror, [data-mjx-error]').all_inner_texts()
+        yield browser
         browser.close()
+
+
+def test_every_equation_is_typeset_without_a_network(site, browser):
+    labels = re.findall(r'^ *:label: (\S+)$', (DOCS / 'mathematics.md').read_text(), re.M)
+    page = browser.new_context(offline=True).new_page()
+    failed = []
+    page.on('requestfailed', lambda request: failed.append(request.url))
+    page.goto((site / 'mathematics.html').as_uri())
+    page.evaluate('MathJax.startup.promise')
+    typeset = {
+        label: page.locator(f'[id="equation-{label}"] mjx-container[display="true"]').count()
+        for label in labels
+    }
+    wrong = page.locator('mjx-merror, [data-mjx-error]').all_inner_texts()
     assert len(labels) > 40
     assert typeset == dict.fromkeys(labels, 1)
     assert wrong == []
     assert failed == []
+
+
+def test_no_page_is_wider_than_the_window(site, browser):
+    """The pictures of all pages are kept beside the site that `make docs` makes."""
+    # The pages of objects are made alike: one with many arguments stands for all.
+    alike = site / 'api/generated'
+    pages = [site / page.relative_to(DOCS).with_suffix('.html') for page in DOCS.rglob('*.md')]
+    pages = [page for page in pages if page.parent != alike]
+    pages.append(alike / 'kbnitp_ros.core.run_mission.html')
+    shutil.rmtree(PICTURES, ignore_errors=True)
+    wider = []
+    for width, scheme in product(WIDTHS, SCHEMES):
+        window = {'width': width, 'height': 1000}
+        shown = browser.new_context(viewport=window, color_scheme=scheme, offline=True).new_page()
+        # A page of equations takes its time on a machine that does much else.
+        shown.set_default_timeout(300_000)
+        for page in pages:
+            name = page.relative_to(site).with_suffix('.png')
+            shown.goto(page.as_uri())
+            if shown.evaluate('document.documentElement.scrollWidth') > width:
+                wider.append(f'{name.stem} at {width}')
+            picture = PICTURES / f'{width}_{scheme}' / name
+            picture.parent.mkdir(parents=True, exist_ok=True)
+            shown.screenshot(path=picture)
+        shown.close()
+    assert wider == []
 
 
 def test_every_public_name_of_the_core_is_found_by_search_and_other_projects(site):
