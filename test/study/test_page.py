@@ -112,7 +112,6 @@ def test_every_figure_is_shown():
         'loss_cost_robots_lost.png',
         'behavioral_robots_lost.png',
         'last_contact_log_loss.png',
-        'reliability_at_50_paper.png',
         'last_contact_reliability.png',
         'prior_maps_log_loss.png',
         'bases_log_loss.png',
