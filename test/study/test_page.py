@@ -733,7 +733,7 @@ def test_what_it_takes_to_declare_areas_free():
             assert cell == f'{robots:.0f}, {lost:.0f} lost, ' + (
                 f'{worlds:.2f}' if worlds else '0'
             )
-    most = [max(numbers(row['wrongly'])[0] for row in rows[at : at + 4]) for at in (0, 4, 8)]
+    most = [max(numbers(row['wrongly'])[0] for row in rows[at:][:4]) for at in (0, 4, 8)]
     assert most == [0.028, 0.012, 0.006]
     more = [numbers(rows[at]['more robots']) for at in (1, 5, 9)]
     assert [each[0] for each in more] == [6.4, -5.8, -4.0]
@@ -747,7 +747,7 @@ def test_what_a_goal_is_worth():
     names = {'goal lane': 'goal `lane`', 'goal safest_lane': 'safest lane', 'goal map': 'map'}
     shown = {
         (row['lethality'], names[row['strategy']]): [
-            ', '.join(each[of].split()[0] for each in rows[at : at + 4])
+            ', '.join(each[of].split()[0] for each in rows[at:][:4])
             for of in ('free', 'believed', 'lost')
         ]
         for at, row in enumerate(rows)
