@@ -2,6 +2,7 @@
 """Which tests run, which of them may start processes, and how they draw."""
 
 import os
+import shutil
 import sys
 
 import extent
@@ -14,6 +15,10 @@ STARTERS = {'browser', 'field', 'set_out'}
 
 # What Python's audit hooks call the start of a process.
 STARTS = {'os.fork', 'os.forkpty', 'os.posix_spawn', 'os.spawn', 'os.system', 'subprocess.Popen'}
+
+# What pages are shown in.
+BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 
 # How long something takes is the machine's affair.
 settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -83,3 +88,16 @@ def whole_mission():
     from mission_log import mission
 
     return mission()
+
+
+@pytest.fixture(scope='module')
+def browser():
+    """Return a browser, or skip what needs one where none is installed."""
+    if BROWSER is None:
+        pytest.skip(f'no browser is installed: apt install {BROWSERS[0]}')
+    sync_api = pytest.importorskip('playwright.sync_api')
+    with sync_api.sync_playwright() as playwright:
+        # Root has no sandbox, as in most containers.
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
+        yield browser
+        browser.close()

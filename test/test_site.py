@@ -13,8 +13,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
-BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 # `make docs` fails on warnings by itself.
 pytestmark = [pytest.mark.full, pytest.mark.processes]
 
@@ -59,18 +57,6 @@ def test_what_is_not_in_the_site_is_found(tmp_path):
     assert list(missing(tmp_path)) == [
         f'page.html: {source}' for source in sources if source != 'c.js?v=1'
     ]
-
-
-@pytest.fixture(scope='module')
-def browser():
-    if BROWSER is None:
-        pytest.skip(f'no browser is installed: apt install {BROWSERS[0]}')
-    sync_api = pytest.importorskip('playwright.sync_api')
-    with sync_api.sync_playwright() as playwright:
-        # Root has no sandbox, as in most containers.
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
-        yield browser
-        browser.close()
 
 
 def test_every_equation_is_typeset_without_a_network(site, browser):

@@ -48,18 +48,23 @@ def random_sensors(rng):
     }
 
 
+def pairs(grid, states):
+    """Count the pairs of hazards that share a side in each of the states, (states, cells)."""
+    maps = states.reshape(-1, grid.height, grid.width)
+    down = (maps[:, 1:] * maps[:, :-1]).sum(axis=(1, 2))
+    return down + (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
+
+
 def clustered_prior(grid, coupling, density):
     """Return all states of the hazards, (states, cells), and their prior probabilities."""
     states = np.array(list(product((0, 1), repeat=grid.cells)))
     states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
     count = states.sum(axis=1)
-    maps = states.reshape(-1, grid.height, grid.width)
-    pairs = (maps[:, 1:] * maps[:, :-1]).sum(axis=(1, 2))
-    pairs += (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
+    paired = pairs(grid, states)
     low, high = -40.0, 40.0
     for _ in range(100):
         field = (low + high) / 2
-        weight = np.exp(field * count + coupling * pairs - max(0.0, field) * grid.cells)
+        weight = np.exp(field * count + coupling * paired - max(0.0, field) * grid.cells)
         weight /= weight.sum()
         below = weight @ count < density * grid.may_be_hazardous.sum()
         low, high = (field, high) if below else (low, field)

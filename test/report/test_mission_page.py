@@ -20,7 +20,6 @@ from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
 import numpy as np
 from PIL import Image
-from playwright.sync_api import sync_playwright
 from pyproj import Geod
 import pytest
 
@@ -28,23 +27,8 @@ import pytest
 DATUM = (55.944904, -3.186693, 0.4)
 EARTH = Geod(ellps='WGS84')
 
-BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 AXE = Path(__file__).parent / 'node_modules/axe-core/axe.min.js'
 NAMES = ('hazard', 'target', 'kappa')
-
-pytestmark = pytest.mark.skipif(
-    BROWSER is None, reason=f'no browser is installed: apt install {BROWSERS[0]}'
-)
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with sync_playwright() as playwright:
-        # Root has no sandbox, as in most containers.
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope='module')
@@ -517,6 +501,7 @@ def serious_violations(page):
 
 
 @pytest.mark.processes
+@pytest.mark.usefixtures('browser')
 def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     report, images = tmp_path / 'report', tmp_path / 'images'
     report.mkdir()

@@ -51,13 +51,6 @@ KINDS = {
 }
 
 
-def pairs(hazard):
-    """Count the pairs of hazards that share a side, in each row of (draws, cells)."""
-    maps = hazard.reshape(-1, FIELD.height, FIELD.width)
-    across, down = maps[..., 1:] & maps[..., :-1], maps[:, 1:] & maps[:, :-1]
-    return across.sum(axis=(1, 2)) + down.sum(axis=(1, 2))
-
-
 def clustered(world, clustering, rng):
     """Draw a coupling and a world of that prior; return them, the coupling by its place."""
     bins = clustering.bins
@@ -102,7 +95,7 @@ def ranks(number, kind, believed, as_told):
     found = ranks_of(estimator, places, world, rng)
     if coupling is not None:
         drawn, _ = estimator.draws(DRAWS, rng)
-        true, of_draws = pairs(world.hazard[None])[0], pairs(drawn)
+        true, of_draws = (brute_force.pairs(FIELD, each) for each in (world.hazard, drawn))
         ties = rng.random() * (of_draws == true).mean()
         found['pairs of hazards'] = (of_draws < true).mean() + ties
     return found
