@@ -192,7 +192,7 @@ def share_inside(foreseen, coming, rng):
     ranks = [
         (foreseen < each).sum() + rng.integers((foreseen == each).sum() + 1) for each in coming
     ]
-    return np.mean([0.05 * foreseen.size <= rank <= 0.95 * foreseen.size for rank in ranks])
+    return float(np.mean([0.05 * foreseen.size <= rank <= 0.95 * foreseen.size for rank in ranks]))
 
 
 @pytest.mark.full
