@@ -9,6 +9,7 @@ value. rclpy and the reader of a log decode the same values, and so compute the 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from hashlib import blake2b
 import struct
 from typing import Any
@@ -57,10 +58,10 @@ def _encoded(value: Any) -> Iterator[bytes]:
     elif isinstance(value, str):
         text = value.encode()
         yield b's' + struct.pack('<Q', len(text)) + text
-    elif names := _fields(value):
-        yield b'm' + struct.pack('<Q', len(names))
-        for name in names:
-            yield from _encoded(name)
+    elif fields := _encoded_fields(value.__class__):
+        yield b'm' + struct.pack('<Q', len(fields))
+        for name, encoded_name in fields:
+            yield encoded_name
             yield from _encoded(getattr(value, name))
     elif isinstance(value, Iterable):
         elements = list(value)
@@ -71,8 +72,11 @@ def _encoded(value: Any) -> Iterator[bytes]:
         raise TypeError(f'a field is of {type(value)}: no value of a message is')
 
 
-def _fields(value: Any) -> tuple[str, ...]:
-    """Return the names of a message's fields as they are defined; none if it is no message."""
-    if hasattr(value, 'get_fields_and_field_types'):
-        return tuple(value.get_fields_and_field_types())
-    return tuple(getattr(value, '__slots__', ()))
+@lru_cache
+def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
+    """Return the names of a message's fields as they are defined, and as bytes; none of others."""
+    if hasattr(kind, 'get_fields_and_field_types'):
+        names = tuple(kind.get_fields_and_field_types())
+    else:
+        names = getattr(kind, '__slots__', ())
+    return tuple((name, b''.join(_encoded(name))) for name in names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
 import time
 from typing import Any
@@ -94,9 +95,13 @@ def time_received(message: Message) -> int:
     return int(info['received_timestamp'])
 
 
+@cache
 def message_class(type_name: str) -> type:
     """
     Return the Python class of a message type, such as 'nav_msgs/msg/Path'.
+
+    The ament index is read once for each type that is installed: it takes as long as to write a
+    message.
 
     Raises
     ------
