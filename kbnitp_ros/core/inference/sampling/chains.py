@@ -36,6 +36,8 @@ SWAPS = 4
 # What the log odds of readings alone may come to: it stays below what stands for certainty in a
 # prior.
 CERTAIN_READING = 1e5
+# The numbers that what a chain's readings tell depends on.
+OF_READINGS = {'kappa', 'target_background', 'true_positive', 'false_positive'}
 
 
 def log(likelihood: Floats) -> Floats:
@@ -94,6 +96,8 @@ class Chains:
         self._prior_odds = maps.odds()
         # By robot type, as the tally counts them.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
+        # The same in all sweeps, where all that it depends on is known.
+        self._told = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
         # What losses have in common with others: the robot type and the number of steps.
         longest = tally.steps.max(initial=0)
         lengths, length = np.unique(
@@ -236,30 +240,42 @@ class Chains:
 
         That is the odds of a hazard, and those of a target without and with one.
         """
-        tally, maps = self._tally, self._maps
-        cells = self._returned
+        tally, cells = self._tally, self._returned
+        told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
+            self._told or self._given_readings()
+        )
+        log_odds = self._maps.hazard.at(self._offset('hazard_density'), cells)
+        for rates, survived in zip(self._rates, tally.survived[:, cells]):
+            spared = self._of_chains('lethality', rates.log_spared)
+            log_odds = log_odds + times_log(survived, spared)
+        log_odds = log_odds + told_if_hazardous
+        log_odds = log_odds - told_if_safe
+        odds = self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD))
+        return odds, target_if_safe, target_if_hazardous
+
+    def _given_readings(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """
+        Return what readings tell, each of shape (1 or chains, cells).
+
+        The log likelihoods of those of cells with returns without and with a hazard, and the odds
+        of a target of all cells without and with one.
+        """
+        tally, maps, cells = self._tally, self._maps, self._returned
         read: Floats = np.zeros((1, cells.size))
-        log_odds = maps.hazard.at(self._offset('hazard_density'), cells)
         if_safe = maps.background.at(self._place['target_background'], cells)
         if_hazardous = maps.kappa.at(self._place['kappa'], cells)
-        for rates, survived, positive, negative in zip(
-            self._rates,
-            tally.survived[:, cells],
-            tally.positive[:, cells],
-            tally.negative[:, cells],
+        for rates, positive, negative in zip(
+            self._rates, tally.positive[:, cells], tally.negative[:, cells]
         ):
             true = self._of_chains('true_positive', rates.true_positive)
             false = self._of_chains('false_positive', rates.false_positive)
             with np.errstate(divide='ignore', invalid='ignore'):
                 read = read + times_log(positive, np.log(true) - np.log(false))
                 read = read + times_log(negative, np.log1p(-true) - np.log1p(-false))
-            spared = self._of_chains('lethality', rates.log_spared)
-            log_odds = log_odds + times_log(survived, spared)
         read = read.clip(-CERTAIN_READING, CERTAIN_READING)
-        log_odds = log_odds + (softplus(read + if_hazardous) - softplus(if_hazardous))
-        log_odds = log_odds - (softplus(read + if_safe) - softplus(if_safe))
         return (
-            self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD)),
+            softplus(read + if_safe) - softplus(if_safe),
+            softplus(read + if_hazardous) - softplus(if_hazardous),
             self._odds_with('target_background', np.minimum(read + if_safe, CERTAIN_TARGET)),
             self._odds_with('kappa', np.minimum(read + if_hazardous, CERTAIN_TARGET)),
         )
@@ -383,7 +399,7 @@ class Chains:
             count = (hazardous & prior.undecided).sum(axis=1)
             log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
             self._draw('hazard_density', log_likelihood)
-        if not {'kappa', 'target_background', 'true_positive', 'false_positive'} & {*unknown}:
+        if self._told is not None:
             return
         # There is no evidence on a target that nobody looked for.
         read = self._read
