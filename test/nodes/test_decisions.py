@@ -48,6 +48,9 @@ def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field)
     lanes = field.listen(Path, '/m/decision/lane')
     paths = field.listen(Path, '/m/scout_1/path')
     field.start_mission(LANE, '/m', log)
+    field.until(lambda: paths, 'path')
+    for name, value in (('goal', 'map'), ('goal.cells', [18])):
+        assert not field.set_parameter('/m/planner', name, value).successful
     field.until(lambda: 'stop.confidence' in field.state('/m/planner'), 'stop', patience=180)
     expected = core_mission(LANE)
     assert 0 < len(paths) == len(expected) < LANE['robots']
