@@ -257,8 +257,8 @@ class MissionArguments:
         ]
 
     def _recorder(self, log: Path) -> list[Action]:
-        told = LogInfo(msg=f'recording to {log}')
-        return [told, self.node('recorder', {'file': str(log)})]
+        notice = LogInfo(msg=f'recording to {log}')
+        return [notice, self.node('recorder', {'file': str(log)})]
 
     def node(
         self,
@@ -277,13 +277,13 @@ class MissionArguments:
         running.
         """
         known, log = parameters_of(name), self._log
-        told = {
+        values = {
             'agents': self.agents,
             'resume': self.argument('resume'),
             'recorded': log is not None,
             'await_nodes': [*awaits, *(['recorder'] if log else [])],
         } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
-        given = {each: value for each, value in told.items() if each in known} | (own or {})
+        given = {each: value for each, value in values.items() if each in known} | (own or {})
         self._check_counts(self._full_name(namespace, name), given)
         params_file = self.argument('params_file')
 

@@ -26,7 +26,7 @@ from kbnitp_ros.messages.beliefs import Snapshot
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Told of a path or a report, a register of deployments takes note of it.
+# A path or a report that deployments take note of.
 Event = Callable[[Deployments], bool]
 
 
@@ -45,7 +45,7 @@ class Knowledge:
     ) -> None:
         self._grid = grid
         self._values = values
-        self._register = Deployments(grid, values['max_steps'], robot_types)
+        self._deployments = Deployments(grid, values['max_steps'], robot_types)
         self._prior: Snapshot | None = None
         # All evidence so far.
         self._events: list[Event] = []
@@ -71,7 +71,7 @@ class Knowledge:
     @property
     def lost(self) -> int:
         """How many robots are known to be lost."""
-        return self._register.lost
+        return self._deployments.lost
 
     def begin(self, prior: Snapshot) -> None:
         """Take the first belief of an estimator for the prior."""
@@ -80,16 +80,16 @@ class Knowledge:
 
     def note_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> None:
         """Take note of the path of a robot."""
-        self._note(lambda register: register.record_path(key, path, content))
+        self._note(lambda deployments: deployments.record_path(key, path, content))
 
     def note_report(self, key: DeploymentKey, report: Report) -> None:
         """Take note of what became of a robot."""
-        self._note(lambda register: register.record_report(key, report))
+        self._note(lambda deployments: deployments.record_report(key, report))
 
     def _note(self, event: Event) -> None:
         # What the estimator refuses is refused here as well, and told by the estimator.
         with suppress(ValueError):
-            event(self._register)
+            event(self._deployments)
         self._events.append(event)
 
     @property

@@ -44,9 +44,9 @@ REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 LONGEST = 500
 
 
-def record(register: Deployments, logged: LoggedMessage) -> bool:
+def record(deployments: Deployments, logged: LoggedMessage) -> bool:
     """
-    Tell a register of a path or a report on record, as the estimator is told when it comes.
+    Have deployments take note of a path or a report on record, as an estimator does of one heard.
 
     Return whether an outcome is another one now.
 
@@ -59,10 +59,10 @@ def record(register: Deployments, logged: LoggedMessage) -> bool:
     agent, content = agent_of(logged.topic), content_hash(logged.message)
     if logged.type_name == REPORT:
         key, report = read_report(logged.message, agent)
-        return register.record_report(key, replace(report, content=content))
+        return deployments.record_report(key, replace(report, content=content))
     if key_of_path(logged.topic, logged.message) is None:
         return False
-    return register.record_path(*read_path(register.grid, agent, logged.message), content)
+    return deployments.record_path(*read_path(deployments.grid, agent, logged.message), content)
 
 
 def first_belief(log: str | Path) -> Snapshot | None:

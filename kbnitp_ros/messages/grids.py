@@ -37,9 +37,9 @@ def told_resolution(resolution: float) -> float:
 
 def told_yaw(yaw: float) -> float:
     """Return an angle in rad as messages, which have a quaternion, tell it: in (-pi, pi]."""
-    told = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
+    rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
     # Either half turn is the same, and is rounded to more than pi.
-    return abs(told) if abs(told) > pi else told
+    return abs(rounded) if abs(rounded) > pi else rounded
 
 
 def orientation_fields(yaw: float) -> Fields:

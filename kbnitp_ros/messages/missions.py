@@ -30,13 +30,13 @@ def mission_of_path(message: Any) -> int:
         If it is no time.
 
     """
-    told = message.poses[0].header.stamp if message.poses else message.header.stamp
-    if from_stamp(told) == from_stamp(message.header.stamp):
+    stated = message.poses[0].header.stamp if message.poses else message.header.stamp
+    if from_stamp(stated) == from_stamp(message.header.stamp):
         return NOT_TOLD
-    return read_stamp('poses[0].header.stamp', told)
+    return read_stamp('poses[0].header.stamp', stated)
 
 
-def check_mission(told: int, own: int | None) -> None:
+def check_mission(stated: int, own: int | None) -> None:
     """
     Check that a message belongs to a node's mission; None if that has not joined any.
 
@@ -46,9 +46,9 @@ def check_mission(told: int, own: int | None) -> None:
         If it is another one.
 
     """
-    if own not in (None, told):
+    if own not in (None, stated):
         raise ValueError(
-            f'it belongs to {named(told)}, and not to {named(own)}: '
+            f'it belongs to {named(stated)}, and not to {named(own)}: '
             'play bags in a domain or a namespace of their own'
         )
 

@@ -60,7 +60,7 @@ class Decisions:
         self._finding: Computation[SafestPath] | None = None
         # Why no more robots leave by what was planned on the newest belief, and what was told.
         self._not_worth = ''
-        self._told = ''
+        self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
@@ -130,8 +130,8 @@ class Decisions:
         """Return why no more robots leave; empty if they do."""
         decision = self._decision if self.knowledge.goal is not None else None
         why = self.knowledge.stop.why(decision, self.knowledge.lost) or self._not_worth
-        if why != self._told:
-            self._told = why
+        if why != self._said:
+            self._said = why
             if why:
                 self._node.get_logger().info(f'no more robots leave: {why}')
         return why

@@ -207,15 +207,15 @@ class Driver:
     def _on_result(self, number: int, result: Future) -> None:
         ended = result.result()
         error = shown(ended.result.error_msg) if ended.result.error_msg else 'no message'
-        told = f'error code {ended.result.error_code}, {error}'
+        why = f'error code {ended.result.error_code}, {error}'
         missed = [each.index for each in getattr(ended.result, 'missed_waypoints', ())]
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
             how = ENDINGS.get(ended.status, f'left with status {ended.status}')
             if number == self._number:
                 self.was_cancelled = ended.status == GoalStatus.STATUS_CANCELED
-            self._end(number, f'the goal of {self.name} was {how}: {told}')
+            self._end(number, f'the goal of {self.name} was {how}: {why}')
         elif ended.result.error_code:
-            self._end(number, f'the goal of {self.name} failed: {told}')
+            self._end(number, f'the goal of {self.name} failed: {why}')
         elif missed:
             self._end(number, f'waypoints {missed} of the goal of {self.name} were missed')
         else:

@@ -101,9 +101,11 @@ class EstimatorNode(FieldNode):
         filter_type, base = self.values['filter.type'], self.values['filter.base']
         multiplier = self.values['filter.multiplier']
         check_filter(filter_type, base, multiplier)
-        told = self.create_publisher(CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED)
+        publisher = self.create_publisher(
+            CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED
+        )
         mask = self.resolve_topic_name('belief/hazard')
-        told.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
+        publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _restore(self, log: str) -> None:
         """

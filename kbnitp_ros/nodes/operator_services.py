@@ -147,16 +147,16 @@ class Operator:
         }
         if not out:
             names = ', '.join(sorted(self._in_flight.agents)) or 'none'
-            told = f'no robot of {shown(request.agent)} is out: {names} is'
-            return answered(response, False, told)
+            why = f'no robot of {shown(request.agent)} is out: {names} is'
+            return answered(response, False, why)
         key = min(out)
         if not self._in_flight.has_departed(key):
-            told = (
+            why = (
                 f'{key} is not known to have departed, and a robot at its base is not lost: its '
                 f'agent tells on {request.agent}/status when it departs. Of an agent that tells '
                 'nothing the parameter presume_departure presumes it'
             )
-            return answered(response, False, told)
+            return answered(response, False, why)
         try:
             Observation(out[key], False, steps_survived=request.steps_survived)
         except ValueError as error:

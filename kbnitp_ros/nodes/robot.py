@@ -238,9 +238,9 @@ class RobotNode(FieldNode):
 
     def _doubt(self, deployment: Deployment, why: str) -> None:
         """Read nothing any more: it would count for a cell that the robot may not be in."""
-        told = f'{self._key(deployment)}: its walk is doubted, and nothing more is read: {why}'
-        self.get_logger().warning(told)
-        self.diagnostics.values['doubt'] = told
+        warning = f'{self._key(deployment)}: its walk is doubted, and nothing more is read: {why}'
+        self.get_logger().warning(warning)
+        self.diagnostics.values['doubt'] = warning
         self._keep(partial(self._journal.doubt, deployment, self.now()))
 
     def _keep(self, write: Callable[[], None]) -> bool:
@@ -529,13 +529,13 @@ class RobotNode(FieldNode):
         most = LONGEST_WALK * value_for(self.values, 'max_steps', self._agent)
         observation, now = deployment.observation(most), self.now()
         if len(deployment.steps) > most:
-            told = (
+            warning = (
                 f'{self._key(deployment)} has {len(deployment.steps)} steps, and a report has at '
                 f'most {LONGEST_WALK} * max_steps = {most}: loops are left out, and '
                 f'{observation.path.size - 1} steps reported; the journal has all'
             )
-            self.get_logger().warning(told)
-            self.diagnostics.values['long walk'] = told
+            self.get_logger().warning(warning)
+            self.diagnostics.values['long walk'] = warning
         self._reports.publish(report_message(self._key(deployment), observation, now))
         self._readings.publish(readings_marker(self.grid, observation, now))
 

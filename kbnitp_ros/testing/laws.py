@@ -54,7 +54,7 @@ def hold(
             try:
                 check(subject, case)
             except Exception as error:
-                words = str(error) if type(error) is AssertionError else told(error)
+                words = str(error) if type(error) is AssertionError else with_type(error)
                 raise AssertionError(
                     f'{name} breaks a law in the case of seed {number}: {law}. {words}'
                 ) from error
@@ -89,6 +89,6 @@ def require_same(one: Belief, other: Belief, words: str) -> None:
         raise AssertionError(f'{words}: the bits differ')
 
 
-def told(error: Exception) -> str:
+def with_type(error: Exception) -> str:
     """Return an error with its type."""
     return f'{type(error).__name__}: {error}'

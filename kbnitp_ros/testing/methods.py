@@ -29,7 +29,7 @@ from kbnitp_ros.testing.laws import (
     require_close,
     require_same,
     ROUNDING,
-    told,
+    with_type,
 )
 import numpy as np
 
@@ -257,7 +257,9 @@ def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
         except ValueError:
             require_same(inference.belief, before, f'After {what} that cannot be')
         except Exception as error:
-            raise AssertionError(f'Of {what} it raises {told(error)}, not a ValueError') from error
+            raise AssertionError(
+                f'Of {what} it raises {with_type(error)}, not a ValueError'
+            ) from error
         else:
             raise AssertionError(f'It takes in {what} that cannot be, without a ValueError')
     require_same(fold(inference, [likely])[-1], expected, 'What follows the impossible')

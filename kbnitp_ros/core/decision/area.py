@@ -159,13 +159,13 @@ def expected_from_readings(
     of_hazard = joint.sum(axis=2, keepdims=True)
     target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
     likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
-    told = np.zeros_like(hazard)
+    information = np.zeros_like(hazard)
     for count in np.unique(visits[visits > 0]).tolist():
         safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
         with_hazard = hazard[..., None] * hazardous
         reading = with_hazard + (1.0 - hazard)[..., None] * safe
         given = with_hazard / np.where(reading > 0.0, reading, 1.0)
         left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
-        told += (visits == count) * (binary_entropy(hazard) - left)
-    gain: Floats = chance * told.sum(axis=1)
+        information += (visits == count) * (binary_entropy(hazard) - left)
+    gain: Floats = chance * information.sum(axis=1)
     return gain

@@ -116,7 +116,7 @@ class Estimator:
         self.dynamics = dynamics
         self.clustering = clustering
         # Methods that know of independent static hazards alone are not told.
-        told = () if dynamics.effect == 'static' else (dynamics,)
+        further = () if dynamics.effect == 'static' else (dynamics,)
         clusters = clustering is not None and clustering.coupling != 0.0
         named = {'clustering': clustering} if clusters else {}
         make: Callable[..., Inference] = start
@@ -124,7 +124,7 @@ class Estimator:
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(
-                    make(belief, model, unknowns, self.seed, *told, **named)
+                    make(belief, model, unknowns, self.seed, *further, **named)
                 )
         except PluginError as error:
             raise ValueError(str(error)) from error

@@ -85,7 +85,7 @@ class Diagnostics:
         self.values: dict[str, str] = {}
         self._last_refusal = ''
         self._failure = ''
-        self._told = 0
+        self._refused_lately = 0
         self._node = node
         # Its name is fixed, wherever the node is: tools know no other.
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
@@ -100,16 +100,16 @@ class Diagnostics:
     def refuse(self, what: str, why: object) -> None:
         """Count one message as refused and say so, unless very many were refused just now."""
         self.refused += 1
-        self._told += 1
+        self._refused_lately += 1
         text = f'{what} refused: {why}'
         self._last_refusal = text if len(text) <= SHOWN else f'{text[:SHOWN]}...'
-        if self._told <= TOLD_AT_ONCE:
+        if self._refused_lately <= TOLD_AT_ONCE:
             self._node.get_logger().warning(self._last_refusal)
             self.publish()
 
     def _publish_all(self) -> None:
         """Show the counts, and say how many refusals were not told."""
-        untold, self._told = self._told - TOLD_AT_ONCE, 0
+        untold, self._refused_lately = self._refused_lately - TOLD_AT_ONCE, 0
         if untold > 0:
             self._node.get_logger().warning(f'{untold} more messages were refused')
         self.publish()

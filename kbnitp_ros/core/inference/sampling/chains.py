@@ -97,7 +97,7 @@ class Chains:
         # By robot type, as the tally counts them.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
         # The same in all sweeps, where all that it depends on is known.
-        self._told = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
+        self._of_readings = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
         # What losses have in common with others: the robot type and the number of steps.
         longest = tally.steps.max(initial=0)
         lengths, length = np.unique(
@@ -242,7 +242,7 @@ class Chains:
         """
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
-            self._told or self._given_readings()
+            self._of_readings or self._given_readings()
         )
         log_odds = self._maps.hazard.at(self._offset('hazard_density'), cells)
         for rates, survived in zip(self._rates, tally.survived[:, cells]):
@@ -399,7 +399,7 @@ class Chains:
             count = (hazardous & prior.undecided).sum(axis=1)
             log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
             self._draw('hazard_density', log_likelihood)
-        if self._told is not None:
+        if self._of_readings is not None:
             return
         # There is no evidence on a target that nobody looked for.
         read = self._read

@@ -198,23 +198,23 @@ class Sampler:
         Chains are independent of each other. How much a chain repeats itself is told by how far
         the averages of chains spread, in the cell where that is worst.
         """
-        hazardous = np.stack([chains.hazards() for chains in self._swept(count, rng)])
+        hazardous = np.stack([chains.hazards() for chains in self._after_sweeps(count, rng)])
         average = hazardous.mean(axis=(0, 1))
         spread = average * (1.0 - average)
         of_chains = hazardous.mean(axis=0).var(axis=0) * len(hazardous)
-        told = spread > TOLD_APART
-        repeats = max(1.0, float((of_chains[told] / spread[told]).max(initial=1.0)))
+        varies = spread > TOLD_APART
+        repeats = max(1.0, float((of_chains[varies] / spread[varies]).max(initial=1.0)))
         return hazardous.reshape(-1, average.size)[:count], count / repeats
 
     def draws_with_models(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
         """Draw the hazards of all cells together with the sensor model that goes with them."""
-        drawn = [(chains.hazards(), chains.models()) for chains in self._swept(count, rng)]
+        drawn = [(chains.hazards(), chains.models()) for chains in self._after_sweeps(count, rng)]
         hazardous = np.concatenate([hazards for hazards, _ in drawn])[:count]
         return hazardous, [model for _, models in drawn for model in models][:count]
 
-    def _swept(self, count: int, rng: np.random.Generator) -> Iterator[Chains]:
+    def _after_sweeps(self, count: int, rng: np.random.Generator) -> Iterator[Chains]:
         """Yield the chains after each of the sweeps that make so many draws."""
         chains = Chains(self._hypotheses, self._tally, self._state, rng)
         for _ in range(-(-count // CHAINS)):

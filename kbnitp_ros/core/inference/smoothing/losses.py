@@ -99,11 +99,11 @@ class Losses:
 
         """
         visits = Visits.of(path)
-        told = np.stack([visits.cells, visits.counts]).astype(np.int32).tobytes()
+        content = np.stack([visits.cells, visits.counts]).astype(np.int32).tobytes()
         weight = np.empty(0) if lost_at is None else lost_at
         place = visits.of_step[: len(weight)].astype(np.int32)
-        told += place.tobytes() + weight.tobytes()
-        checksum = crc32(told)
+        content += place.tobytes() + weight.tobytes()
+        checksum = crc32(content)
         lost = -np.expm1(times_log(visits.counts[:, None], model.log_survival))
         for factor in np.flatnonzero(self.checksum == checksum).tolist():
             entries, steps = self.entries(factor), self.steps(factor)
