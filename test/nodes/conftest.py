@@ -97,6 +97,12 @@ class Field:
         assert set(self.processes.stop().values()) == {0}
         return beliefs
 
+    def keep_fewer(self, depth):
+        """Have nodes started from now on keep so many paths and reports for who joins late."""
+        if not isinstance(self.processes, ForkedProcesses):
+            pytest.skip('only forked nodes can keep fewer')
+        self.processes.depth = depth
+
     def kill(self, full_name):
         """End a node without warning; it may be started again, and has said nothing yet."""
         process = self.processes.started.pop(full_name)

@@ -15,6 +15,7 @@ from typing import Any, IO
 
 from kbnitp_ros.__main__ import main
 from kbnitp_ros.cli.processes import Processes
+from kbnitp_ros.nodes.runtime import qos
 
 CONTEXT = multiprocessing.get_context('forkserver')
 CONTEXT.set_forkserver_preload(['forked', 'ready'])
@@ -22,7 +23,9 @@ CONTEXT.set_forkserver_preload(['forked', 'ready'])
 PR_SET_PDEATHSIG = 1
 
 
-def _run(arguments: list[str], environment: Mapping[str, str], folder: Path, output: str) -> None:
+def _run(
+    arguments: list[str], environment: Mapping[str, str], folder: Path, output: str, depth: int
+) -> None:
     """Become what a shell would start in a folder with this command line and environment."""
     assert 'ready' in sys.modules, 'the server of forks did not import what nodes need'
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
@@ -32,15 +35,18 @@ def _run(arguments: list[str], environment: Mapping[str, str], folder: Path, out
     written = os.open(output, os.O_WRONLY | os.O_APPEND)
     os.dup2(written, sys.stdout.fileno())
     os.dup2(written, sys.stderr.fileno())
+    qos.DEPTH = qos.EVIDENCE.depth = depth
     sys.exit(main(arguments))
 
 
 class ForkedProcess:
     """A forked process, with what the tests use of `subprocess.Popen`."""
 
-    def __init__(self, arguments: list[str], environment: Mapping[str, str], output: str) -> None:
+    def __init__(
+        self, arguments: list[str], environment: Mapping[str, str], output: str, depth: int
+    ) -> None:
         self._process = CONTEXT.Process(
-            target=_run, args=(arguments, environment, Path.cwd(), output), daemon=True
+            target=_run, args=(arguments, environment, Path.cwd(), output, depth), daemon=True
         )
         self._process.start()
         self.pid = self._process.pid
@@ -74,7 +80,10 @@ class ForkedProcess:
 class ForkedProcesses(Processes):
     """Nodes of this package in forked processes, which write to files."""
 
+    # How many paths and reports those started from now on keep for who joins late.
+    depth = qos.DEPTH
+
     def launch(self, arguments: list[str], output: IO[Any] | None) -> Any:
         """Fork a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
         assert output is not None
-        return ForkedProcess(arguments, self._environment, output.name)
+        return ForkedProcess(arguments, self._environment, output.name, self.depth)

@@ -117,15 +117,17 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
 
 
 @pytest.mark.parametrize(
-    'before',
+    'before, depth',
     [
-        60,
-        pytest.param(qos.DEPTH + 60, marks=pytest.mark.full),
-        pytest.param(MOST_ROBOTS - 10, marks=LONG),
+        (160, 100),
+        pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
+        pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
     ],
 )
-def test_deployments_survive_every_restart(field, before):
-    """Publishers keep the newest `qos.DEPTH`; the log has them all."""
+def test_deployments_survive_every_restart(field, before, depth):
+    """Publishers keep the newest `depth`; the log has them all."""
+    if depth < qos.DEPTH:
+        field.keep_fewer(depth)
     log = field.folder / 'mission.mcap'
     messages = []
     for number in range(1, before + 1):
@@ -156,9 +158,6 @@ def test_deployments_survive_every_restart(field, before):
         field.until(lambda name=name: field.state(f'/m/{name}'), f'word of {name}', 300)
     until_done(field, robots)
     assert replay(log).reproduced
-    if robots <= qos.DEPTH:
-        return
-
     field.kill('/m/estimator')
     start(field, 'estimator', log, robots, resumed=False)
     field.until(
@@ -172,7 +171,7 @@ def test_deployments_survive_every_restart(field, before):
     start(field, 'planner', log, robots)
     field.until(
         lambda: (
-            f'waiting for a belief that holds {robots} deployments; the last one holds 50'
+            f'waiting for a belief that holds {robots} deployments; the last one holds {depth}'
             in field.state('/m/planner')
         ),
         'planner that says what it waits for',
