@@ -197,7 +197,7 @@ def records(path: Path, on_corruption: OnCorruption) -> Iterator[Record]:
     errors are as for `read_mcap`.
     """
     with open_file(path) as file:
-        source = Source(file, path)
+        source = McapSource(file, path)
         before = source.checksum
         is_sound = True
         while len(head := source.read(HEAD.size)) == HEAD.size:
@@ -242,7 +242,7 @@ def records(path: Path, on_corruption: OnCorruption) -> Iterator[Record]:
             on_corruption(corrupt(path, source.position, ValueError('it ends within a record')))
 
 
-class Source:
+class McapSource:
     """
     A file as long as it was when it was opened, read from front to back.
 
@@ -296,7 +296,7 @@ def is_finished(path: Path) -> bool:
 
     """
     with open_file(path) as file:
-        return Source(file, path).is_finished
+        return McapSource(file, path).is_finished
 
 
 def read_start(file: BinaryIO, path: Path) -> bytes:
@@ -317,7 +317,7 @@ def ends_finished(file: BinaryIO, size: int) -> bool:
     return size > len(MCAP0_MAGIC) and end == MCAP0_MAGIC
 
 
-def in_chunk(source: Source, length: int) -> Iterator[tuple[int, bytes, int]]:
+def in_chunk(source: McapSource, length: int) -> Iterator[tuple[int, bytes, int]]:
     """
     Yield kind, body and length of the records in a chunk; of a cut one, of those that are whole.
 
@@ -341,7 +341,7 @@ def in_chunk(source: Source, length: int) -> Iterator[tuple[int, bytes, int]]:
 class BoundedStream:
     """The next bytes of a file, no more than there are in a record."""
 
-    def __init__(self, source: Source, length: int) -> None:
+    def __init__(self, source: McapSource, length: int) -> None:
         self._source = source
         self.is_cut = source.position + length > source.size
         self.left = length

@@ -12,7 +12,7 @@ from kbnitp_ros.configuration import MOST_ROBOTS, value_for
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.messages.headers import SECOND
-from kbnitp_ros.messages.status import AgentStatus, State
+from kbnitp_ros.messages.status import AgentStatus, OrderState
 import numpy as np
 from numpy.typing import NDArray
 
@@ -199,10 +199,10 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         robot = self._in_flight.get(key)
         if robot is None:
             return True
-        if status.state is State.REFUSED:
+        if status.state is OrderState.REFUSED:
             del self._in_flight[key]
             self._sent.discard(key)
-        elif status.state is State.DEPARTED:
+        elif status.state is OrderState.DEPARTED:
             robot.departure = status.content
             self._depart_if_recorded(key, robot)
         return True
@@ -215,7 +215,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     def restore(self, key: DeploymentKey, status: AgentStatus) -> None:
         """Take note of a status that is on record."""
         self.take(key, status)
-        if status.state is State.DEPARTED and key in self._in_flight:
+        if status.state is OrderState.DEPARTED and key in self._in_flight:
             self._in_flight[key].has_departed = True
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:

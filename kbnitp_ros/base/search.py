@@ -10,7 +10,7 @@ from kbnitp_ros.base.computation import Computation
 from kbnitp_ros.base.rounds import PlannedRound
 
 
-class Situation(NamedTuple):
+class SearchRequest(NamedTuple):
     """What paths are searched for."""
 
     # When the belief is from, in nanoseconds, and how many deployments it holds.
@@ -22,7 +22,7 @@ class Situation(NamedTuple):
     # How often parameters were changed.
     changes: int
 
-    def lasts(self, now: Situation, is_rolling: bool) -> bool:
+    def lasts(self, now: SearchRequest, is_rolling: bool) -> bool:
         """Return whether robots may leave now on what was found for this."""
         # Where robots leave one by one, a belief that came meanwhile is no news.
         return (
@@ -42,7 +42,7 @@ class Search(Computation[PlannedRound]):
     def __init__(
         self,
         find: Callable[[], PlannedRound],
-        situation: Situation,
+        situation: SearchRequest,
         when_over: Callable[[], object],
     ) -> None:
         self.situation = situation

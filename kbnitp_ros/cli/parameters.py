@@ -20,7 +20,7 @@ from kbnitp_ros.configuration import (
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import first_belief
-from kbnitp_ros.log.replayed_decisions import Asked
+from kbnitp_ros.log.replayed_decisions import RecordedGoal
 
 
 def values_of(
@@ -111,10 +111,10 @@ def recorded_planner(log: Path) -> dict[str, Any]:
     return recorded_values(recorded[names[0]], 'planner')
 
 
-def asked_on_record(log: Path) -> Asked | None:
+def asked_on_record(log: Path) -> RecordedGoal | None:
     """Return what the mission of a log was to make sure of; None if that is not on record."""
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)
         goal = goal_of(planner, first.grid) if first else None
-        return Asked(goal, planner['max_steps']) if goal else None
+        return RecordedGoal(goal, planner['max_steps']) if goal else None
     return None

@@ -10,7 +10,7 @@ from pathlib import Path
 from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.deployments import agent_of
-from kbnitp_ros.messages.status import AgentStatus, read_status, State
+from kbnitp_ros.messages.status import AgentStatus, OrderState, read_status
 
 STATUS = 'kbnitp_msgs/msg/AgentStatus'
 
@@ -46,12 +46,12 @@ class Departures:
         if key in self._reported:
             reported = self._reported[key]
             is_late = reported is not None and status.stamp > reported
-            if status.state is State.REFUSED or is_late:
+            if status.state is OrderState.REFUSED or is_late:
                 raise ValueError(
                     f'deployment {key} is {status.state.name} after it was reported: the report '
                     'holds'
                 )
-        elif status.state is State.DEPARTED:
+        elif status.state is OrderState.DEPARTED:
             self.out.add(key)
         self._statuses[key] = status
         return True
@@ -59,11 +59,11 @@ class Departures:
     @staticmethod
     def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
         """Return whether a status follows the one known; raises ValueError if it cannot."""
-        if status == known or status.state is known.state is State.ACCEPTED:
+        if status == known or status.state is known.state is OrderState.ACCEPTED:
             return False
-        if known.state is State.ACCEPTED:
+        if known.state is OrderState.ACCEPTED:
             return True
-        if status.state is State.ACCEPTED and status.stamp <= known.stamp:
+        if status.state is OrderState.ACCEPTED and status.stamp <= known.stamp:
             # It was said before, and heard again by one that was restarted.
             return False
         raise ValueError(
@@ -86,12 +86,12 @@ class Departures:
     def is_refused(self, key: DeploymentKey) -> bool:
         """Return whether the robot stays at the base."""
         status = self._statuses.get(key)
-        return status is not None and status.state is State.REFUSED
+        return status is not None and status.state is OrderState.REFUSED
 
     def is_at_base(self, key: DeploymentKey) -> bool:
         """Return whether the agent said something of an order, and not that the robot departs."""
         status = self._statuses.get(key)
-        return status is not None and status.state is not State.DEPARTED
+        return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
         """

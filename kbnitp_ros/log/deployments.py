@@ -18,7 +18,7 @@ from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import key_of_path
 from kbnitp_ros.messages.headers import from_stamp, read_stamp
 from kbnitp_ros.messages.missions import mission_of_path
-from kbnitp_ros.messages.status import AgentStatus, State
+from kbnitp_ros.messages.status import AgentStatus, OrderState
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,12 +43,12 @@ class RecordedDeployment:
     @property
     def is_refused(self) -> bool:
         """Whether its robot stays at the base."""
-        return self.status is not None and self.status.state is State.REFUSED
+        return self.status is not None and self.status.state is OrderState.REFUSED
 
     @property
     def has_departed(self) -> bool:
         """Whether its robot is known to have left the base."""
-        says_so = self.status is not None and self.status.state is State.DEPARTED
+        says_so = self.status is not None and self.status.state is OrderState.DEPARTED
         return says_so or self.observation is not None
 
 
@@ -94,7 +94,7 @@ def read_deployments(
         if report and report.survived and departures.is_refused(key):
             # Whoever comes back has been away.
             status = None
-        if report is None or (status is not None and status.state is State.REFUSED):
+        if report is None or (status is not None and status.state is OrderState.REFUSED):
             return RecordedDeployment(path, *messages[key], status=status)
         return RecordedDeployment(
             path, *messages[key], evidence.observation(key), report.stamp, status

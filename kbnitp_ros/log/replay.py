@@ -33,8 +33,8 @@ from kbnitp_ros.log.evidence import (
     REPORT,
 )
 from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
-from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
-from kbnitp_ros.log.replayed_decisions import Asked, ReplayedDecisions
+from kbnitp_ros.log.replay_report import BeliefFinding, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replayed_decisions import RecordedGoal, ReplayedDecisions
 from kbnitp_ros.log.replayed_views import ReplayedViews
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
@@ -63,7 +63,7 @@ NO_RULES = Grid(1, 1), 1
 def replay(
     path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
-    asked: Asked | None = None,
+    asked: RecordedGoal | None = None,
 ) -> ReplayReport:
     """
     Compute a log's beliefs again, and decisions, and compare them with those on record.
@@ -76,7 +76,7 @@ def replay(
         The log of one mission, from its own recorder or from ``ros2 bag record``.
     progress : callable
         Passes the log's messages on, twice; may show how far the reading has come.
-    asked : Asked, optional
+    asked : RecordedGoal, optional
         What the mission was to make sure of, without which decisions are not compared.
 
     Raises
@@ -124,7 +124,7 @@ def replay(
 class Fold:
     """The belief that a log's evidence gives, up to one belief on record after another."""
 
-    def __init__(self, report: ReplayReport, asked: Asked | None = None) -> None:
+    def __init__(self, report: ReplayReport, asked: RecordedGoal | None = None) -> None:
         self.report = report
         self.topic = ''
         self._ledger: Ledger | None = None
@@ -177,8 +177,8 @@ class Fold:
             self.report.compared[self.topic] += 1
             self._find(self.report.mismatches, newest, str(error))
 
-    def _find(self, found: list[Finding], newest: DeploymentKey | None, reason: str) -> None:
-        found.append(Finding(self.topic, self._index, newest, reason=reason))
+    def _find(self, found: list[BeliefFinding], newest: DeploymentKey | None, reason: str) -> None:
+        found.append(BeliefFinding(self.topic, self._index, newest, reason=reason))
 
     def _begin(self, prior: Snapshot) -> None:
         """Begin with the prior of an estimator."""
@@ -231,7 +231,7 @@ class Fold:
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
         if found:
-            self.report.add(Finding(self.topic, self._index, newest, found))
+            self.report.add(BeliefFinding(self.topic, self._index, newest, found))
         # The grids of a belief that was rounded otherwise show that one.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self.topic, self._ledger, seen, newest, stamp)

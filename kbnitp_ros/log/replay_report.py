@@ -30,7 +30,7 @@ class Grade(IntEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class BeliefFinding:
     """What is to be said of a recorded belief, or of a view of one."""
 
     # Where it was published.
@@ -69,11 +69,11 @@ class ReplayReport:
     # How many messages were compared, by topic: the beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
     # Those that are different, and those that are equal to `TOLERANCE` but not identical.
-    mismatches: list[Finding] = field(default_factory=list)
-    roundings: list[Finding] = field(default_factory=list)
+    mismatches: list[BeliefFinding] = field(default_factory=list)
+    roundings: list[BeliefFinding] = field(default_factory=list)
     # Beliefs after one that is missing, and those that are on record twice.
-    not_compared: list[Finding] = field(default_factory=list)
-    repeated: list[Finding] = field(default_factory=list)
+    not_compared: list[BeliefFinding] = field(default_factory=list)
+    repeated: list[BeliefFinding] = field(default_factory=list)
     # Deployments that no belief holds, though later ones are held: lost evidence.
     passed_over: list[DeploymentKey] = field(default_factory=list)
     # Deployments after the last one that is known to be held.
@@ -81,7 +81,7 @@ class ReplayReport:
     # Whether the log ends as its writer ends it.
     finished: bool = False
 
-    def add(self, finding: Finding) -> None:
+    def add(self, finding: BeliefFinding) -> None:
         """Note a message that is not identical."""
         is_equal = all(each.is_rounding for each in finding.differences)
         (self.roundings if is_equal else self.mismatches).append(finding)

@@ -10,7 +10,7 @@ from typing import Any
 from kbnitp_ros.bag import LoggedMessage
 from kbnitp_ros.core import Goal, HazardDraws, Ledger
 from kbnitp_ros.log.compare import differences
-from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replay_report import BeliefFinding, ReplayReport, TOLERANCE
 from kbnitp_ros.messages.decisions import decision_fields
 from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import from_stamp
@@ -20,7 +20,7 @@ ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
 
 
 @dataclass(frozen=True)
-class Asked:
+class RecordedGoal:
     """What a mission was to make sure of."""
 
     goal: Goal
@@ -36,7 +36,7 @@ class ReplayedDecisions:
     not compared.
     """
 
-    def __init__(self, asked: Asked | None) -> None:
+    def __init__(self, asked: RecordedGoal | None) -> None:
         self._asked = asked
         # The index and the message of each, by its topic, the stamp of its belief and the
         # deployments in that.
@@ -69,7 +69,7 @@ class ReplayedDecisions:
         for topic, index, message in self._recorded.pop(key):
             report.compared[topic] += 1
             if found := tuple(differences(message, computed, TOLERANCE, ROUNDED)):
-                report.add(Finding(topic, index, ledger.newest, found))
+                report.add(BeliefFinding(topic, index, ledger.newest, found))
 
     def finish(self, report: ReplayReport) -> None:
         """Take note of the decisions that are left."""
@@ -80,4 +80,4 @@ class ReplayedDecisions:
         )
         for left in self._recorded.values():
             for topic, index, _ in left:
-                report.not_compared.append(Finding(topic, index, None, reason=reason))
+                report.not_compared.append(BeliefFinding(topic, index, None, reason=reason))

@@ -10,7 +10,7 @@ from kbnitp_ros.bag import LoggedMessage
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger
 from kbnitp_ros.log.compare import content_digest, Difference, differences
 from kbnitp_ros.log.evidence import MODEL
-from kbnitp_ros.log.replay_report import Finding, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replay_report import BeliefFinding, ReplayReport, TOLERANCE
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import model_fields
@@ -68,7 +68,7 @@ class ReplayedViews:
                     report.compared[topic] += 1
                 for (index, view), (newest, computed) in zip(others, unseen):
                     report.compared[topic] += 1
-                    report.add(Finding(topic, index, newest, differs(view, computed)))
+                    report.add(BeliefFinding(topic, index, newest, differs(view, computed)))
 
 
 def differs(view: Any, computed: Any) -> tuple[Difference, ...]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LONGEST_REASON = 500
 
 
-class State(IntEnum):
+class OrderState(IntEnum):
     """What becomes of an order, as in kbnitp_msgs/AgentStatus."""
 
     ACCEPTED = 1
@@ -31,7 +31,7 @@ class AgentStatus:
     """What an agent says of an order."""
 
     # What it does with it.
-    state: State
+    state: OrderState
     # When it says so, in nanoseconds.
     stamp: int
     # Why the robot stays at the base, if it does; else empty.
@@ -41,7 +41,7 @@ class AgentStatus:
 
 
 def status_message(
-    key: DeploymentKey, state: State, stamp: int, reason: str = ''
+    key: DeploymentKey, state: OrderState, stamp: int, reason: str = ''
 ) -> msg.AgentStatus:
     """Return the message of what an agent does, at a time in nanoseconds, with an order."""
     from kbnitp_msgs import msg
@@ -73,10 +73,12 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
         raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(agent, read_name('deployment', message.deployment))
-    if message.state not in list(State):
-        raise ValueError(f'state is {message.state}: it must be from {min(State)} to {max(State)}')
-    state = State(message.state)
-    if (state is State.REFUSED) != bool(message.reason):
+    if message.state not in list(OrderState):
+        raise ValueError(
+            f'state is {message.state}: it must be from {min(OrderState)} to {max(OrderState)}'
+        )
+    state = OrderState(message.state)
+    if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
             f'reason is {shown(message.reason)} and state {state.name}: an order that is refused '
             'has a reason, and no other'

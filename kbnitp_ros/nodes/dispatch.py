@@ -25,8 +25,7 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.missions import mission_of_path
-from kbnitp_ros.messages.status import read_status
-from kbnitp_ros.messages.status import State as AgentState
+from kbnitp_ros.messages.status import OrderState, read_status
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
@@ -181,7 +180,7 @@ class Dispatch:
             self._node.diagnostics.refuse(f'{agent}/status', error)
             return
         self._node.diagnostics.accept()
-        if status.state is AgentState.REFUSED and robot is not None:
+        if status.state is OrderState.REFUSED and robot is not None:
             self._rounds.forget_path(robot.path)
             self.refusals.add(agent)
             self._goals.pop(key, None)

@@ -11,7 +11,7 @@ from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import describe_plan, Plans
-from kbnitp_ros.base.search import Situation
+from kbnitp_ros.base.search import SearchRequest
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.files import some
 from kbnitp_ros.log.operator_state import OperatorState, Paths
@@ -44,7 +44,7 @@ class Proposals:
         self.plans: Plans = {}
         self._node = node
         self._grid = grid
-        self._made_for: Situation | None = None
+        self._made_for: SearchRequest | None = None
         self._publishers = {
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
@@ -55,11 +55,11 @@ class Proposals:
         """Return the paths that are proposed."""
         return {key: plan.path for key, plan in self.plans.items()}
 
-    def are_for(self, situation: Situation) -> bool:
+    def are_for(self, situation: SearchRequest) -> bool:
         """Return whether there are plans, and they were made for this situation."""
         return bool(self.plans) and self._made_for == situation
 
-    def show(self, plans: Plans, situation: Situation) -> None:
+    def show(self, plans: Plans, situation: SearchRequest) -> None:
         """Propose plans that were made for a situation."""
         self.withdraw()
         self.plans, self._made_for = plans, situation

@@ -14,7 +14,7 @@ from kbnitp_ros.base.parameter_changes import check_changes, check_robots
 from kbnitp_ros.base.reachability import cut_off_note, reach_note
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import Plans, Rounds
-from kbnitp_ros.base.search import Search, Situation
+from kbnitp_ros.base.search import Search, SearchRequest
 from kbnitp_ros.configuration import (
     agents_of,
     base_of,
@@ -75,7 +75,7 @@ class PlannerNode(FieldNode):
         # How often parameters were changed.
         self._changes = 0
         # For what nothing was found that is worth a robot, and why.
-        self._worthless_for: Situation | None = None
+        self._worthless_for: SearchRequest | None = None
         self._why_worthless = ''
         self._holding = Holding(self)
         self._operator = Operator(
@@ -272,7 +272,7 @@ class PlannerNode(FieldNode):
         """
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
-        now = Situation(belief, agents, len(refused), self._changes)
+        now = SearchRequest(belief, agents, len(refused), self._changes)
         if self._proposals.are_for(now):
             return self._proposals.plans
         search = self._search
@@ -299,7 +299,7 @@ class PlannerNode(FieldNode):
                 self._bounds.show(newest.stamp, plan.upper_bound)
         return planned.plans
 
-    def _is_wanted(self, search: Search, now: Situation) -> bool:
+    def _is_wanted(self, search: Search, now: SearchRequest) -> bool:
         """Return whether robots may leave on what a search has found."""
         is_wanted = search.situation.lasts(now, self.values['rolling'])
         if not is_wanted:

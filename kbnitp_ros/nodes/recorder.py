@@ -42,17 +42,16 @@ from kbnitp_ros.messages.sizes import (
     PROGRESS_SIZE,
     STATUS_SIZE,
 )
-from kbnitp_ros.messages.status import read_status
-from kbnitp_ros.messages.status import State as AgentState
+from kbnitp_ros.messages.status import OrderState, read_status
 from kbnitp_ros.nodes.parameter_watch import ParameterWatch
 from kbnitp_ros.nodes.recorders import Precedence
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, State, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.topic import Message, message_class, time_received, Topic
+from kbnitp_ros.nodes.topic import HeardTopic, Message, message_class, time_received
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -161,7 +160,7 @@ class RecorderNode(MissionNode):
             self._departures = read_departures(resume)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, HeardTopic] = {}
         # Topics whose publishers are all heard, and what cannot be recorded.
         self._settled: set[str] = set()
         self._last_looked = ''
@@ -188,7 +187,7 @@ class RecorderNode(MissionNode):
         """Write what has arrived, in the order it came."""
         self._write_arrived_on(self._topics.values())
 
-    def _write_arrived_on(self, topics: Iterable[Topic]) -> None:
+    def _write_arrived_on(self, topics: Iterable[HeardTopic]) -> None:
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
@@ -294,7 +293,7 @@ class RecorderNode(MissionNode):
                 topic.subscriptions[kind] = self._subscribe(topic, profile)
             self._settled.add(name)
 
-    def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> Topic:
+    def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> HeardTopic:
         """
         Return a topic, on record from now on.
 
@@ -314,7 +313,7 @@ class RecorderNode(MissionNode):
             raise LookupError(f'type is {type_name}: on this topic it must be {wanted}')
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
-        topic = self._topics[name] = Topic(name, type_name)
+        topic = self._topics[name] = HeardTopic(name, type_name)
         topic.recorded = self._acknowledging(name, type_name)
         self.diagnostics.state = self._state()
         return topic
@@ -328,7 +327,7 @@ class RecorderNode(MissionNode):
         is_operator = type_name == OPERATOR and name == self.resolve_topic_name('operator')
         return self._precedence.publisher if is_operator else None
 
-    def _state(self) -> State:
+    def _state(self) -> NodeState:
         """Return what is recorded, and whom it waits for."""
         recording = f'recording {len(self._topics)} topics'
         heard = {topic.type_name for topic in self._topics.values()}
@@ -345,7 +344,7 @@ class RecorderNode(MissionNode):
         agent, _, last = relative.rpartition('/')
         return TYPES.get(relative) or (AGENT_TYPES.get(last) if agent else None)
 
-    def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
+    def _subscribe(self, topic: HeardTopic, profile: QoSProfile) -> Subscription:
         def look_again(_: Any) -> None:
             self._settled.discard(topic.name)
 
@@ -360,7 +359,7 @@ class RecorderNode(MissionNode):
             ),
         )
 
-    def _on_message(self, topic: Topic, data: bytes, info: Any) -> None:
+    def _on_message(self, topic: HeardTopic, data: bytes, info: Any) -> None:
         if topic.type_name in (BELIEF, STATUS):
             # They are judged by the paths that are known, and callbacks come in any order.
             self._write_arrived_on(
@@ -380,7 +379,7 @@ class RecorderNode(MissionNode):
             self._sync()
             self._tell_recorded()
 
-    def _write(self, topic: Topic, data: bytes, info: Any) -> None:
+    def _write(self, topic: HeardTopic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
         if topic.is_new(info['source_timestamp'], data):
             self._write_checked((topic, data, info), time.monotonic() + PATIENCE)
@@ -411,14 +410,14 @@ class RecorderNode(MissionNode):
         for message, deadline in early:
             self._write_checked(message, deadline)
 
-    def _is_told_by_us(self, topic: Topic, data: bytes) -> bool:
+    def _is_told_by_us(self, topic: HeardTopic, data: bytes) -> bool:
         """Return whether diagnostics, which all missions tell on one topic, are of this one."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
         status = deserialize_message(data, message_class(topic.type_name)).status
         return any(each.name.startswith(self._namespace) for each in status)
 
-    def _check(self, topic: Topic, data: bytes) -> None:
+    def _check(self, topic: HeardTopic, data: bytes) -> None:
         """
         Check that what others act on, also when they read the log, can be of this mission.
 
@@ -460,7 +459,7 @@ class RecorderNode(MissionNode):
             self._tracker.check_belief(snapshot, self.count_authors(topic.name, BELIEF), known)
             self._tracker.accept_belief(snapshot, known)
 
-    def _check_status(self, topic: Topic, message: Any) -> None:
+    def _check_status(self, topic: HeardTopic, message: Any) -> None:
         """
         Check what an agent says of an order, and have a departure told to be on the disk.
 
@@ -481,10 +480,10 @@ class RecorderNode(MissionNode):
                 f'deployment {key} is {status.state.name}, and its path is not on record'
             )
         self._departures.take(key, status)
-        if status.state is AgentState.DEPARTED:
+        if status.state is OrderState.DEPARTED:
             topic.untold.append((key.stamp, status.content, NOT_TOLD))
 
-    def _name(self, topic: Topic, message: Any) -> tuple[int, int]:
+    def _name(self, topic: HeardTopic, message: Any) -> tuple[int, int]:
         """
         Return the stamp of a path or an operator's action, and when its mission began.
 
@@ -514,7 +513,7 @@ class RecorderNode(MissionNode):
             if topic.recorded is not None:
                 topic.untold = [each for each in topic.untold if not self._tell(topic, *each)]
 
-    def _tell(self, topic: Topic, stamp: int, content: int, mission: int) -> bool:
+    def _tell(self, topic: HeardTopic, stamp: int, content: int, mission: int) -> bool:
         """Say that a path or action is on the disk; return False if that must wait."""
         if topic.type_name == PATH:
             try:

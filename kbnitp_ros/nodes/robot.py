@@ -20,8 +20,7 @@ from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
-from kbnitp_ros.messages.status import State as AgentState
-from kbnitp_ros.messages.status import status_message
+from kbnitp_ros.messages.status import OrderState, status_message
 from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
 from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.duplicate_names import DuplicateNames
@@ -29,7 +28,7 @@ from kbnitp_ros.nodes.hold import Hold
 from kbnitp_ros.nodes.links import Links
 from kbnitp_ros.nodes.pending_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import State, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot import (
@@ -161,9 +160,9 @@ class RobotNode(FieldNode):
             self.get_logger().warning(self._journal.corruption)
             self.diagnostics.values['journal'] = self._journal.corruption
         for stamp, (time_refused, reason) in self._journal.refusals.items():
-            self._say_status(stamp, AgentState.REFUSED, time_refused, reason)
+            self._say_status(stamp, OrderState.REFUSED, time_refused, reason)
         for deployment in self._journal.deployments:
-            self._say_status(deployment.stamp, AgentState.DEPARTED, deployment.departed)
+            self._say_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
             if deployment.is_home:
                 self._report(deployment)
         self._deployment: Deployment | None = None
@@ -187,13 +186,13 @@ class RobotNode(FieldNode):
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
 
-    def _say_status(self, stamp: int, state: AgentState, time_said: int, reason: str = '') -> None:
+    def _say_status(self, stamp: int, state: OrderState, time_said: int, reason: str = '') -> None:
         """Say what is done with the order of a path, or say it again."""
         key = DeploymentKey(self._agent, stamp)
         self._statuses.publish(status_message(key, state, time_said, reason))
 
     def _accept(self, deployment: Deployment) -> None:
-        self._say_status(deployment.stamp, AgentState.ACCEPTED, self.now())
+        self._say_status(deployment.stamp, OrderState.ACCEPTED, self.now())
 
     def _take_place(self, take: Callable[[Any], None], message: TFMessage | NavSatFix) -> None:
         try:
@@ -318,7 +317,7 @@ class RobotNode(FieldNode):
             self._wait() if self._deployment is None else self._go_on(self._deployment)
         )
 
-    def _wait(self) -> State:
+    def _wait(self) -> NodeState:
         """Have the robot leave when it can; return what it does."""
         if not self._pending.is_listening:
             if missing := self.missing_listeners([self._reports]):
@@ -347,7 +346,7 @@ class RobotNode(FieldNode):
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
             return False
-        self._say_status(stamp, AgentState.REFUSED, now, reason)
+        self._say_status(stamp, OrderState.REFUSED, now, reason)
         self.get_logger().warning(f'deployment {self._key(deployment)} is refused: {reason}')
         return True
 
@@ -359,7 +358,7 @@ class RobotNode(FieldNode):
         self._pending.close(deployment)
         self._set_out(deployment, deployment.path)
         self._is_at_gate = True
-        departure = status_message(self._key(deployment), AgentState.DEPARTED, deployment.departed)
+        departure = status_message(self._key(deployment), OrderState.DEPARTED, deployment.departed)
         leave = partial(self._leave, deployment)
         self._pending.when_recorded(deployment.stamp, content_hash(departure), leave)
         self._statuses.publish(departure)
@@ -373,7 +372,7 @@ class RobotNode(FieldNode):
             self.get_logger().info(f'leaving on {self._key(deployment)}: {steps} steps')
 
     @property
-    def _no_room(self) -> State:
+    def _no_room(self) -> NodeState:
         return waiting_for(f'room on the disk: {self._troubles["journal"]}')
 
     @property
@@ -396,7 +395,7 @@ class RobotNode(FieldNode):
             )
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
-    def _go_on(self, deployment: Deployment) -> State:
+    def _go_on(self, deployment: Deployment) -> NodeState:
         """Have the robot do what is next; return what it does."""
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
@@ -444,7 +443,7 @@ class RobotNode(FieldNode):
         way_back = steps_back * spent / max(len(deployment.steps), 1)
         return 0 < budget <= spent + way_back
 
-    def _wait_at_gate(self, deployment: Deployment) -> State:
+    def _wait_at_gate(self, deployment: Deployment) -> NodeState:
         """Stay at the base until the departure is on record; a pause ends it there."""
         if self._hold.awaited:
             self.get_logger().warning(
@@ -500,7 +499,7 @@ class RobotNode(FieldNode):
         tolerance: float = self.values['arrival_tolerance']
         return self._distance(place) <= tolerance
 
-    def _stay(self) -> State:
+    def _stay(self) -> NodeState:
         """Wait where the robot is, and look again."""
         now = self.now()
         if self._stays_until is None:

@@ -25,7 +25,7 @@ from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.poses import pose_message
-from kbnitp_ros.messages.status import State, status_message
+from kbnitp_ros.messages.status import OrderState, status_message
 from kbnitp_ros.nodes.hidden_field import HiddenField
 from kbnitp_ros.nodes.hold import Hold
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
@@ -232,7 +232,7 @@ class SimulatedAgent(AgentPaths):
         """Publish a report on record again, and do not make that deployment once more."""
         self._known[key] = deployment.path
         assert deployment.observation
-        self._say(key, State.DEPARTED)
+        self._say(key, OrderState.DEPARTED)
         self.reports.publish(report_message(key, deployment.observation, deployment.reported))
 
     @property
@@ -248,7 +248,7 @@ class SimulatedAgent(AgentPaths):
     def _follow(self, key: DeploymentKey) -> None:
         """Have a robot depart when it may."""
         self._at_home.append(key)
-        self._say(key, State.ACCEPTED)
+        self._say(key, OrderState.ACCEPTED)
         self._depart_all()
 
     def _depart_all(self) -> None:
@@ -257,11 +257,11 @@ class SimulatedAgent(AgentPaths):
             return
         at_home, self._at_home = self._at_home, []
         for key in at_home:
-            departure = content_hash(status_message(key, State.DEPARTED, key.stamp))
+            departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
             self._sent.when_recorded(key.stamp, departure, partial(super()._follow, key))
-            self._say(key, State.DEPARTED)
+            self._say(key, OrderState.DEPARTED)
 
-    def _say(self, key: DeploymentKey, state: State) -> None:
+    def _say(self, key: DeploymentKey, state: OrderState) -> None:
         """Say what is done with an order; an agent that was restarted says the very same again."""
         self._statuses.publish(status_message(key, state, key.stamp))
 

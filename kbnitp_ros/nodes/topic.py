@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 RECENT = 1000
 
 # A topic, the bytes that came on it and what rclpy knows of them.
-Message = tuple['Topic', bytes, dict[str, Any]]
+Message = tuple['HeardTopic', bytes, dict[str, Any]]
 
 
 class Recent:
@@ -46,7 +46,7 @@ class Recent:
 
 
 @dataclass
-class Topic:
+class HeardTopic:
     """A topic on record."""
 
     # Full names; a topic has one type.

@@ -73,7 +73,7 @@ class Frozen(NamedTuple):
     bound: float
 
 
-class Worth(NamedTuple):
+class PlannerScore(NamedTuple):
     """What a planner does on the frozen beliefs: worth / bound, and seconds; shape (beliefs,)."""
 
     ratio: NDArray[np.float64]
@@ -114,7 +114,7 @@ def entered() -> tuple[list[str], list[str]]:
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
 
-def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -> Worth:
+def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -> PlannerScore:
     """Return what the plans of a planner are worth, and how long they take."""
 
     def planned(each: Frozen) -> tuple[float, float]:
@@ -124,7 +124,9 @@ def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -
 
     # The first one compiles kernels.
     planned(beliefs[0])
-    return Worth(*np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T)
+    return PlannerScore(
+        *np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
+    )
 
 
 def seconds_of(method: str, scenario: Scenario) -> float:
@@ -159,7 +161,7 @@ def missions(
 
 
 def table_of(
-    entries: Sequence[Entry], worths: dict[str, Worth], seconds: dict[str, float]
+    entries: Sequence[Entry], worths: dict[str, PlannerScore], seconds: dict[str, float]
 ) -> Table:
     """Return the table of the benchmark."""
 

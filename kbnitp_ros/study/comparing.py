@@ -13,7 +13,7 @@ from kbnitp_ros.study.own import by_name, Given, Own
 from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import Scenario, scenario_of
 from kbnitp_ros.study.shipped import scenario_file
-from kbnitp_ros.study.trial import Outcome, run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import MissionResult, run_trial, Trial, trials_of
 from kbnitp_ros.study.workers import workers as worker_processes
 from tqdm import tqdm
 
@@ -87,7 +87,7 @@ def compare(
         ) from error
 
 
-def run_own(own: Own, scenario: Scenario, trial: Trial) -> Outcome:
+def run_own(own: Own, scenario: Scenario, trial: Trial) -> MissionResult:
     """Run a trial with planners and methods that no package has, handed to its process."""
     with own.known():
         return run_trial(scenario, trial)

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from kbnitp_ros.files import naming, open_file
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
-from kbnitp_ros.study.trial import LEARNT, measures_of, Outcome, Trial, trials_of
+from kbnitp_ros.study.trial import LEARNT, measures_of, MissionResult, Trial, trials_of
 import numpy as np
 import yaml
 
@@ -58,11 +58,11 @@ class Folder:
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
 
-    def save(self, trial: Trial, outcome: Outcome) -> None:
+    def save(self, trial: Trial, outcome: MissionResult) -> None:
         """Keep the outcome of a trial; on disk when this returns."""
         _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
 
-    def outcomes(self) -> dict[Trial, Outcome]:
+    def outcomes(self) -> dict[Trial, MissionResult]:
         """
         Return the outcomes of the trials whose files are there and whole.
 
@@ -83,7 +83,7 @@ class Folder:
                 outcomes[trial] = self._read(file)
         return outcomes
 
-    def _read(self, file: BinaryIO) -> Outcome:
+    def _read(self, file: BinaryIO) -> MissionResult:
         """Return the outcome in a file; fails if it is corrupt or of another scenario."""
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
@@ -96,7 +96,7 @@ class Folder:
             # A small file may hold arrays that no memory has room for.
             if sum(each.file_size for each in arrays.zip.infolist()) > largest + HEADERS:
                 raise ValueError('its arrays are too large')
-            outcome = Outcome(**arrays)
+            outcome = MissionResult(**arrays)
         if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, types)]:
             raise ValueError('its arrays are of another shape')
         return outcome

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Strategy
-from kbnitp_ros.study.trial import measures_of, Outcome, Trial, trials_of
+from kbnitp_ros.study.trial import measures_of, MissionResult, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
 import pyarrow as pa
@@ -64,7 +64,7 @@ class Results:
     """
 
     scenario: Scenario
-    outcomes: Mapping[Trial, Outcome]
+    outcomes: Mapping[Trial, MissionResult]
 
     def table(self) -> pa.Table:
         """
@@ -133,6 +133,6 @@ class Results:
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])
 
-    def _of(self, lethality: float | None, method: str, team: Strategy) -> list[Outcome]:
+    def _of(self, lethality: float | None, method: str, team: Strategy) -> list[MissionResult]:
         numbers = range(self.scenario.trials)
         return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]

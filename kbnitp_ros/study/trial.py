@@ -58,7 +58,7 @@ class Trial(NamedTuple):
     team: Strategy = ALONE
 
 
-class Outcome(NamedTuple):
+class MissionResult(NamedTuple):
     """What is kept of a mission."""
 
     # As `measures_of` says, before the first robot and after each; once a mission is over they
@@ -90,7 +90,7 @@ def trials_of(scenario: Scenario) -> list[Trial]:
     ]
 
 
-def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
+def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     """
     Run one mission; the same arguments give the same bits.
 
@@ -157,7 +157,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> Outcome:
             beliefs,
             worlds,
         )
-    return Outcome(
+    return MissionResult(
         carried([*zip(*(measured[name] for name in measures_of(scenario)))], scenario.robots),
         np.stack([beliefs[-1].hazard, beliefs[-1].target]),
         np.stack([worlds[-1].hazard, worlds[-1].target]),

@@ -12,7 +12,7 @@ from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
 from kbnitp_ros.log.operator_state import OperatorState
 from kbnitp_ros.messages.operator_action import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
-from kbnitp_ros.messages.status import AgentStatus, State
+from kbnitp_ros.messages.status import AgentStatus, OrderState
 from laws import for_each
 from samples import HOME, key
 
@@ -154,7 +154,7 @@ def test_a_mission_that_is_ended_waits_for_those_that_have_departed_alone():
     assert ended.unreported == []
     assert ended.robots == 1
     assert ended.obstacle is Obstacle.ALL_DEPLOYED
-    ended.in_flight.take(key(1), AgentStatus(State.DEPARTED, 0))
+    ended.in_flight.take(key(1), AgentStatus(OrderState.DEPARTED, 0))
     assert ended.unreported == [key(1)]
     assert ended.robots == 2
     assert ended.obstacle is Obstacle.UNREPORTED

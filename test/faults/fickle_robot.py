@@ -22,7 +22,7 @@ from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.status import State, status_message
+from kbnitp_ros.messages.status import OrderState, status_message
 from kbnitp_ros.nodes.links import Links
 from kbnitp_ros.nodes.robot import NEW_LINKS
 from kbnitp_ros.nodes.runtime import qos
@@ -82,9 +82,9 @@ class Robot:
             self._orders.setdefault(stamp, {})[what] = value
         for stamp, order in self._orders.items():
             if 'refused' in order:
-                self._say(stamp, State.REFUSED, order['time'], order['refused'])
+                self._say(stamp, OrderState.REFUSED, order['time'], order['refused'])
             if 'departed' in order:
-                self._say(stamp, State.DEPARTED, order['departed'])
+                self._say(stamp, OrderState.DEPARTED, order['departed'])
                 if not order.keys() & {'home', 'lost'}:
                     self._write(stamp, 'home', [[self._grid.base, self._grid.base], [-1]])
             if 'home' in order:
@@ -134,17 +134,17 @@ class Robot:
         rng = np.random.default_rng((self._seed, stamp % 2**63, len(self._agent)))
         fate = str(rng.choice([*FATES], p=[*FATES.values()]))
         crash_code = UNPLUGGED if self._is_apart and rng.random() < 0.5 else CRASHED
-        self._say(stamp, State.ACCEPTED, stamp)
+        self._say(stamp, OrderState.ACCEPTED, stamp)
         if fate.startswith('crash before') and 'lived' not in self._orders.get(stamp, {}):
             self._write(stamp, 'lived', True)
             os._exit(crash_code)
         if 'refuse' in fate:
             self._write(stamp, 'time', stamp)
             self._write(stamp, 'refused', fate)
-            self._say(stamp, State.REFUSED, stamp, fate)
+            self._say(stamp, OrderState.REFUSED, stamp, fate)
             return
         self._write(stamp, 'departed', stamp)
-        content = self._say(stamp, State.DEPARTED, stamp)
+        content = self._say(stamp, OrderState.DEPARTED, stamp)
         if fate == 'crash at the gate':
             # With or without that on the base's disk.
             time.sleep(rng.uniform(0.0, 0.1))

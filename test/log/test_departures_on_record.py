@@ -10,23 +10,23 @@ from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.status import AgentStatus, read_status, State, status_message
+from kbnitp_ros.messages.status import AgentStatus, OrderState, read_status, status_message
 from laws import for_each
 import numpy as np
 import pytest
 
 KEY = DeploymentKey('scout_1', 70)
-ACCEPTED = AgentStatus(State.ACCEPTED, 80, content=1)
-DEPARTED = AgentStatus(State.DEPARTED, 90, content=2)
-REFUSED = AgentStatus(State.REFUSED, 90, 'a newer path came', 3)
+ACCEPTED = AgentStatus(OrderState.ACCEPTED, 80, content=1)
+DEPARTED = AgentStatus(OrderState.DEPARTED, 90, content=2)
+REFUSED = AgentStatus(OrderState.REFUSED, 90, 'a newer path came', 3)
 HOME = 100
 
 
 def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
     said = {
-        State.ACCEPTED: status_message(KEY, State.ACCEPTED, 80),
-        State.DEPARTED: status_message(KEY, State.DEPARTED, 80),
-        State.REFUSED: status_message(KEY, State.REFUSED, 80, 'the battery is low'),
+        OrderState.ACCEPTED: status_message(KEY, OrderState.ACCEPTED, 80),
+        OrderState.DEPARTED: status_message(KEY, OrderState.DEPARTED, 80),
+        OrderState.REFUSED: status_message(KEY, OrderState.REFUSED, 80, 'the battery is low'),
     }
     for state, message in said.items():
         key, status = read_status(message, 'scout_1')
@@ -41,7 +41,7 @@ def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
         ({'state': 3, 'reason': 'x' * 501}, 'reason has 501 characters'),
         ({'deployment': to_stamp(-1)}, 'deployment is -1'),
     ):
-        bad = status_message(KEY, State.DEPARTED, 80)
+        bad = status_message(KEY, OrderState.DEPARTED, 80)
         for name, value in change.items():
             setattr(bad, name, value)
         with pytest.raises(ValueError, match=told):
@@ -76,13 +76,13 @@ def test_departures_and_reports_mean_the_same_in_any_order(seed):
 
 
 def test_what_contradicts_is_refused_and_changes_nothing():
-    other = AgentStatus(State.DEPARTED, 91, content=4)
-    late = AgentStatus(State.DEPARTED, HOME + 1, content=5)
+    other = AgentStatus(OrderState.DEPARTED, 91, content=4)
+    late = AgentStatus(OrderState.DEPARTED, HOME + 1, content=5)
     for before, status, told in (
         ([DEPARTED], other, 'DEPARTED, and was DEPARTED before: the first counts'),
         ([DEPARTED], REFUSED, 'REFUSED, and was DEPARTED before'),
         ([REFUSED], DEPARTED, 'DEPARTED, and was REFUSED before'),
-        ([DEPARTED], AgentStatus(State.ACCEPTED, 95), 'ACCEPTED, and was DEPARTED before'),
+        ([DEPARTED], AgentStatus(OrderState.ACCEPTED, 95), 'ACCEPTED, and was DEPARTED before'),
         ([DEPARTED, 'report'], REFUSED, 'REFUSED, and was DEPARTED'),
         (['report'], REFUSED, 'REFUSED after it was reported'),
         (['report'], late, 'DEPARTED after it was reported'),
@@ -110,5 +110,5 @@ def test_a_robot_that_stays_is_not_lost_and_one_that_returns_was_away():
 
 
 def test_all_states_have_a_name_in_the_message():
-    names = Counter(getattr(AgentStatusMessage, state.name) == state for state in State)
+    names = Counter(getattr(AgentStatusMessage, state.name) == state for state in OrderState)
     assert names == {True: 3}

@@ -6,7 +6,7 @@ from copy import deepcopy
 from kbnitp_ros.core import Area, HazardDraws, Lane
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
-from kbnitp_ros.log.replayed_decisions import Asked
+from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.messages.decisions import decision_message
 from kbnitp_ros.messages.headers import from_stamp
 from laws import for_each
@@ -47,7 +47,7 @@ def decided(goal, method='kappa_bnitp'):
 
 
 def replayed(folder, sent, goal=LANE):
-    return replay(record(folder / 'mission.mcap', sent), asked=Asked(goal, MAX_STEPS))
+    return replay(record(folder / 'mission.mcap', sent), asked=RecordedGoal(goal, MAX_STEPS))
 
 
 @for_each(

@@ -11,7 +11,7 @@ from kbnitp_ros.core import DeploymentKey, Observation
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.status import State, status_message
+from kbnitp_ros.messages.status import OrderState, status_message
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest
@@ -57,7 +57,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base = StatedBase(field, robots=2)
     base.until_sent(1)
     # Neither silence nor acceptance says that it has left, however long it lasts.
-    base.say(State.ACCEPTED)
+    base.say(OrderState.ACCEPTED)
     base.until_state('to depart, as its agent tells on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
     assert 'is not known to have departed, and a robot at its base is not lost' in told
@@ -66,10 +66,10 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
     assert not base.heard['scout_1']
     assert 'leaves for' not in field.said('/planner')
-    base.say(State.REFUSED, 'the battery is low')
+    base.say(OrderState.REFUSED, 'the battery is low')
     base.until_sent(2)
     assert 'the battery is low; nothing is learnt of it' in field.said('/planner')
-    base.until_named(base.say(State.DEPARTED))
+    base.until_named(base.say(OrderState.DEPARTED))
     field.until(lambda: base.heard['scout_1'], 'loss')
     base.until_held(1)
     newest = read_path(GRID, 'scout_1', base.paths['scout_1'][1])[0]
@@ -82,7 +82,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.until_named(base.paths['scout_1'][-1])
     base.crash()
     # On record are two orders that count: the planner sends those again, and no third.
-    base.until_named(base.say(State.DEPARTED))
+    base.until_named(base.say(OrderState.DEPARTED))
     base.until_held(2)
     base.until_state('done: 2 of 2')
     report = base.replayed()
@@ -104,7 +104,7 @@ def test_deadlines_begin_with_departures_on_record_whatever_becomes_of_the_clock
         base.until_sent(number)
         base.until_named(base.paths['scout_1'][-1])
         field.kill('/recorder')
-        departure = base.say(State.DEPARTED)
+        departure = base.say(OrderState.DEPARTED)
         waited = time.monotonic() + deadline + 1.0
         field.until(lambda end=waited: time.monotonic() > end, 'end of its deadline')
         # It does not move before that is on disk.
@@ -124,10 +124,10 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     base = StatedBase(field, robots=1, return_deadline=1000.0)
     base.until_sent(1)
     key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
-    unknown = status_message(DeploymentKey('scout_1', 5), State.DEPARTED, 6)
+    unknown = status_message(DeploymentKey('scout_1', 5), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(unknown)
     assert 'DEPARTED, and no path of it was sent' in field.until_refused('/planner', 1)
-    other = status_message(DeploymentKey('scout_2', key.stamp), State.DEPARTED, 6)
+    other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)
     # The recorder waits for the path of a departure that it does not know, and then refuses it.
@@ -137,9 +137,10 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     jump = Observation([0, GRID.cells - 1, 0], True, [False, False])
     base.reports['scout_1'].publish(report_message(key, jump, 1))
     assert 'path jumps at step 1' in field.until_refused('/planner', 3)
-    base.until_named(base.say(State.DEPARTED))
+    base.until_named(base.say(OrderState.DEPARTED))
     for number, (state, reason) in enumerate(
-        ((State.DEPARTED, ''), (State.REFUSED, 'too late'), (State.ACCEPTED, '')), start=4
+        ((OrderState.DEPARTED, ''), (OrderState.REFUSED, 'too late'), (OrderState.ACCEPTED, '')),
+        start=4,
     ):
         base.say(state, reason, stamp=key.stamp + 1)
         assert 'and was DEPARTED before' in field.until_refused('/planner', number)
@@ -148,10 +149,10 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     assert len({each.content for each in departures}) == 2
     base.come_back()
     base.until_state('done: 1 of 1')
-    base.say(State.REFUSED, 'too late', stamp=key.stamp + 2)
+    base.say(OrderState.REFUSED, 'too late', stamp=key.stamp + 2)
     field.until_refused('/planner', 7)
     # The same once more is no news.
-    base.say(State.DEPARTED)
+    base.say(OrderState.DEPARTED)
     field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
     assert 'this planner says False, which holds' in field.until_refused('/planner', 8)
     assert base.beliefs[-1].deployments == 1
@@ -191,11 +192,11 @@ def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_reco
     recorded.publish(on_disk(path(1)))
     for state in ('the planner to tell on /hold', 'the operator to end the pause'):
         field.until(lambda state=state: state in field.state('/agent'), state)
-        assert [each.state for each in statuses] == [State.ACCEPTED]
+        assert [each.state for each in statuses] == [OrderState.ACCEPTED]
         holds.publish(Bool(data=True))
     holds.publish(Bool(data=False))
     field.until(lambda: len(statuses) == 2, 'departure')
-    assert statuses[1].state == State.DEPARTED
+    assert statuses[1].state == OrderState.DEPARTED
     assert not reports
     recorded.publish(on_disk(statuses[1]))
     field.until(lambda: reports, 'report')

@@ -44,7 +44,7 @@ class Activity(Enum):
     DONE = auto()
 
 
-class State(NamedTuple):
+class NodeState(NamedTuple):
     """What a node does, and of what."""
 
     # What it does.
@@ -53,19 +53,19 @@ class State(NamedTuple):
     sentence: str
 
 
-def working(sentence: str) -> State:
+def working(sentence: str) -> NodeState:
     """Return the state of a node that does what the sentence says."""
-    return State(Activity.WORKING, sentence)
+    return NodeState(Activity.WORKING, sentence)
 
 
-def waiting_for(what: str) -> State:
+def waiting_for(what: str) -> NodeState:
     """Return the state of a node that waits for somebody or something, and why."""
-    return State(Activity.WAITING, f'waiting for {what}')
+    return NodeState(Activity.WAITING, f'waiting for {what}')
 
 
-def done(how: str) -> State:
+def done(how: str) -> NodeState:
     """Return the state of a node whose work is done."""
-    return State(Activity.DONE, f'done: {how}')
+    return NodeState(Activity.DONE, f'done: {how}')
 
 
 class Diagnostics:
