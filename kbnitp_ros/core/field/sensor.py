@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
-from kbnitp_ros.core.field.check import probabilities
+from kbnitp_ros.core.field.check import frozen, probabilities
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -82,11 +83,7 @@ class SensorModel:
 
         Equation :eq:`step-survival`.
         """
-        with np.errstate(divide='ignore'):
-            strike = self.lethality * (1.0 - self.false_negative)
-            log_survival: NDArray[np.float64] = np.log1p(-strike * np.arange(2.0))
-            log_survival += np.log1p(-self.malfunction)
-            return log_survival
+        return _log_survival(self.lethality * (1.0 - self.false_negative), self.malfunction)
 
     @property
     def log_reading(self) -> NDArray[np.float64]:
@@ -95,6 +92,23 @@ class SensorModel:
 
         Equation :eq:`reading`.
         """
-        positive = self.reading((0, 1))
-        with np.errstate(divide='ignore'):
-            return np.log(np.stack([1.0 - positive, positive]))
+        return _log_reading(self.true_positive, self.false_positive)
+
+
+# Each update and each plan asks for these several times.
+@lru_cache(maxsize=64)
+def _log_survival(strike: float, malfunction: float) -> NDArray[np.float64]:
+    with np.errstate(divide='ignore'):
+        log_survival: NDArray[np.float64] = np.log1p(-strike * np.arange(2.0))
+        log_survival += np.log1p(-malfunction)
+    frozen(log_survival)
+    return log_survival
+
+
+@lru_cache(maxsize=64)
+def _log_reading(true_positive: float, false_positive: float) -> NDArray[np.float64]:
+    positive = SensorModel(0.0, 0.0, 0.0, true_positive, false_positive).reading((0, 1))
+    with np.errstate(divide='ignore'):
+        log_reading: NDArray[np.float64] = np.log(np.stack([1.0 - positive, positive]))
+    frozen(log_reading)
+    return log_reading

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.field import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,7 +109,7 @@ def chance(log_odds: float) -> float:
     return power / (1.0 + power)
 
 
-@compiled
+@inlined
 def weigh_visits(
     graph: FactorGraph,
     state: MessageState,
@@ -205,7 +205,7 @@ def weigh_steps(
     return float(before[steps.size])
 
 
-@compiled
+@inlined
 def send(
     graph: FactorGraph,
     state: MessageState,
