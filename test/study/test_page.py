@@ -82,7 +82,7 @@ def test_the_page_shows_full_studies_of_teams(name):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
-@for_each('name', [*TEAMS, 'planners', *KINDS, 'areas', 'lanes'])
+@for_each('name', [*TEAMS, 'planners', *KINDS, 'areas', 'lanes', 'lanes_learning'])
 def test_rows_are_called_as_a_study_calls_them(name):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     labels = team_labels(scenario)
@@ -122,6 +122,7 @@ def test_every_figure_is_shown():
         'blobs_log_loss.png',
         'areas_decision.png',
         'lanes_decision.png',
+        'lanes_learning_decision.png',
     }
     assert set(shown) == learnt | others | {
         f'{scenario}_{figure}.png'
@@ -764,3 +765,45 @@ def test_what_a_goal_is_worth():
     assert (min(early)[0], max(early)[0]) == (0.12, 0.23)
     assert more['0.1', '50'][0] < 0 < more['0.1', '10'][1]
     assert max(abs(numbers(r['free'])[0] - numbers(r['believed'])[0]) for r in rows) <= 0.051
+
+
+def test_what_a_goal_is_worth_where_the_lethality_is_learnt():
+    text = (DOCS / 'results.md').read_text()
+    rows = rows_of('lanes_learning', 3)
+    by_strategy = {row['strategy']: rows[at:][:4] for at, row in enumerate(rows) if at % 4 == 0}
+    for four in by_strategy.values():
+        free = [row['free'].split()[0] for row in four]
+        assert f'{", ".join(free[:3])} and {free[3]}' in text
+    low = [numbers(row['more free'])[1] > 0 for row in by_strategy['goal lane']]
+    assert low == [True, True, True, False]
+
+
+def test_how_far_certificates_may_be_relied_on():
+    text = (DOCS / 'results.md').read_text()
+    (said,) = re.findall(r'\| study \| method \| asked .*\n\|.*\n((?:\|.*\n)+)', text)
+    shown = [line.strip('| ').split(' | ') for line in said.splitlines()]
+    told = [
+        [
+            f'`{name}`',
+            row['method'].replace('_learning', ''),
+            row['confidence'],
+            row['missions'],
+            row['robots'].split()[0],
+            row['stated'].split()[0],
+            row['free'],
+            row['difference'],
+        ]
+        for name, place in (
+            ('certificates', 1),
+            ('certificates_learning', 3),
+            ('certificates_clustered', 1),
+        )
+        for row in rows_of(name, place)
+    ]
+    assert shown == told
+    for line in shown:
+        free, difference = numbers(line[-2]), numbers(line[-1])
+        assert difference[1] <= 0 <= difference[2]
+        assert difference[0] >= -0.01
+        asked = float(line[2])
+        assert free[0] > asked if asked < 0.99 else abs(free[0] - asked) < 0.004
