@@ -32,6 +32,8 @@ autodoc_member_order = 'bysource'
 numpydoc_show_class_members = False
 # A page for each public name, which search and other projects find.
 autosummary_generate = True
+# As they stand in the code, which is short.
+autodoc_preserve_defaults = True
 autodoc_type_aliases = {'ArrayLike': 'ArrayLike', 'NDArray': 'NDArray'}
 
 myst_enable_extensions = ['colon_fence', 'dollarmath']

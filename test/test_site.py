@@ -103,6 +103,23 @@ def test_no_page_is_wider_than_the_window(site, browser):
     assert wider == []
 
 
+@pytest.mark.parametrize('width', WIDTHS)
+def test_meanings_of_parameters_are_read_without_moving_a_table(site, browser, width):
+    page = browser.new_page(viewport={'width': width, 'height': 1000})
+    page.goto((site / 'parameters.html').as_uri())
+    shown = page.evaluate(
+        """() => [...document.querySelectorAll('.table-wrapper')].map((table) => [
+            table.scrollWidth - table.clientWidth,
+            ...[...table.querySelectorAll('tr:nth-child(2) td')].map((each) => each.clientWidth),
+        ])"""
+    )
+    page.close()
+    assert len(shown) > 4
+    for hidden, *columns in shown:
+        assert hidden <= 0
+        assert columns[-1] == max(columns)
+
+
 def test_every_public_name_of_the_core_is_found_by_search_and_other_projects(site):
     from sphinx.util.inventory import InventoryFile
 
