@@ -17,10 +17,10 @@ from typing import Any
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.log.log_path import NAME
-from kbnitp_ros.report.answers import findings_of, losses_of, used_up_at, used_up_of
+from kbnitp_ros.report.answers import cells_of, findings_of, losses_of, used_up_at, used_up_of
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
-from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.report.mission import counted, DeploymentSummary, Mission
 from kbnitp_ros.report.plots import (
     as_drawn,
     cell_plot,
@@ -161,6 +161,7 @@ def filled(
 ) -> str:
     """Return the page with some of the moments."""
     table = rows(mission, curves)
+    columns = columns_of(table)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
     assets = {name: asset(f'page.{name}') for name in ('html', 'css', 'js')}
@@ -184,8 +185,10 @@ def filled(
         ),
         site=SITE if mission.site else '',
         panels='\n'.join(panel_place(*each) for each in enumerate(labels)),
-        headings=''.join(heading(column) for column in columns_of(mission)),
-        rows='\n'.join(row(table[each], each, kept, mission) for each in shown),
+        headings=''.join(heading(column) for column in columns),
+        rows='\n'.join(
+            row(table[each], columns, kept, mission.deployments[each]) for each in shown
+        ),
         configuration=configuration(mission),
         mission=packed_json(data_of(mission, curves, table, kept, shown)),
         frames=packed_frames(frames),
@@ -239,10 +242,10 @@ def tile(each: Tile) -> str:
 def map_figures(mission: Mission) -> Iterator[str]:
     """Yield the places of the maps: what is believed, and then what is true."""
     for name in MAPS:
-        yield map_place(name, f'{name}, believed')
-    yield map_place('losses', 'robots lost, expected in each cell after the last report')
+        yield map_place(name, f'{name}, believed' + ('; dots: free' if name == 'hazard' else ''))
+    yield map_place('losses', 'robots lost, expected')
     if is_used_up(mission):
-        yield map_place('used-up', 'hazards used up, expected in each cell after the last report')
+        yield map_place('used-up', 'hazards used up, expected')
     if mission.world:
         yield map_place('true-hazard', 'hazard, true')
         yield map_place('true-target', 'target, true')
@@ -284,7 +287,10 @@ def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
     """Return all plots as one JSON object that can stand in a page."""
     lane = None if mission.decision is None else mission.decision.path
     north = None if mission.datum is None else pi / 2 - mission.datum.heading
-    plots = {name: map_plot(mission.grid, lane=lane, north=north) for name in MAPS}
+    free = {'hazard': cells_of(mission).free}
+    plots = {
+        name: map_plot(mission.grid, lane=lane, north=north, free=free.get(name)) for name in MAPS
+    }
     losses = losses_of(mission)
     plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())), north=north)
     if is_used_up(mission):
@@ -470,12 +476,18 @@ def facts_of(
     agents = [f'{mission.deployments[each].key.agent} (no. {each + 1})' for each in out]
     yield 'out', ', '.join(agents) or 'nobody'
     for name, known in moment.learnt.items():
-        yield name.replace('_', ' '), f'{known.mean:.3f} ± {known.sd:.3f}'
+        low, _, middle, _, high = known.quantiles
+        yield name.replace('_', ' '), f'{middle:.2f} ({low:.2f} to {high:.2f})'
 
 
-def columns_of(mission: Mission) -> list[Column]:
-    """Return the columns of the table; without the truth there is no log loss."""
-    return [each for each in TABLE if mission.world or each.name != 'log_loss']
+def columns_of(table: list[dict[str, Any]]) -> list[Column]:
+    """Return the columns of the table of deployments, without those that would be empty."""
+    optional = ('gap', 'log_loss')
+    return [
+        each
+        for each in TABLE
+        if each.name not in optional or any(row[each.name] is not None for row in table)
+    ]
 
 
 def heading(column: Column) -> str:
@@ -500,20 +512,25 @@ def finding_row(values: Mapping[str, Any], columns: Iterable[Column]) -> str:
     return f'<tr data-cell="{values["cell"]}">{cells}</tr>'
 
 
-def row(values: Mapping[str, Any], number: int, kept: NDArray[np.intp], mission: Mission) -> str:
+def row(
+    values: Mapping[str, Any],
+    columns: list[Column],
+    kept: NDArray[np.intp],
+    deployment: DeploymentSummary,
+) -> str:
     """Return a row of the table, which names its moment among those that the page has."""
-    deployment = mission.deployments[number]
     moment = '' if deployment.moment is None else str(np.searchsorted(kept, deployment.moment))
     duration = None
     if deployment.sent is not None and deployment.reported is not None:
         duration = (deployment.reported - deployment.sent) / SECOND
     known = {**values, 'duration': duration}
-    first, *others = columns_of(mission)
-    button = f'<button type="button">{known[first.name]}</button>' if moment else number + 1
+    first, *others = columns
+    number = known[first.name]
+    button = f'<button type="button">{number}</button>' if moment else number
     cells = ''.join(cell(column, known[column.name]) for column in others)
     return (
-        f'<tr id="deployment-{number}" data-moment="{moment}">'
-        f'<td data-value="{number + 1}">{button}</td>{cells}</tr>'
+        f'<tr id="deployment-{number - 1}" data-moment="{moment}">'
+        f'<td data-value="{number}">{button}</td>{cells}</tr>'
     )
 
 

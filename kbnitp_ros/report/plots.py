@@ -44,12 +44,14 @@ def map_plot(
     least: float = 0.0,
     lane: NDArray[np.intp] | None = None,
     north: float | None = None,
+    free: NDArray[np.bool_] | None = None,
 ) -> str:
     """
     Return a map as Plotly's JSON; the page gives it its colours.
 
     Without values, of which NaN is not drawn, there is room for what the page puts in. `lane` is a
-    way to draw, `north` the angle from the frame's x axis to north, in rad.
+    way to draw, `north` the angle from the frame's x axis to north, in rad, and `free` says which
+    cells have a dot.
     """
     directions = directions_of(grid, north)
     place = (
@@ -108,6 +110,10 @@ def map_plot(
         blocked,
         graph_objects.Scatter(x=x, y=y, mode='markers', marker=base, hoverinfo='skip'),
     ]
+    if free is not None:
+        at = dict(zip('xy', grid.centers(np.flatnonzero(free)).T.tolist()))
+        dot = {'size': 5, 'color': 'black', 'line': {'color': 'white', 'width': 1}}
+        traces.append(graph_objects.Scatter(**{**marked, **at}, marker=dot, name='free'))
     figure = graph_objects.Figure(traces)
     axis = {'showgrid': False, 'zeroline': False, 'constrain': 'domain', 'ticks': 'outside'}
     axis |= {'nticks': 6, 'automargin': True}

@@ -115,9 +115,9 @@ def risk(mission: Mission) -> str:
     """Return how lethal a hazard is believed to be."""
     last = mission.moments[-1]
     if 'lethality' not in last.learnt:
-        return f'A hazard strikes with {100.0 * last.model.lethality:.0f} % (given).'
+        return f'Lethality: {100.0 * last.model.lethality:.0f} % (given).'
     low, _, middle, _, high = (100.0 * each for each in last.learnt['lethality'].quantiles)
-    return f'A hazard strikes with {middle:.0f} % (learnt: {low:.0f} to {high:.0f} %).'
+    return f'Lethality: {middle:.0f} % (learnt, {low:.0f} to {high:.0f} %).'
 
 
 def where_lost(mission: Mission, lost: int) -> Tile:

@@ -14,7 +14,7 @@ from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
 from kbnitp_ros.report import comparison_of, curves_of, Pair, read_mission
-from kbnitp_ros.report.answers import findings_of, used_up_at, used_up_of
+from kbnitp_ros.report.answers import cells_of, findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.page import page_of
 from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
@@ -403,6 +403,19 @@ def test_it_answers_first(opened):
     hazard = page.locator('#hazard').bounding_box()
     assert hazard['y'] + hazard['height'] < 1000
     assert page.evaluate('document.getElementById("hazard").data[3].x.length') == 0
+    assert 'Lethality: ' in tiles.nth(5).inner_text()
+
+
+def test_dots_are_on_the_cells_that_are_free_in_the_end(opened, shown):
+    page = opened()
+    free = np.flatnonzero(cells_of(shown[0]).free)
+    dots = 'document.getElementById("hazard").data.find((trace) => trace.name === "free")'
+    at = np.array(page.evaluate(f'[{dots}.x, {dots}.y]'), dtype=float).T
+    assert free.size
+    assert np.array_equal(at, GRID.centers(free))
+    assert page.evaluate(f'{dots}.visible') is True
+    move(page, 3)
+    assert page.evaluate(f'{dots}.visible') is False
 
 
 def asked_in(page):

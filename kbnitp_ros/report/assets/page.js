@@ -137,6 +137,8 @@ async function start() {
       coloured(name);
       overlaid(plots[name]);
       mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
+      // Which cells are free is told of the last moment alone.
+      data.filter((trace) => trace.name === 'free').forEach((trace) => { trace.visible = now === last; });
       Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
     });
   }
