@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from kbnitp_ros.base.obstacles import Circumstances, Obstacle
 from kbnitp_ros.core import deployment_order
-from kbnitp_ros.files import some
+from kbnitp_ros.files import counted, some
 
 
 class FullNames(NamedTuple):
@@ -94,7 +94,7 @@ def first_belief(now: Circumstances, names: FullNames) -> str:
 
 def next_belief(now: Circumstances, names: FullNames) -> str:
     """Return which belief is awaited."""
-    wait = f'a belief that holds {now.reported} deployments'
+    wait = f'a belief that holds {counted(now.reported, "deployment")}'
     if now.last_heard < now.reported and now.in_flight.forgotten:
         again = not_heard_again(now.in_flight.kept)
         return f'{wait}; the last one holds {now.last_heard}{again}'

@@ -53,3 +53,8 @@ def some(items: Iterable[object], named: int = NAMED) -> str:
     first = [str(each) for each in items]
     more = len(first) - named
     return ', '.join(first[:named]) + (f' and {more} more' if more > 0 else '')
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f'{number} {what}' if number == 1 else f'{number} {what}s'

@@ -20,6 +20,7 @@ from kbnitp_ros.configuration import (
     own_robot_types,
 )
 from kbnitp_ros.core import DeploymentKey, Ledger
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.departures import Departures, read_departures
 from kbnitp_ros.log.deployments import is_of_mission, read_mission
 from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
@@ -272,9 +273,10 @@ class EstimatorNode(FieldNode):
         steps = ending.steps_survived
         contact = f', heard of last after step {steps}' if steps else ''
         ended = 'came back' if ending.survived else f'was lost{contact}'
+        held, lost = len(ledger.deployments), ledger.lost
         self.deployment_logger.info(
             f'{key} {ended}: entropy {ledger.belief.entropy():.2f} nats after '
-            f'{len(ledger.deployments)} deployments, {ledger.lost} robots lost'
+            f'{counted(held, "deployment")}, {counted(lost, "robot")} lost'
         )
 
     def _publish(self, ledger: Ledger) -> None:
@@ -314,8 +316,8 @@ class EstimatorNode(FieldNode):
 
     def _say_what_is_held(self) -> None:
         self.diagnostics.state = working(
-            f'{len(self._ledger.deployments)} deployments in the belief, '
-            f'{self._ledger.duplicates} messages said nothing new'
+            f'{counted(len(self._ledger.deployments), "deployment")} in the belief, '
+            f'{counted(self._ledger.duplicates, "message")} said nothing new'
         )
 
     def finish(self) -> None:

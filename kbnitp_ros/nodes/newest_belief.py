@@ -11,6 +11,7 @@ from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacle_sentences import not_heard_again
 from kbnitp_ros.configuration import base_of, check_search, value_for
 from kbnitp_ros.core import ORDINARY, RobotType
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.evidence import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.sizes import largest_belief
@@ -83,7 +84,7 @@ class NewestBelief:
         unknown = snapshot.deployments - self._in_flight.sent
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(
-                f'the belief holds {unknown} deployments more than are '
+                f'the belief holds {counted(unknown, "deployment")} more than '
                 'known here: their paths died with the planner before this one, and a restarted '
                 'estimator will lack them, unless the parameter resume names the log'
             )
@@ -125,5 +126,6 @@ class NewestBelief:
         if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
             self._is_incomplete_told = True
             self._node.diagnostics.refuse(
-                'belief', f'it holds {held} deployments{not_heard_again(self._in_flight.kept)}'
+                'belief',
+                f'it holds {counted(held, "deployment")}{not_heard_again(self._in_flight.kept)}',
             )

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from math import ceil
 
 from kbnitp_ros.core import hazards_used_up, Observation, targets
-from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.files import counted
+from kbnitp_ros.report.mission import Mission
 import numpy as np
 from numpy.typing import NDArray
 

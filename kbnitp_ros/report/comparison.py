@@ -6,9 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from kbnitp_ros.files import counted
 from kbnitp_ros.report.answers import cells_of, findings_of, FOUND, losses_of, SUSPECTED
 from kbnitp_ros.report.curves import Curves
-from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.tiles import places
 import numpy as np
 from numpy.typing import NDArray

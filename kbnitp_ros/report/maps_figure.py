@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from kbnitp_ros.figures import draw_map, draw_paths, hatch, LOST, MAPS, RETURNED
-from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.files import counted
+from kbnitp_ros.report.mission import Mission
 from matplotlib.figure import Figure
 import numpy as np
 

@@ -26,6 +26,7 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import read_parameters, RUN
 from kbnitp_ros.log.departures import read_departures
 from kbnitp_ros.log.evidence import Evidence
@@ -345,8 +346,3 @@ def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict
         for name in ('hazard_density', 'kappa', 'target_background'):
             numbers[name] = agent[f'world.{name}']
     return numbers
-
-
-def counted(number: int, what: str) -> str:
-    """Return a number of things in words."""
-    return f'{number} {what}' if number == 1 else f'{number} {what}s'

@@ -16,11 +16,12 @@ from typing import Any
 
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.log_path import NAME
 from kbnitp_ros.report.answers import cells_of, findings_of, losses_of, used_up_at, used_up_of
 from kbnitp_ros.report.curves import Curves, out_at
 from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
-from kbnitp_ros.report.mission import counted, DeploymentSummary, Mission
+from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.plots import (
     as_drawn,
     cell_plot,

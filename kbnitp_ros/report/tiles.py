@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from kbnitp_ros.core import Decision
-from kbnitp_ros.files import some
+from kbnitp_ros.files import counted, some
 from kbnitp_ros.report.answers import (
     advice,
     cells_of,
@@ -17,7 +17,7 @@ from kbnitp_ros.report.answers import (
     losses_of,
 )
 from kbnitp_ros.report.curves import Curves
-from kbnitp_ros.report.mission import counted, Mission
+from kbnitp_ros.report.mission import Mission
 import numpy as np
 
 # How many places a tile names.

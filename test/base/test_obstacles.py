@@ -191,7 +191,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
             'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
         ),
         (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
-        (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployments on /a/belief'),
+        (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
         (
             Obstacle.BELIEF_BEHIND,
             {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},

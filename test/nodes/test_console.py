@@ -7,6 +7,7 @@ import re
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, plan, SensorModel
+from kbnitp_ros.files import counted
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.nodes.runtime import qos
@@ -159,7 +160,7 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
         lost += not report.survived
         ended = 'came back' if report.survived else 'was lost'
         assert deployments_said(field, '/estimator')[number - 1] == (
-            f'{key} {ended}: entropy {known.belief.entropy():.2f} nats after {number} '
-            f'deployments, {lost} robots lost'
+            f'{key} {ended}: entropy {known.belief.entropy():.2f} nats after '
+            f'{counted(number, "deployment")}, {counted(lost, "robot")} lost'
         )
     assert 0 < lost < 5

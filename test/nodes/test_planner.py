@@ -207,7 +207,7 @@ def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
     field.start('planner', {**PARAMETERS, 'robots': 3})
     mission.until_sent(2)
     assert mission.paths[2] == mission.paths[1]
-    assert 'the belief holds 1 deployments more than are known here' in field.said('/planner')
+    assert 'the belief holds 1 deployment more than known here' in field.said('/planner')
     mission.reports.publish(mission.lose(1))
     mission.show_belief()
     assert mission.until_sent(3) == mission.planned()

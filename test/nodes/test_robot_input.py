@@ -104,7 +104,7 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
         field.until(lambda: words in str(field.diagnosed('/scout_1/robot').values), 'word of it')
         assert field.said('/scout_1/robot').count(words) == starts
         field.kill('/scout_1/robot')
-    field.until(lambda: '1 messages said nothing new' in field.state('/estimator'), 'repetition')
+    field.until(lambda: '1 message said nothing new' in field.state('/estimator'), 'repetition')
     assert field.count('/estimator', 'refused') == 0
     report = fleet.report_of(reports, fleet.key(1))
     assert report.readings == (*[(1, 1), (2, 1)] * 99, (1, 1), (0, -1))
