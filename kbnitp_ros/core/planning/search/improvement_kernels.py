@@ -86,6 +86,23 @@ def exact_value(
 
 
 @compiled
+def exact_values(
+    problem: LabelProblem,
+    paths: NDArray[np.intp],
+    steps: Places,
+    hazard: Floats,
+    log_safe: float,
+    log_deadly: float,
+) -> Floats:
+    """Return `exact_value` of each path: row k of `paths` has steps[k] + 1 ranks."""
+    values = np.empty(steps.size)
+    for k in range(steps.size):
+        path = paths[k, : steps[k] + 1]
+        values[k] = exact_value(problem, path, hazard, log_safe, log_deadly)
+    return values
+
+
+@compiled
 def out_and_back(problem: LabelProblem, origins: NDArray[np.int32], steps: int) -> Floats:
     """
     Find the values of the paths that lead to a cell by its best label and back the same way.

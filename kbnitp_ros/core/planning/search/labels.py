@@ -12,10 +12,14 @@ from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
 from kbnitp_ros.core.planning.search.gains import gains_of
-from kbnitp_ros.core.planning.search.improvement_kernels import exact_value, improve, out_and_back
+from kbnitp_ros.core.planning.search.improvement_kernels import (
+    exact_values,
+    improve,
+    out_and_back,
+)
 from kbnitp_ros.core.planning.search.label_kernels import LabelObjective, LabelProblem, Reach
 from kbnitp_ros.core.planning.search.reach import reach_of
-from kbnitp_ros.core.planning.search.search_kernels import search, trace
+from kbnitp_ros.core.planning.search.search_kernels import search, trace, trace_closed
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +39,9 @@ BEST = 2
 MOST_MEMORY = 1 << 30
 
 
-def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list[Candidate]:
+def best_paths(
+    grid: Grid, objective: Objective, options: SearchOptions, width: int
+) -> list[Candidate]:
     """
     Return the closed paths of the highest value that the search finds.
 
@@ -54,7 +60,9 @@ def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list
     objective : Objective
         Of the robot.
     options : SearchOptions
-        Of which the search reads `max_steps`, `max_distance`, `width` and `max_visits`.
+        Of which the search reads `max_steps`, `max_distance` and `max_visits`.
+    width : int
+        How many labels of each cell and step are kept.
 
     Returns
     -------
@@ -68,9 +76,9 @@ def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list
         If the search would take too much memory.
 
     """
-    labels = LabelSearch(grid, objective, options)
-    closed = labels.closed_paths(max(options.width, RANKED))
-    if options.width > 1:
+    labels = LabelSearch(grid, objective, options, width)
+    closed = labels.closed_paths(max(width, RANKED))
+    if width > 1:
         improved = labels.improved([*closed[:RANKED], *labels.turned_paths(TURNED)], REPLACED)
         best = [path for _, path in labels.ranked(improved)[:BEST]]
         closed += improved + labels.improved(best, REPLACED + 1)
@@ -85,8 +93,10 @@ class LabelSearch:
 
     """
 
-    def __init__(self, grid: Grid, objective: Objective, options: SearchOptions) -> None:
-        max_steps, width = options.max_steps, options.width
+    def __init__(
+        self, grid: Grid, objective: Objective, options: SearchOptions, width: int
+    ) -> None:
+        max_steps = options.max_steps
         max_visits = min(options.max_visits, max_steps)
         self._sought = objective
         outcomes = objective.outcomes.probability
@@ -95,7 +105,7 @@ class LabelSearch:
         further = objective.outcomes.states_after(objective.model, max_visits)
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size
-        check_memory(self.reach, options, outcomes.size, earlier, further, powers)
+        check_memory(self.reach, options, width, outcomes.size, earlier, further, powers)
         self.problem = LabelProblem(
             self.reach,
             scattered(self.reach.cells.size, 62 - max_steps.bit_length()),
@@ -117,11 +127,10 @@ class LabelSearch:
     def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
         """Return the paths of the best labels at the base, then the shortest, as ranks."""
         best = np.argsort(-self._values, axis=None, kind='stable')[:most]
-        return [
-            self._traced(0, slot, steps)
-            for steps, slot in zip(*np.divmod(best, self._width))
-            if self._values[steps, slot] > -inf
-        ]
+        steps, slots = np.divmod(best[self._values.flat[best] > -inf], self._width)
+        paths = np.empty((steps.size, self.reach.within.size), dtype=np.intp)
+        trace_closed(self.reach, self._origins, steps, slots, paths)
+        return [path[: count + 1] for path, count in zip(paths, steps)]
 
     def turned_paths(self, most: int) -> list[NDArray[np.intp]]:
         """
@@ -165,22 +174,27 @@ class LabelSearch:
         of_visits: dict[int, NDArray[np.intp]] = {}
         for path in paths:
             of_visits.setdefault(int(self.problem.marks[path[1:]].sum()), path)
-        for visits, path in of_visits.items():
-            if visits not in self._exact:
-                self._exact[visits] = self.exact(path)
+        new = {each: path for each, path in of_visits.items() if each not in self._exact}
+        self._exact.update(zip(new, self.exact([*new.values()])))
         values = [(self._exact[visits], path) for visits, path in of_visits.items()]
         return sorted(values, key=lambda ranked: (-ranked[0], ranked[1].size))
 
-    def exact(self, path: NDArray[np.intp]) -> float:
-        """Return the value of a closed path, without the error of the moments, rounded."""
+    def exact(self, paths: Sequence[NDArray[np.intp]]) -> list[float]:
+        """Return the values of closed paths, without the error of the moments, rounded."""
         if self._sought.alpha != SHANNON:
-            return Candidate.along(self.reach.cells[path], self._sought).value
-        return round(exact_value(self.problem, path, self._hazard, *self._log_survival), DECIMALS)
+            return [Candidate.along(self.reach.cells[each], self._sought).value for each in paths]
+        steps = np.array([path.size - 1 for path in paths], dtype=np.intp)
+        padded = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
+        for row, path in zip(padded, paths):
+            row[: path.size] = path
+        values = exact_values(self.problem, padded, steps, self._hazard, *self._log_survival)
+        return [round(value, DECIMALS) for value in values.tolist()]
 
 
 def check_memory(
     reach: Reach,
     options: SearchOptions,
+    width: int,
     outcomes: int,
     earlier: int,
     further: int,
@@ -195,6 +209,8 @@ def check_memory(
         Of the paths.
     options : SearchOptions
         As of `best_paths`.
+    width : int
+        Likewise.
     outcomes, earlier, further : int
         How many outcomes the robots before have, how many numbers of readings of a cell they may
         bring, and how many there are with those of the robot that is planned for.
@@ -208,7 +224,7 @@ def check_memory(
 
     """
     number = 8
-    max_steps, width, max_visits = options.max_steps, options.width, options.max_visits
+    max_steps, max_visits = options.max_steps, options.max_visits
     visits = min(max_visits, max_steps)
     labels, cells = int(reach.start[-1]), reach.cells.size
     factors_and_terms = powers + 1 + 2 * outcomes

@@ -175,7 +175,8 @@ class PathFinder(Value):
             counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
             check_memory(
                 reach_of(self.grid, options),
-                replace(options, width=width(options)),
+                options,
+                width(options),
                 outcomes,
                 earlier=counts**cameras,
                 further=counts ** (cameras - 1) * (counts + visits),
@@ -233,12 +234,12 @@ def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.in
 
 def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Keep the single best label of each cell and step: the paper's planner."""
-    return best_paths(finder.grid, objective, replace(finder.options, width=1))
+    return best_paths(finder.grid, objective, finder.options, 1)
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Keep the best few labels of each cell and step."""
-    return best_paths(finder.grid, objective, finder.options)
+    return best_paths(finder.grid, objective, finder.options, finder.options.width)
 
 
 def exact(finder: PathFinder, objective: Objective) -> list[Candidate]:

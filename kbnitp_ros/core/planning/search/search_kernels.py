@@ -496,3 +496,21 @@ def trace(reach: Reach, origins: NDArray[np.int32], slot: int, path: Places) -> 
         origin = origins[reach.start[step] + cell, slot]
         cell, slot = reach.neighbors[cell, origin & 15], origin >> 4
     path[0] = cell
+
+
+@compiled
+def trace_closed(
+    reach: Reach,
+    origins: NDArray[np.int32],
+    steps: Places,
+    slots: Places,
+    paths: NDArray[np.intp],
+) -> None:
+    """
+    Write the paths of labels at the base: row k of `paths` has steps[k] + 1 ranks.
+
+    One call for all: to hand over `reach` takes longer than to trace a path.
+    """
+    for k in range(steps.size):
+        paths[k, steps[k]] = 0
+        trace(reach, origins, slots[k], paths[k, : steps[k] + 1])
