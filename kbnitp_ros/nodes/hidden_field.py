@@ -73,7 +73,7 @@ class HiddenField:
         return leaving
 
     def pass_over(self, agent: str) -> None:
-        """Count a robot whose fate is known, where hazards stay."""
+        """Count a robot whose outcome is known, where hazards stay."""
         self._known[agent] += 1
         self._made[agent] += 1
 

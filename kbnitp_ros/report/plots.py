@@ -21,7 +21,7 @@ from plotly import graph_objects
 # Where the page puts what changes: the places of these traces in each believed map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'heard')
 
-# A trace stands for the path, and a marker for its end, of either fate; the page takes these.
+# A trace stands for the path, and a marker for its end, of either outcome; the page takes these.
 WALKS = {
     'returned': {'color': RETURNED.colour, 'dash': RETURNED.plotly_dash, 'symbol': 'circle'},
     'lost': {'color': LOST.colour, 'dash': LOST.plotly_dash, 'symbol': 'x'},

@@ -79,7 +79,7 @@ class Area:
     def flight(self, situation: Situation) -> Flight | None:
         """Return the flight to make next; None if the robot may make none."""
         paths = flights_over(situation, list(self.cells))
-        survival = situation.draws.fates(paths, situation.model)
+        survival = situation.draws.survivals(paths, situation.model)
         allowed = situation.is_allowed(survival)
         if not allowed.any():
             return None

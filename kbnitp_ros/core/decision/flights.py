@@ -80,7 +80,7 @@ class Situation:
 
     def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
         """Return the situation once another robot, of some model, has left on a path."""
-        survived = self.draws.fates([path], model)[0]
+        survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
         if len(outcomes) > MOST_OUTCOMES:
             # That of the robot sent first, which alternates, is told apart no longer.
@@ -121,9 +121,9 @@ def flights_over(situation: Situation, over: Sequence[int]) -> list[Path]:
 
 def information(survival: Floats, outcomes: Floats) -> Floats:
     """
-    Return what the fate of a robot tells of all hazards, nats, for each path, shape (paths,).
+    Return what the outcome of a flight tells of all hazards, nats, for each path, shape (paths,).
 
-    Equation :eq:`fate-information`.
+    Equation :eq:`outcome-information`.
 
     Parameters
     ----------

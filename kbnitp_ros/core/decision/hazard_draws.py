@@ -118,7 +118,7 @@ class HazardDraws:
         chances: Floats = np.bincount(count, self.weight, there.size + 1).astype(np.float64)
         return chances
 
-    def fates(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
+    def survivals(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
         """Return the chance to survive each path, (steps + 1,), in each draw, (paths, draws)."""
         entered = [np.asarray(path)[1:] for path in paths]
         safe, strike = model.log_survival
@@ -150,7 +150,7 @@ class HazardDraws:
         Equation :eq:`traveller-survives`. The path may start and end anywhere; its first cell is
         where the traveller is.
         """
-        return self._chance(self.fates([path], model)[0])
+        return self._chance(self.survivals([path], model)[0])
 
     def _chance(self, each: NDArray[np.bool_] | Floats) -> float:
         return float(np.clip(self.weight @ each, 0.0, 1.0))

@@ -88,7 +88,7 @@ class Lane:
         lanes, paths = self._flights(situation)
         if not paths:
             return None
-        survival = situation.draws.fates(paths, situation.model)
+        survival = situation.draws.survivals(paths, situation.model)
         allowed = situation.is_allowed(survival)
         if not allowed.any():
             return None
@@ -118,7 +118,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Whichever of two lanes is taken first, the fate of the robot tells the same.
+            # Whichever of two lanes is taken first, the outcome tells the same.
             paths = [
                 there_and_back(out, back)
                 for out in far + near

@@ -112,7 +112,7 @@ def test_numbers_are_those_of_all_states(seed):
     flights = [random_path(rng, width, height, 0, int(rng.integers(1, 9))) for _ in range(3)]
     lanes = [random_path(rng, width, height, 0, 3) for _ in range(3)]
     free = np.array([~states[:, lane].any(axis=1) for lane in lanes], dtype=float)
-    chances = draws.fates(flights, model)
+    chances = draws.survivals(flights, model)
     grid = Grid(width, height)
     belief = Belief.prior(grid, 0.2, 0.25, 0.8)
     situation = Situation(grid, 0, draws, belief, model, SearchOptions(), weight[None])

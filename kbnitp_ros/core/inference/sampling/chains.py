@@ -119,7 +119,7 @@ class Chains:
             step_spared=np.exp(log_spared),
             graph=tally.loss_graph(maps.possible, maps.hazard.undecided),
             located=tally.located_graph(maps.possible),
-            ties=gibbs.Ties(neighbors, self._tie()),
+            coupling=gibbs.Coupling(neighbors, self._coupling_strength()),
         )
         self._hazard_state = gibbs.HazardState(
             self._hazardous,
@@ -205,7 +205,7 @@ class Chains:
         """Return which offset of a prior map each chain has."""
         return self._hypotheses.offset(name, self._place)
 
-    def _tie(self) -> Floats:
+    def _coupling_strength(self) -> Floats:
         """Return e^J of each chain."""
         clusters = self._hypotheses.clusters
         if clusters is None:
@@ -445,13 +445,13 @@ class Chains:
             self._draw('hazard_density', field * count - log_z)
         if 'coupling' in unknown:
             pairs = np.empty(CHAINS, np.int64)
-            gibbs.count_tied(self._factors.ties, self._hazardous, pairs)
+            gibbs.count_coupled(self._factors.coupling, self._hazardous, pairs)
             field, log_z = (
                 each.T[place['hazard_density']] for each in (clusters.field, clusters.log_z)
             )
             self._draw('coupling', field * count + pairs[:, None] * clusters.coupling - log_z)
-            ties = self._factors.ties._replace(strength=self._tie())
-            self._factors = self._factors._replace(ties=ties)
+            coupling = self._factors.coupling._replace(strength=self._coupling_strength())
+            self._factors = self._factors._replace(coupling=coupling)
 
     def learnt(self) -> dict[str, Learnt]:
         """Return what is known of each unknown number by now, by its name."""

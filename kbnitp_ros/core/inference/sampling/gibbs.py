@@ -69,9 +69,9 @@ class HazardState(NamedTuple):
     strike: NDArray[np.intp]
 
 
-class Ties(NamedTuple):
+class Coupling(NamedTuple):
     """
-    What ties the hazards of neighbouring cells in the prior (equation :eq:`clustered-prior`).
+    What couples the hazards of neighbouring cells in the prior (equation :eq:`clustered-prior`).
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Factors(NamedTuple):
         The lost paths.
     located : LocatedGraph
         The losses of which it is known how well each step fits.
-    ties : Ties
+    coupling : Coupling
         Of neighbouring hazards.
 
     """
@@ -123,7 +123,7 @@ class Factors(NamedTuple):
     step_spared: NDArray[np.float64]
     graph: LossGraph
     located: LocatedGraph
-    ties: Ties
+    coupling: Coupling
 
 
 @compiled
@@ -174,24 +174,26 @@ def loss_ratio(
 
 
 @compiled
-def hazards_around(ties: Ties, hazardous: NDArray[np.int8], cell: int) -> int:
+def hazards_around(coupling: Coupling, hazardous: NDArray[np.int8], cell: int) -> int:
     """Return how many of a cell's neighbours are hazardous."""
     count = 0
-    for side in range(ties.neighbors.shape[1]):
-        neighbor = ties.neighbors[cell, side]
+    for side in range(coupling.neighbors.shape[1]):
+        neighbor = coupling.neighbors[cell, side]
         if neighbor >= 0:
             count += hazardous[neighbor]
     return count
 
 
 @compiled
-def count_tied(ties: Ties, hazardous: NDArray[np.int8], pairs: NDArray[np.int64]) -> None:
+def count_coupled(
+    coupling: Coupling, hazardous: NDArray[np.int8], pairs: NDArray[np.int64]
+) -> None:
     """Count the pairs of neighbouring hazards in each chain."""
     for chain in range(hazardous.shape[0]):
         count = 0
         for cell in range(hazardous.shape[1]):
             if hazardous[chain, cell]:
-                count += hazards_around(ties, hazardous[chain], cell)
+                count += hazards_around(coupling, hazardous[chain], cell)
         pairs[chain] = count // 2
 
 
@@ -229,13 +231,13 @@ def draw_hazards(
     `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
     shape, takes the conditional odds of a hazard that each was drawn with.
     """
-    graph, located, ties = factors.graph, factors.located, factors.ties
+    graph, located, coupling = factors.graph, factors.located, factors.coupling
     # Handing so many arrays to a function takes longer than what it does without such losses.
-    any_located, any_tied = located.cell.size > 0, ties.neighbors.shape[0] > 0
+    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
     # By the number of hazardous neighbours: a power takes longer than all else of most cells.
-    tied = np.empty(5)
+    weight_around = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         malfunction, strike = state.malfunction[chain], state.strike[chain]
         endured, spared = factors.endured[malfunction], factors.spared[strike]
@@ -244,9 +246,9 @@ def draw_hazards(
         if any_located:
             endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
             sum_all_steps(sums, located, hazardous, endured, alive)
-        if any_tied:
-            for around in range(tied.size):
-                tied[around] = ties.strength[chain] ** around
+        if any_coupled:
+            for around in range(weight_around.size):
+                weight_around[around] = coupling.strength[chain] ** around
         odds = factors.odds[chain % factors.odds.shape[0]]
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
@@ -265,8 +267,9 @@ def draw_hazards(
             ratio = min(ratio * (with_hazard / without), LARGE)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
-            if any_tied:
-                ratio = min(ratio * tied[hazards_around(ties, hazardous, cell)], LARGE)
+            if any_coupled:
+                around = hazards_around(coupling, hazardous, cell)
+                ratio = min(ratio * weight_around[around], LARGE)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
             if drawn != here:
@@ -291,9 +294,9 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
     as before, so proposals are symmetric. Where hazards cluster, the ratio has :math:`e^{J k}` as
     well, with the k neighbouring pairs of hazards that the swap brings.
     """
-    graph, located, ties = factors.graph, factors.located, factors.ties
+    graph, located, coupling = factors.graph, factors.located, factors.coupling
     # Handing so many arrays to a function takes longer than what it does without such losses.
-    any_located, any_tied = located.cell.size > 0, ties.neighbors.shape[0] > 0
+    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
     for chain in range(state.hazardous.shape[0]):
@@ -318,12 +321,13 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
             old = nth_cell(cells, hazardous, 1, int(numbers[1] * hazards))
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             ratio = odds[new] / odds[old]
-            if any_tied:
+            if any_coupled:
                 # Neither is a neighbour of the other's hazard.
                 hazardous[old] = 0
-                more = hazards_around(ties, hazardous, new) - hazards_around(ties, hazardous, old)
+                more = hazards_around(coupling, hazardous, new)
+                more -= hazards_around(coupling, hazardous, old)
                 hazardous[old] = 1
-                ratio = min(ratio * ties.strength[chain] ** more, LARGE)
+                ratio = min(ratio * coupling.strength[chain] ** more, LARGE)
             # The new hazard comes first, so that no loss is left unexplained in between.
             ratio = loss_ratio(exposures, table, factors.length, graph, new, 1, ratio)
             if any_located:
