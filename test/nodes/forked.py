@@ -43,7 +43,11 @@ class ForkedProcess:
     """A forked process, with what the tests use of `subprocess.Popen`."""
 
     def __init__(
-        self, arguments: list[str], environment: Mapping[str, str], output: str, depth: int
+        self,
+        arguments: list[str],
+        environment: Mapping[str, str],
+        output: str,
+        depth: int = qos.DEPTH,
     ) -> None:
         self._process = CONTEXT.Process(
             target=_run, args=(arguments, environment, Path.cwd(), output, depth), daemon=True
