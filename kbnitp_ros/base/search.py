@@ -34,7 +34,7 @@ class SearchRequest(NamedTuple):
 
 class Search(Computation[PlannedRound]):
     """
-    A search for the paths of the next round in a situation.
+    A search for the paths of the next round.
 
     `when_over` is called in its thread.
     """
@@ -42,8 +42,8 @@ class Search(Computation[PlannedRound]):
     def __init__(
         self,
         find: Callable[[], PlannedRound],
-        situation: SearchRequest,
+        request: SearchRequest,
         when_over: Callable[[], object],
     ) -> None:
-        self.situation = situation
+        self.request = request
         super().__init__(find, when_over)

@@ -58,7 +58,7 @@ class Decisions:
         self._begun_with = 0, 0
         self._deciding: Computation[Decision | None] | None = None
         self._finding: Computation[SafestPath] | None = None
-        # Why no more robots leave by what was planned on the newest belief, and what was told.
+        # Why no more robots leave by what was planned on the newest belief, and what was said.
         self._not_worth = ''
         self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)

@@ -55,14 +55,14 @@ class Proposals:
         """Return the paths that are proposed."""
         return {key: plan.path for key, plan in self.plans.items()}
 
-    def are_for(self, situation: SearchRequest) -> bool:
-        """Return whether there are plans, and they were made for this situation."""
-        return bool(self.plans) and self._made_for == situation
+    def are_for(self, request: SearchRequest) -> bool:
+        """Return whether there are plans, and they were made for this request."""
+        return bool(self.plans) and self._made_for == request
 
-    def show(self, plans: Plans, situation: SearchRequest) -> None:
-        """Propose plans that were made for a situation."""
+    def show(self, plans: Plans, request: SearchRequest) -> None:
+        """Propose plans that were made for a request."""
         self.withdraw()
-        self.plans, self._made_for = plans, situation
+        self.plans, self._made_for = plans, request
         for key, plan in plans.items():
             self._publishers[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
             self._node.get_logger().info(

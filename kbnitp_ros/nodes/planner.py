@@ -187,7 +187,7 @@ class PlannerNode(FieldNode):
             is_deciding=self._decisions.is_deciding,
             why_over=self._decisions.why_over,
             missing_listeners=self._missing_listeners,
-            searched=self._search.situation.agents if self._search else (),
+            searched=self._search.request.agents if self._search else (),
             why_worthless=self._why_worthless,
             proposed=tuple(self._proposals.plans),
         )
@@ -289,11 +289,11 @@ class PlannerNode(FieldNode):
         self._rounds.say_if_slow(planned)
         self._decisions.note_not_worth(planned.why_not_worth)
         if planned.why_worthless:
-            self._worthless_for = search.situation
+            self._worthless_for = search.request
             self._why_worthless = planned.why_worthless
             return {}
         if self.values['approval'] and not self._are_approved(planned.plans):
-            self._proposals.show(planned.plans, search.situation)
+            self._proposals.show(planned.plans, search.request)
         for plan in planned.plans.values():
             if self._bounds and plan.upper_bound is not None:
                 self._bounds.show(newest.stamp, plan.upper_bound)
@@ -301,10 +301,10 @@ class PlannerNode(FieldNode):
 
     def _is_wanted(self, search: Search, now: SearchRequest) -> bool:
         """Return whether robots may leave on what a search has found."""
-        is_wanted = search.situation.lasts(now, self.values['rolling'])
+        is_wanted = search.request.lasts(now, self.values['rolling'])
         if not is_wanted:
             self.get_logger().info(
-                f'the paths found for {some(search.situation.agents)} are dropped: the belief, '
+                f'the paths found for {some(search.request.agents)} are dropped: the belief, '
                 'the team, a parameter or what the operator refuses has changed since the search '
                 'began'
             )
@@ -314,7 +314,7 @@ class PlannerNode(FieldNode):
         self._deploy()
         if self._search and self._search.is_over:
             self.get_logger().info(
-                f'paths were found for {some(self._search.situation.agents)}, and are kept: '
+                f'paths were found for {some(self._search.request.agents)}, and are kept: '
                 f'{self.diagnostics.state.sentence}'
             )
 

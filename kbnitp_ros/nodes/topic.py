@@ -47,7 +47,7 @@ class Recent:
 
 @dataclass
 class HeardTopic:
-    """A topic on record."""
+    """A topic that the recorder hears, and what of it is on record."""
 
     # Full names; a topic has one type.
     name: str

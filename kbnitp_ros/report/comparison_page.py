@@ -60,7 +60,7 @@ def comparison_of(first: Pair, second: Pair) -> str:
     plots = {name: plot for name, _, _, plot in maps}
     plots |= {f'curve-{number}': plot for number, plot in enumerate(panels.values())}
     inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
-    pairs = zip(*(tiles_of(*each) for each in (first, second)), differences(first, second))
+    compared = zip(*(tiles_of(*each) for each in (first, second)), differences(first, second))
     return Template(asset('comparison.html')).substitute(
         title=escape(f'{titles[0]} and {titles[1]}'),
         summaries='\n'.join(
@@ -70,7 +70,7 @@ def comparison_of(first: Pair, second: Pair) -> str:
         ),
         notes='\n'.join(f'<p class="note">{escape(each)}</p>' for each in notes_of(*missions)),
         style=asset('page.css'),
-        tiles='\n'.join(tile(*each) for each in pairs),
+        tiles='\n'.join(tile(*each) for each in compared),
         maps='\n'.join(map_place(name, caption) for name, caption, _, _ in maps),
         obstacle=OBSTACLE,
         finding_headings=''.join(map(heading, FINDINGS)),
