@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which tests run, which of them may start processes, and how they draw."""
 
+from multiprocessing import forkserver
 import os
 import shutil
 import sys
@@ -101,3 +102,12 @@ def browser():
         browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope='session')
+def server():
+    """Start the process that nodes are forked from: it has no threads and no ROS context."""
+    with pytest.MonkeyPatch.context() as patch:
+        # It passes over modules that it does not find, and is not given the paths of the tests.
+        patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
+        forkserver.ensure_running()

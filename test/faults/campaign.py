@@ -36,7 +36,7 @@ from departing import DepartingMission, MOST_AGENTS
 from fickle_robot import CRASHED, UNPLUGGED
 from forged import run_forged
 from forger import FORGERIES
-from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.nodes.robot import NEW_LINKS
 from mission import full_name, Mission, StuckError
 from networks import ENVIRONMENT, networks
@@ -110,8 +110,8 @@ class Outcome:
         return f'mission --kind {self.kind} --seed {self.seed} in {self.folder}:{found}'
 
 
-def run_mission(job: tuple[int, str, Path]) -> Outcome:
-    """Run the mission of a seed with faults of a kind, in a process of its own."""
+def run_mission(job: tuple[int, str, Path], processes: type[Processes] = Processes) -> Outcome:
+    """Run the mission of a seed with faults of a kind; `processes` start its nodes."""
     seed, kind, folder = job
     rng = np.random.default_rng(seed)
     parameters = draw_parameters(rng)
@@ -119,7 +119,7 @@ def run_mission(job: tuple[int, str, Path]) -> Outcome:
     begun = time.monotonic()
     with free_domain() as domain:
         os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
-        with Mission(domain, outcome.folder, parameters) as mission:
+        with Mission(domain, outcome.folder, parameters, processes=processes) as mission:
             mission.start(*NODES)
             try:
                 for fault in draw_faults(rng, kind, parameters['robots']):

@@ -5,13 +5,20 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from kbnitp_ros.cli.processes import environment, free_domain
+from forked import COVERED, ForkedProcesses
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from mission import Mission
 import pytest
 
 
+@pytest.fixture(scope='session')
+def processes(server):
+    """Return the type of what starts nodes: it forks them where it can."""
+    return Processes if COVERED else ForkedProcesses
+
+
 @pytest.fixture
-def set_out(tmp_path, monkeypatch):
+def set_out(processes, tmp_path, monkeypatch):
     """Return a function that makes a mission, none of its nodes started, on a free domain."""
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())
@@ -19,5 +26,5 @@ def set_out(tmp_path, monkeypatch):
             monkeypatch.setenv(name, value)
         monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
         yield lambda parameters, **others: stack.enter_context(
-            Mission(domain, tmp_path, parameters, **others)
+            Mission(domain, tmp_path, parameters, processes=processes, **others)
         )

@@ -8,7 +8,7 @@ import os
 
 from forger import Forger
 from kbnitp_ros.bag import read_log
-from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.log.replay import BELIEF, replay
 from mission import full_name, Mission, NAMESPACE, StuckError
 import numpy as np
@@ -66,7 +66,7 @@ class Forged:
         return f'mission with {", ".join(self.kinds) or "nothing"} forged:{found}'
 
 
-def run_forged(folder, kinds, scale=1.0, seed=1):
+def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
     """
     Run a mission and forge messages of some kinds, one after another.
 
@@ -80,13 +80,15 @@ def run_forged(folder, kinds, scale=1.0, seed=1):
         Of how many messages are sent.
     seed : int
         Of what is drawn.
+    processes : type
+        Of what starts nodes.
 
     """
     parameters = PARAMETERS | {'seed': seed}
     outcome = Forged(tuple(kinds))
     with free_domain() as domain:
         os.environ |= environment(domain) | {'ROS_LOG_DIR': str(folder / 'ros_log')}
-        with Mission(domain, folder, parameters) as mission:
+        with Mission(domain, folder, parameters, processes=processes) as mission:
             mission.start(*NODES)
             try:
                 _forge(mission, parameters, outcome, scale)

@@ -55,10 +55,14 @@ class Mission:
         Of all nodes.
     awaited, remaps : dict, optional
         By node, where they are not as usual: its `await_nodes`, and other names for its topics.
+    processes : type
+        Of what starts nodes.
 
     """
 
-    def __init__(self, domain, folder, parameters, *, awaited=None, remaps=None):
+    def __init__(
+        self, domain, folder, parameters, *, awaited=None, remaps=None, processes=Processes
+    ):
         self.log = folder / 'log' / 'mission.mcap'
         self.log.parent.mkdir(parents=True)
         self._folder = folder
@@ -80,8 +84,8 @@ class Mission:
             self.onlooker = Onlooker(self.node, NAMESPACE, agents)
             self._executor = SingleThreadedExecutor(context=context)
             self._executor.add_node(self.node)
-            self.processes = stack.enter_context(Processes(domain))
-            self._strangers = stack.enter_context(Processes(domain))
+            self.processes = stack.enter_context(processes(domain))
+            self._strangers = stack.enter_context(processes(domain))
             self._stack = stack.pop_all()
 
     def __enter__(self):

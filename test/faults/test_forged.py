@@ -15,21 +15,21 @@ SCALE = 0.1
 
 
 @pytest.fixture(scope='module')
-def undisturbed(tmp_path_factory):
+def undisturbed(processes, tmp_path_factory):
     """Run a mission that nothing is sent to."""
-    return run_forged(tmp_path_factory.mktemp('undisturbed'), ())
+    return run_forged(tmp_path_factory.mktemp('undisturbed'), (), processes=processes)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize('kind', FORGERIES)
-def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, undisturbed, kind):
-    outcome = run_forged(tmp_path, [kind], SCALE)
+def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, processes, undisturbed, kind):
+    outcome = run_forged(tmp_path, [kind], SCALE, processes=processes)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
 
 
-def test_a_mission_survives_all_of_it(tmp_path, undisturbed):
-    outcome = run_forged(tmp_path, FORGERIES, SCALE, seed=2)
+def test_a_mission_survives_all_of_it(tmp_path, processes, undisturbed):
+    outcome = run_forged(tmp_path, FORGERIES, SCALE, seed=2, processes=processes)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
 

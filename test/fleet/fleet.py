@@ -8,13 +8,13 @@ from dataclasses import replace
 from itertools import groupby
 import json
 from math import hypot
+import os
 from pathlib import Path
 import signal
-import subprocess
-import sys
 import time
 
 from action_msgs.srv import CancelGoal
+from forked import ForkedProcess, run_simulator
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.messages.content import content_hash
@@ -118,14 +118,11 @@ class Fleet:
         }
         file = self.field.folder / 'simulation.json'
         file.write_text(json.dumps(config))
-        with self.field.folder.joinpath('simulator.txt').open('ab') as output:
-            self.simulator = subprocess.Popen(
-                [sys.executable, str(SIMULATOR), str(file)], stdout=output, stderr=output
-            )
+        output = self.field.folder / 'simulator.txt'
+        output.touch()
+        self.simulator = ForkedProcess(run_simulator, (file,), os.environ.copy(), str(output))
         self.field.processes.started[f'simulator {self.simulator.pid}'] = self.simulator
-        self.field._outputs[f'simulator {self.simulator.pid}'] = (
-            self.field.folder / 'simulator.txt'
-        )
+        self.field._outputs[f'simulator {self.simulator.pid}'] = output
 
     def start(self, name='scout_1', remapped=None, **parameters):
         """Start a robot node."""

@@ -346,8 +346,8 @@ def hypothesis(name, score):
     return ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id=name, score=score))
 
 
-def main():
-    path = Path(sys.argv[1])
+def simulate(path):
+    """Simulate what a file of a configuration says until a signal comes, and return 0."""
     config = json.loads(path.read_text())
     signals = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -374,7 +374,8 @@ def main():
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
+    return 0
 
 
 if __name__ == '__main__':
-    main()
+    simulate(Path(sys.argv[1]))

@@ -4,15 +4,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from multiprocessing import forkserver
-import os
 from pathlib import Path
 import subprocess
-import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from forked import ForkedProcesses
+from forked import COVERED, ForkedProcesses
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
@@ -28,8 +25,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from samples import on_disk
 from std_msgs.msg import Bool
-
-COVERED = 'COVERAGE_PROCESS_CONFIG' in os.environ
 
 PATIENCE = 60.0  # seconds; on a quiet machine nothing takes a tenth of it unless it is broken
 
@@ -221,15 +216,6 @@ class Field:
         return status.message
 
 
-@pytest.fixture(scope='session')
-def server():
-    """Start the process that nodes are forked from: it has no threads and no ROS context."""
-    with pytest.MonkeyPatch.context() as patch:
-        # It passes over modules that it does not find, and is not given the paths of the tests.
-        patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
-        forkserver.ensure_running()
-
-
 @pytest.fixture
 def system_clock(tmp_path, monkeypatch):
     """Return a file: once it is there, the system's clock is years back for nodes started now."""
@@ -248,7 +234,6 @@ def field(request, server, tmp_path, monkeypatch):
 
     Nodes are forked from a process that has imported them, but in tests marked `interpreter`.
     """
-    # Coverage is measured from the start of an interpreter.
     anew = request.node.get_closest_marker('interpreter') or COVERED
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())

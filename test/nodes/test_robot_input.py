@@ -19,11 +19,8 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.robot import Deployment, Journal, Step
 from nav_msgs.msg import Path as PathMessage
-import pytest
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
-
-pytestmark = pytest.mark.interpreter
 
 
 def transform(field, x, y, parent='map', child='base_link', turned=1.0):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes as processes that are forked from one which has imported their modules, to save time."""
+"""Processes that are forked from one which has imported their modules, to save time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import ctypes
 import multiprocessing
 import os
@@ -18,15 +18,22 @@ from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.nodes.runtime import qos
 
 CONTEXT = multiprocessing.get_context('forkserver')
-CONTEXT.set_forkserver_preload(['forked', 'ready'])
+CONTEXT.set_forkserver_preload(['forked', 'ready', 'simulator'])
 
 PR_SET_PDEATHSIG = 1
 
+# Coverage is measured from the start of an interpreter, so that nothing is forked then.
+COVERED = 'COVERAGE_PROCESS_CONFIG' in os.environ
+
 
 def _run(
-    arguments: list[str], environment: Mapping[str, str], folder: Path, output: str, depth: int
+    function: Callable[..., int],
+    arguments: tuple[Any, ...],
+    environment: Mapping[str, str],
+    folder: Path,
+    output: str,
 ) -> None:
-    """Become what a shell would start in a folder with this command line and environment."""
+    """Become what a shell would start in a folder with this environment."""
     assert 'ready' in sys.modules, 'the server of forks did not import what nodes need'
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
     os.chdir(folder)
@@ -35,8 +42,21 @@ def _run(
     written = os.open(output, os.O_WRONLY | os.O_APPEND)
     os.dup2(written, sys.stdout.fileno())
     os.dup2(written, sys.stderr.fileno())
+    sys.exit(function(*arguments))
+
+
+def _run_node(arguments: list[str], depth: int) -> int:
+    """Run a node with this command line."""
     qos.DEPTH = qos.EVIDENCE.depth = depth
-    sys.exit(main(arguments))
+    return main(arguments)
+
+
+def run_simulator(file: Path) -> int:
+    """Simulate robots as a file says."""
+    # Only the server of forks imports it before, since that takes a second.
+    from simulator import simulate
+
+    return simulate(file)
 
 
 class ForkedProcess:
@@ -44,13 +64,14 @@ class ForkedProcess:
 
     def __init__(
         self,
-        arguments: list[str],
+        function: Callable[..., int],
+        arguments: tuple[Any, ...],
         environment: Mapping[str, str],
         output: str,
-        depth: int = qos.DEPTH,
     ) -> None:
+        """Start a function that returns the exit code, of a module that can be imported."""
         self._process = CONTEXT.Process(
-            target=_run, args=(arguments, environment, Path.cwd(), output, depth), daemon=True
+            target=_run, args=(function, arguments, environment, Path.cwd(), output), daemon=True
         )
         self._process.start()
         self.pid = self._process.pid
@@ -90,4 +111,5 @@ class ForkedProcesses(Processes):
     def launch(self, arguments: list[str], output: IO[Any] | None) -> Any:
         """Fork a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
         assert output is not None
-        return ForkedProcess(arguments, self._environment, output.name, self.depth)
+        whole = (arguments, self.depth)
+        return ForkedProcess(_run_node, whole, self._environment, output.name)
