@@ -3,6 +3,7 @@
 
 import ast
 from collections import defaultdict
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 import re
@@ -92,14 +93,18 @@ OWN = ('self', 'cls')
 FILES = 'glob io multiprocessing os pathlib pickle shutil socket subprocess tempfile'
 CALLS = 'fromfile genfromtxt load loadtxt memmap open print save savetxt savez tofile'
 
-SOURCES = {
-    path: ast.parse(path.read_text()) for path in sorted(ROOT.joinpath('kbnitp_ros').rglob('*.py'))
-}
+PATHS = sorted(ROOT.joinpath('kbnitp_ros').rglob('*.py'))
 
 MODULES = {
     '.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
-    for path in SOURCES
+    for path in PATHS
 }
+
+
+@cache
+def sources():
+    """Return the syntax tree of each module by its path."""
+    return {path: ast.parse(path.read_text()) for path in PATHS}
 
 
 def layer_of(path):
@@ -116,7 +121,7 @@ def module_of(name):
 
 def imports():
     """Yield (path, layer, absolute dotted name) for everything that is imported."""
-    for path, tree in SOURCES.items():
+    for path, tree in sources().items():
         package = path.parent.relative_to(ROOT).parts
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
@@ -132,7 +137,7 @@ def imports():
 
 
 def test_every_folder_is_a_layer():
-    assert {layer_of(path) for path in SOURCES} - {''} == BELOW.keys()
+    assert {layer_of(path) for path in PATHS} - {''} == BELOW.keys()
 
 
 def test_imports_point_down():
@@ -178,11 +183,11 @@ def private_names(tree):
 
 
 def test_no_private_name_of_an_object_is_reached_from_another_module():
-    own = {path: private_names(tree) for path, tree in SOURCES.items()}
+    own = {path: private_names(tree) for path, tree in sources().items()}
     everywhere = set().union(*own.values())
     reached = [
         (str(path.relative_to(ROOT)), node.lineno, node.attr)
-        for path, tree in SOURCES.items()
+        for path, tree in sources().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and getattr(node.value, 'id', '') not in OWN
         if node.attr in everywhere - own[path]
@@ -215,7 +220,7 @@ def test_logs_are_read_without_ros():
     """Only what makes messages, or describes the types of a log, imports packages of ROS."""
     needed = [
         (str(path.relative_to(ROOT)), name)
-        for path, tree in SOURCES.items()
+        for path, tree in sources().items()
         if layer_of(path).split('.')[0] in ('messages', 'log', 'bag', 'report', 'maps', 'figures')
         if str(path.relative_to(ROOT / 'kbnitp_ros')) not in WRITERS
         for node in tree.body
@@ -244,7 +249,7 @@ def test_the_core_needs_numpy_only_and_compiles_in_one_place():
 def test_the_core_reads_and_writes_nothing():
     calls = [
         (str(path.relative_to(ROOT)), node.lineno)
-        for path, tree in SOURCES.items()
+        for path, tree in sources().items()
         for node in ast.walk(tree)
         if layer_of(path).split('.')[0] == 'core' and isinstance(node, ast.Call)
         if getattr(node.func, 'id', getattr(node.func, 'attr', None)) in CALLS.split()

@@ -112,8 +112,7 @@ def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds,
 
 
 @pytest.mark.processes
-@for_each('node', NODES.values(), every=2)
-def test_nodes_need_nothing_that_a_robot_is_not_given(node):
+def test_nodes_need_nothing_that_a_robot_is_not_given():
     """What package.xml leaves out where KBNITP_ROLE is robot cannot be imported here."""
     keys = {
         each.text
@@ -122,7 +121,8 @@ def test_nodes_need_nothing_that_a_robot_is_not_given(node):
     }
     assert {'rviz2', 'python3-matplotlib'} < keys
     refused = {name for name, (key, _) in PYTHON_PACKAGES.items() if key in keys or not key}
-    code = f'import sys; sys.modules.update(dict.fromkeys({refused | OPTIONAL})); import {node}'
+    nodes = ', '.join(NODES.values())
+    code = f'import sys; sys.modules.update(dict.fromkeys({refused | OPTIONAL})); import {nodes}'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
