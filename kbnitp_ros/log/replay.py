@@ -128,9 +128,10 @@ class Fold:
         self.report = report
         self.topic = ''
         self._ledger: Ledger | None = None
-        # What the ledger has assimilated, and whether that is what the last belief names.
+        # What the ledger has assimilated; the digests of the belief that names it, empty if none
+        # does, and of the last one on record.
         self._assimilated: dict[DeploymentKey, Assimilated] = {}
-        self._is_up_to_date = False
+        self._held = self._last = b''
         self._index = -1
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
@@ -148,6 +149,9 @@ class Fold:
         belief = logged.message
         newest = newest_deployment(belief)
         digest = blake2b(logged.data, digest_size=16).digest()
+        # The counts of an estimator that was started again come to the same numbers again.
+        follows = self._held == self._last and belief.since == len(self._assimilated)
+        self._last = digest
         if digest in self._seen:
             self._find(self.report.repeated, newest, 'it is on record before')
             return
@@ -155,22 +159,22 @@ class Fold:
             # An estimator that was started again may say the same again.
             self._seen.clear()
         self._seen.add(digest)
-        self._is_up_to_date = False
+        self._held = b''
+        stamp = from_stamp(belief.header.stamp)
         try:
             if newest is None:
                 self._ledger = None
                 self._begin(read_belief_maps(belief))
             elif self._ledger is None:
                 raise ValueError('the prior it started from is not on record')
-            elif belief.since not in (0, len(self._assimilated)):
+            elif (belief.since and not follows) or not self._assimilate(
+                newest, read_assimilated(belief), not belief.since, stamp
+            ):
                 reason = f'the belief of {belief.since} deployments that it adds to is missing'
                 self._find(self.report.not_compared, newest, reason)
                 return
-            else:
-                stamp = from_stamp(belief.header.stamp)
-                self._assimilate(newest, read_assimilated(belief), not belief.since, stamp)
-            self._is_up_to_date = True
-            self._compare(belief, newest)
+            self._held = digest
+            self._compare(belief, newest, stamp)
         except LogError:
             raise
         except ValueError as error:
@@ -188,8 +192,13 @@ class Fold:
 
     def _assimilate(
         self, newest: DeploymentKey, named: list[Assimilated], is_complete: bool, stamp: int
-    ) -> None:
-        """Assimilate what a belief names; raises ValueError if that cannot be."""
+    ) -> bool:
+        """
+        Assimilate what a belief names; raises ValueError if that cannot be.
+
+        Return whether the belief can be that of the ledger then: not if what it adds is nothing
+        new to the ledger, since to its estimator it was.
+        """
         of = {each.key: each for each in named}
         if newest not in of:
             raise ValueError(f'taken_in does not name {newest}, which it assimilated last')
@@ -203,17 +212,19 @@ class Fold:
                 continue
             path, report = self.report.evidence.named(each, self._index, stamp)
             self._ledger.record_path(key, path, each.path)
-            self._ledger.record_report(key, report)
+            is_new = self._ledger.record_report(key, report)
+            if not is_complete and not is_new:
+                return False
             self._assimilated[key] = each
             if key == newest:
                 newest_stamp = report.stamp
         self._ledger.newest, self._ledger.newest_stamp = newest, newest_stamp
+        return True
 
-    def _compare(self, belief: Any, newest: DeploymentKey | None) -> None:
+    def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
         """Compare a belief with that of the ledger, and remember the views of it."""
         assert self._ledger is not None
         assert self.report.prior is not None
-        stamp = from_stamp(belief.header.stamp)
         # That of the paths, which may tell none.
         is_told = read_stamp('mission', belief.mission) != NOT_TOLD
         mission = self.report.prior.mission if is_told else NOT_TOLD
@@ -253,7 +264,7 @@ class Fold:
                 report.not_yet_held = []
             else:
                 report.not_yet_held.append(key)
-        if not self._is_up_to_date:
+        if self._held != self._last:
             # A belief that is missing, or was not compared, may hold them.
             report.not_yet_held[:0] = report.passed_over
             report.passed_over = []
