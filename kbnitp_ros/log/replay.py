@@ -172,6 +172,7 @@ class Fold:
             ):
                 reason = f'the belief of {belief.since} deployments that it adds to is missing'
                 self._find(self.report.not_compared, newest, reason)
+                self.views.pass_over(stamp)
                 return
             self._held = digest
             self._compare(belief, newest, stamp)

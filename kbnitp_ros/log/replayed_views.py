@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import Any
 
 from kbnitp_ros.bag import LoggedMessage
@@ -31,6 +31,8 @@ class ReplayedViews:
         self._recorded: dict[str, list[tuple[int, Any]]] = defaultdict(list)
         # By topic and stamp; beliefs may share one.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
+        # How many beliefs of a stamp are on record and were not computed.
+        self._unknown: Counter[int] = Counter()
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a view until all beliefs are computed; of a grid what identifies its content."""
@@ -49,6 +51,10 @@ class ReplayedViews:
             model = f'{topic.rpartition("/")[0]}/model'
             self._expected[model, stamp].append((newest, model_fields(ledger, stamp)))
 
+    def pass_over(self, stamp: int) -> None:
+        """Take note of a belief on record that was not computed: its views are not known."""
+        self._unknown[stamp] += 1
+
     def compare(self, report: ReplayReport) -> None:
         """Compare each view with those of the beliefs of its time; some may be missing."""
         for topic, views in self._recorded.items():
@@ -66,6 +72,7 @@ class ReplayedViews:
                         others.append((index, view))
                         continue
                     report.compared[topic] += 1
+                del others[: self._unknown[stamp]]
                 for (index, view), (newest, computed) in zip(others, unseen):
                     report.compared[topic] += 1
                     report.add(BeliefFinding(topic, index, newest, differs(view, computed)))
