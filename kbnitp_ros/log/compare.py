@@ -43,7 +43,8 @@ def differences(
     Yield where a recorded message differs in the fields that were computed.
 
     Numbers are called rounded if they are no further apart than `tolerance`, or that times their
-    size if above 1: those of arrays, and of the fields in `rounded`.
+    size if above 1: those of arrays, and of the fields in `rounded`. None are if it is 0, not even
+    a zero of the other sign.
     """
     for name, ours in vars(computed).items():
         theirs = getattr(recorded, name)
@@ -109,6 +110,6 @@ def _array_differences(
         f'differs in {differ.sum()} values, by up to {gap[worst]:.3g} in {place} '
         f'({recorded[worst]}, computed is {ours[worst]})',
         float(gap[worst]),
-        bool(is_rounded[differ].all()),
+        tolerance > 0.0 and bool(is_rounded[differ].all()),
         cell,
     )

@@ -477,6 +477,17 @@ def test_one_flipped_bit_is_found(whole_mission, tmp_path, capsys, method, field
     assert f'{field} differs in 1 values, by up to {difference.largest:.3g} in cell 7' in line
 
 
+@for_each('field', ['hazard', 'target', 'kappa'])
+def test_the_sign_of_a_zero_in_a_map_is_found(whole_mission, replayed, field):
+    original = beliefs(whole_mission.sent)[4]
+    blocked = 8
+    assert getattr(original.message, field)[blocked] == 0.0
+    spoiled = flipped(original.message, field, blocked, bit=63)
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    assert report.grade == Grade.DIFFERENT
+    assert [(each.topic, each.index) for each in report.mismatches] == [('/belief', 4)]
+
+
 @pytest.mark.slow
 @given(st.data())
 @settings(max_examples=60, deadline=None)
