@@ -4,10 +4,16 @@
 import subprocess
 import sys
 
+from kbnitp_ros.__main__ import main
 from laws import for_each
 import pytest
 
-pytestmark = pytest.mark.processes
+
+def see_that_it_is_in_words(code, told, said):
+    assert code == 2
+    assert said in told
+    assert 'Errno' not in told
+    assert 'Traceback' not in told
 
 
 @for_each(
@@ -21,6 +27,17 @@ pytestmark = pytest.mark.processes
         ('replay nothere.mcap --repair /proc/here/a.mcap', 'replay: /proc/here: No such file'),
         ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is no file'),
         ('study paper --out /proc/here', 'study: /proc/here: No such file or directory'),
+    ],
+)
+def test_no_command_says_the_number_of_an_error(tmp_path, monkeypatch, capsys, command, said):
+    monkeypatch.chdir(tmp_path)
+    see_that_it_is_in_words(main(command.split()), capsys.readouterr().err, said)
+
+
+@pytest.mark.processes
+@for_each(
+    'command, said',
+    [
         (
             'recorder --ros-args -p file:=/proc/here/a.mcap',
             'recorder: folder /proc/here cannot be',
@@ -28,7 +45,7 @@ pytestmark = pytest.mark.processes
         ('agent --ros-args -p world.file:=nothere.yaml', 'agent: nothere.yaml: No such file'),
     ],
 )
-def test_no_command_says_the_number_of_an_error(tmp_path, command, said):
+def test_no_node_says_the_number_of_an_error(tmp_path, command, said):
     ended = subprocess.run(
         [sys.executable, '-m', 'kbnitp_ros', *command.split()],
         cwd=tmp_path,
@@ -36,7 +53,4 @@ def test_no_command_says_the_number_of_an_error(tmp_path, command, said):
         text=True,
         timeout=120,
     )
-    assert ended.returncode == 2
-    assert said in ended.stderr
-    assert 'Errno' not in ended.stderr
-    assert 'Traceback' not in ended.stderr
+    see_that_it_is_in_words(ended.returncode, ended.stderr, said)

@@ -83,7 +83,7 @@ def test_plans_from_any_base_are_the_best_of_all_paths(chunk):
 
 
 @pytest.mark.slow
-@for_each('steps', [4, 5])
+@for_each('steps', [4, 5], every=2)
 def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
     shares = []
     for seed in range(30):
