@@ -19,6 +19,7 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import read_scenario
 from laws import for_each
 import numpy as np
+import pytest
 import yaml
 
 IN_WORDS = {
@@ -106,6 +107,7 @@ def test_only_a_loss_is_said_to_tell_of_something_that_destroyed_the_robot(page)
     says(page, 'a return says that nothing on the path did')
 
 
+@pytest.mark.slow
 def test_what_the_demo_is_said_to_find():
     first, deployments, world, _ = demo_mission()
     beliefs = [first, *(deployment.belief for deployment in deployments)]

@@ -92,6 +92,7 @@ def pinned(*files):
     return {re.split(r'[\[=]', line)[0]: line for line in requirements if line}
 
 
+@pytest.mark.slow
 @for_each(
     'folders, kinds, files',
     [

@@ -72,6 +72,7 @@ def test_ros_is_tried_by_the_commands_of_the_readme():
     assert 'colcon test-result --verbose' in run
 
 
+@pytest.mark.slow
 def test_ros_is_tried_with_what_rosdep_does_not_know():
     imported = imported_by('kbnitp_ros', 'test')
     unknown = {wheel for name, (key, wheel) in PYTHON_PACKAGES.items() if key is None}

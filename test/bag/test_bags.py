@@ -130,6 +130,7 @@ def test_a_recorder_that_was_killed_left_an_old_list(sent, storage, tmp_path):
     check(split, sent)
 
 
+@pytest.mark.slow
 @for_each('left', [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a'])
 @for_each('storage', STORAGES)
 def test_a_recorder_that_was_killed_left_no_list(sent, left, storage, tmp_path):

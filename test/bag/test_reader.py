@@ -119,6 +119,7 @@ def test_nothing_but_the_first_bytes_is_an_empty_log(files, tmp_path, size):
     assert not is_finished(path)
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=150, deadline=None)
 def test_a_corrupt_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_factory, data):

@@ -268,6 +268,7 @@ def test_a_message_too_large_to_be_read_again_is_refused(tmp_path):
     assert [each.log_time for each in read_log(log.path)] == [2]
 
 
+@pytest.mark.slow
 @for_each('compression', ['none', 'zstd'])
 def test_the_largest_message_is_read_again(tmp_path, compression):
     noise = np.random.default_rng(1).bytes(LARGEST_MESSAGE)

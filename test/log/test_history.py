@@ -83,6 +83,7 @@ def reports_that_do_not_fit(key, whole):
     }
 
 
+@pytest.mark.slow
 @for_each(
     'when, what',
     product(

@@ -127,6 +127,7 @@ def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, 
     assert not started.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
 @for_each('name', ['map.bmp', 'map.png', 'map.pgm', 'ascii.pgm'])
 def test_a_corrupt_image_is_refused_or_read(tmp_path, name):

@@ -165,6 +165,7 @@ def test_colour_vision_is_simulated():
     assert deltaE(*seen, input_space='sRGB1') < deltaE(red, green, input_space='sRGB1') / 2
 
 
+@pytest.mark.slow
 @for_each('name', ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', ''])
 def test_a_learnt_number_of_any_name_is_drawn(tmp_path, name):
     whole = mission_log.mission(

@@ -63,6 +63,7 @@ def test_a_trial_that_is_half_written_does_not_count(folder, tmp_path):
     assert folder.outcomes() == {}
 
 
+@pytest.mark.slow
 def test_a_trial_that_is_damaged_does_not_count(folder, tmp_path, results):
     """Or the damage is where nothing of the trial stands."""
     file = the_file(tmp_path)

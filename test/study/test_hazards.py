@@ -74,6 +74,7 @@ def test_who_has_the_same_paths_has_the_same_evidence(scenario, kind):
     assert a.measures.tobytes() == b.measures.tobytes() == c.measures.tobytes()
 
 
+@pytest.mark.slow
 def test_each_belief_is_compared_with_the_first(scenario, tmp_path):
     scenario = of_kind(scenario, 'used_up', (RIGHT, STATIC))
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}

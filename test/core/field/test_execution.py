@@ -85,6 +85,7 @@ def test_certain_contact_tells_each_step():
                 assert (made.observation.lost_at == expected).all()
 
 
+@pytest.mark.slow
 def test_silence_tells_that_a_robot_was_lost_soon():
     """Of all that were heard of last after the same step, as many are lost in each as is said."""
     contact, safe = 0.4, SensorModel(lethality=0.0, malfunction=0.2)

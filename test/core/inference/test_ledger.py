@@ -326,6 +326,7 @@ def test_keys_name_the_agent_and_the_time():
     assert str(DeploymentKey('scout_1', 12_000_000_034)) == 'scout_1 at 12.000000034'
 
 
+@pytest.mark.slow
 def test_pending_reports_are_bounded_by_bytes_and_what_no_stamp_fits_is_dropped_first(ledger):
     ledger.record_path(DeploymentKey('scout', 10**18), PATH)
     real = DeploymentKey('scout', 10**18 + 1)

@@ -110,6 +110,7 @@ def test_the_published_methods_weigh_each_step_by_it(seed):
         assert found.target[cell] == pytest.approx(target, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 @for_each('seed', range(300))
 def test_smoothing_takes_a_first_loss_in_exactly(seed):
     joint, model, path, steps, lost_at = located(seed)
@@ -157,6 +158,7 @@ def test_sampling_takes_missions_in(seed):
 
 
 # Those of 300 that sampling is furthest from at its default number of sweeps: .003 to .02.
+@pytest.mark.slow
 @for_each('seed', [63, 291, 267, 53])
 def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
@@ -175,6 +177,7 @@ def divergence_of_sampling(joint, model, deployments):
     return float((expected[seen] * np.log(expected[seen] / found[seen])).sum())
 
 
+@pytest.mark.slow
 @for_each('seed', range(30))
 def test_numbers_are_learnt_from_where_robots_were_lost(seed):
     """The lethality is that of the exact posterior over its bins and all hazards."""
@@ -316,6 +319,7 @@ def test_the_report_that_tells_most_of_where_counts():
 # Hazards that change or are used up
 
 
+@pytest.mark.slow
 @for_each('kind, seed', [(kind, n) for n in range(300) for kind in ('changing', 'used_up')], 5)
 def test_where_robots_were_lost_is_taken_in_exactly_in_time(kind, seed):
     """Each deployment from what was believed of each cell before it, some of which are losses."""

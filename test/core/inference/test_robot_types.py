@@ -98,6 +98,7 @@ def test_a_robot_type_is_its_model(seed, method):
     )
 
 
+@pytest.mark.slow
 @for_each('seed', range(300))
 def test_one_robot_of_a_type_is_assimilated_exactly(seed):
     joint, model, seen = random_robots(seed, 1)

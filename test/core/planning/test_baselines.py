@@ -137,6 +137,7 @@ def test_visits_that_fit_no_cells_are_refused(visited):
         plan(grid, prior(grid), MODEL, 4, 'coverage', visited=visited)
 
 
+@pytest.mark.slow
 def test_walks_beyond_memory_are_refused():
     grid = Grid(1000, 1000)
     with pytest.raises(ValueError, match=r'max_steps = 1000 take about .* GB, and 1.1 GB'):

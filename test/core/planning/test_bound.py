@@ -93,6 +93,7 @@ def values(belief, model, visits, loss_cost):
     return np.where(returns > 0.0, information, 0.0) - loss_cost * (1.0 - returns)
 
 
+@pytest.mark.slow
 @for_each('chunk', range(CHUNKS), every=25)
 def test_no_path_has_a_higher_value_than_the_bound(chunk):
     for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
@@ -302,6 +303,7 @@ def test_branches_that_do_not_suffice_are_said_to_be_spent():
     assert (found.path.tolist(), found.gap) == (again.path.tolist(), again.gap)
 
 
+@pytest.mark.slow
 def test_a_bound_beyond_memory_is_refused_with_an_estimate():
     grid = Grid(1000, 1000)
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)

@@ -164,6 +164,7 @@ def test_the_limits_of_these_problems_matter():
     assert bound_by > 15
 
 
+@pytest.mark.slow
 @for_each('seed', range(20))
 def test_robots_of_a_team_keep_their_own_lengths(seed):
     rng = np.random.default_rng(seed)

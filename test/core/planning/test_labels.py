@@ -126,6 +126,7 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
         plan(grid, belief, SensorModel(0.5), **arguments)
 
 
+@pytest.mark.slow
 @for_each(
     'planner, side, max_steps, width, max_visits, robots',
     [

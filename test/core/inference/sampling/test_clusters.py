@@ -119,6 +119,7 @@ def test_beliefs_are_those_of_enumeration(record_property):
     assert np.mean(of_couplings) < 0.02
 
 
+@pytest.mark.slow
 def test_more_sweeps_come_closer(monkeypatch):
     few, _ = divergences(range(4))
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
@@ -151,6 +152,7 @@ def test_draws_are_clustered():
     assert shared[1] > 1.5 * shared[0]
 
 
+@pytest.mark.slow
 def test_density_and_coupling_are_learnt_together():
     """Of a field that was seen whole, against all densities and couplings there may be."""
     grid = Grid(4, 3)

@@ -276,6 +276,7 @@ def test_messages_kept_are_those_sent_from_scratch_to_convergence():
                 assert abs(estimator.belief.hazard - expected).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_a_deployment_costs_no_more_for_those_before_it(monkeypatch):
     """Counted in how often a factor sends its messages."""
     times = []
