@@ -490,7 +490,7 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
     process, log = running
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
+    assert process.returncode == 130, stderr
     assert 'Traceback' not in stderr
     assert f'interrupted; to go on: python3 -m kbnitp_ros demo --resume {log}' in stderr
     replayed = subprocess.run(
