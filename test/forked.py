@@ -45,7 +45,7 @@ def _run(
     sys.exit(function(*arguments))
 
 
-def _run_node(arguments: list[str], depth: int) -> int:
+def run_node(arguments: list[str], depth: int = qos.DEPTH) -> int:
     """Run a node with this command line."""
     qos.DEPTH = qos.EVIDENCE.depth = depth
     return main(arguments)
@@ -112,4 +112,4 @@ class ForkedProcesses(Processes):
         """Fork a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
         assert output is not None
         whole = (arguments, self.depth)
-        return ForkedProcess(_run_node, whole, self._environment, output.name)
+        return ForkedProcess(run_node, whole, self._environment, output.name)

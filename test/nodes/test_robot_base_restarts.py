@@ -80,6 +80,8 @@ def test_robots_that_were_out_when_the_base_died_are_taken_in_once(field):
     print(dict(where))
     done = f'done: {ROBOTS} of {ROBOTS} robots deployed'
     field.until(lambda: field.state(f'{MISSION}/planner') == done, done)
+    # The planner may be heard before the belief that it is done by.
+    field.until(lambda: beliefs[-1].deployments == ROBOTS, 'belief in all')
     assert where['out'] >= len(CRASHES) // 3
     assert sent() == beliefs[-1].deployments == ROBOTS
     assert field.said(f'{MISSION}/scout_1/robot').count('leaving on') == ROBOTS

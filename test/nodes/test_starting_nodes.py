@@ -11,7 +11,7 @@ import signal
 import subprocess
 
 from extent import some
-from forked import ForkedProcess
+from forked import ForkedProcess, run_node
 from kbnitp_ros.bag.reader import is_finished
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given
@@ -37,7 +37,8 @@ def run(server, tmp_path):
         for number, arguments in enumerate(commands):
             said = tmp_path / f'said_{number}.txt'
             said.write_text('')
-            started.append((ForkedProcess(arguments, dict(os.environ), str(said)), said))
+            forked = ForkedProcess(run_node, (arguments,), dict(os.environ), str(said))
+            started.append((forked, said))
         return [(process.wait(timeout=60), said.read_text()) for process, said in started]
 
     return run
