@@ -57,7 +57,8 @@ linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
 # What takes no seconds, no processes and no npm: for every edit. Tests, which pytest compiles, and
-# nodes start sooner where Python may keep what it compiled.
+# nodes start sooner where Python may keep what it compiled. These wait for nothing.
+test-quick: WORKERS = logical
 test-quick: build .venv/.dev
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
 
