@@ -26,6 +26,17 @@ import numpy as np
 import pytest
 from rounds import plan_round
 
+# Seeds, and what a path may have: steps, visits to a cell, and metres.
+LASSO_CASES = [
+    (0, 3, 9, 0.0),
+    (1, 5, 9, 0.0),
+    (2, 6, 9, 0.0),
+    (3, 6, 2, 0.0),
+    (4, 6, 3, 0.0),
+    (5, 6, 9, 5.0),
+    (6, 6, 2, 4.0),
+]
+
 PLANS = """
 import sys
 {before}
@@ -94,6 +105,45 @@ def test_labels_are_worth_what_their_paths_are(seed):
         value = label_value(products, 0, search.problem.objective) / 1e9
         assert value == pytest.approx(information, abs=ERROR + 2e-9)
         assert visits.sum() == len(path) - 1
+
+
+@for_each('seed, max_steps, max_visits, max_distance', LASSO_CASES)
+def test_the_best_lassos_are_found(monkeypatch, seed, max_steps, max_visits, max_distance):
+    """Of all paths out, around a loop and back the way out; where all labels are kept."""
+    monkeypatch.setattr(labels, 'STEMS', 500)
+    rng = np.random.default_rng(seed)
+    grid = Grid(3, 3, base=seed % 9, connectivity=(4, 8)[seed % 2])
+    belief = Belief(brute_force.random_joint(rng, 9, grid.base))
+    model = SensorModel(**brute_force.random_sensors(rng))
+    options = SearchOptions(max_steps=max_steps, max_visits=max_visits, max_distance=max_distance)
+    objective = Objective.alone(grid, belief, model, options)
+    search = labels.LabelSearch(grid, objective, options, 2000)
+    rank = np.zeros(9, dtype=np.intp)
+    rank[search.reach.cells] = np.arange(search.reach.cells.size)
+    values = {}
+    for path in lassos(grid, max_steps):
+        is_short = not max_distance or grid.path_length(path) <= max_distance
+        if is_short and np.bincount(path[1:]).max() <= max_visits:
+            values[tuple(path)] = search.exact([rank[path]])[0]
+    found = [values[tuple(search.reach.cells[path])] for path in search.lassos()]
+    assert max(found) == pytest.approx(max(values.values()), abs=2 * ERROR)
+
+
+def lassos(grid, max_steps):
+    """Yield all lassos; their stems have one step at least."""
+
+    def walks(walk, steps):
+        yield walk
+        if steps:
+            for cell in grid.neighbors(walk[-1]).tolist():
+                yield from walks([*walk, cell], steps - 1)
+
+    for stem in walks([grid.base], (max_steps - 1) // 2):
+        if len(stem) == 1 or grid.base in stem[1:]:
+            continue
+        for loop in walks(stem[-1:], max_steps - 2 * (len(stem) - 1)):
+            if len(loop) > 1 and loop[-1] == stem[-1] and stem[-1] not in loop[1:-1]:
+                yield np.array([*stem, *loop[1:], *stem[-2::-1]])
 
 
 def test_a_plan_is_the_same_in_a_larger_field():
@@ -200,11 +250,11 @@ def test_the_best_of_a_wide_search_is_found():
 
 def test_the_best_of_a_wide_search_is_found_late_in_missions():
     """
-    On beliefs of which a beam alone finds 0.978 to 0.993 of what width 512 finds.
+    On beliefs of which a search without lassos finds 0.963 to 0.9988 of what width 512 finds.
 
     They are of missions on 9x9 cells at some lethality; `best` is what width 512 found.
     """
     late = np.load(Path(__file__).with_name('beliefs_of_missions.npz'))
     for joint, lethality, best in zip(late['joint'], late['lethality'], late['best']):
         found = plan(Grid(9, 9), Belief(joint), SensorModel(lethality), 18, width=16)
-        assert found.information >= 0.997 * best
+        assert found.information >= 0.999 * best

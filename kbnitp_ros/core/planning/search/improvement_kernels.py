@@ -19,7 +19,6 @@ from kbnitp_ros.core.planning.search.label_kernels import (
     Reach,
     visit,
 )
-from kbnitp_ros.core.planning.search.search_kernels import trace
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,6 +45,15 @@ def length_to(reach: Reach, cell: int, other: int) -> float:
 
 
 @compiled
+def mark_steps_to(reach: Reach, to: int, is_marked: bool, length: Floats) -> None:
+    """Write the length of the step from each cell to a cell, metres, or inf again."""
+    for column in range(9):
+        cell = reach.neighbors[to, column]
+        if cell >= 0:
+            length[cell] = reach.length[column] if is_marked else inf
+
+
+@compiled
 def measure(path: Places, reach: Reach, walked: Floats) -> None:
     """Write the length of a path up to each place, metres."""
     walked[0] = 0.0
@@ -54,20 +62,31 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
 
 
 @compiled
-def take(path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products) -> None:
+def take(
+    path: Places,
+    first: int,
+    last: int,
+    gains: Gains,
+    visits: Places,
+    to: Products,
+    both_ways: bool = False,
+) -> None:
     """
     Write the label of a path, ranks of cells, without the steps between two of its places.
 
-    It is written into row 0 of `to`, and its visits to each cell are counted.
+    It is written into row 0 of `to`, and its visits to each cell are counted. With `both_ways`
+    those between the same two places from the end are left out as well.
     """
     visits[:] = 0
     to.factor[0] = 1.0
     to.term[0] = 0.0
     for step in range(1, path.size):
-        if step <= first or step >= last:
-            cell = path[step]
-            visit(to, 0, gains, cell, visits[cell], to, 0)
-            visits[cell] += 1
+        back = path.size - 1 - step
+        if first < step < last or (both_ways and first < back < last):
+            continue
+        cell = path[step]
+        visit(to, 0, gains, cell, visits[cell], to, 0)
+        visits[cell] += 1
 
 
 @compiled
@@ -103,49 +122,17 @@ def exact_values(
 
 
 @compiled
-def out_and_back(problem: LabelProblem, origins: NDArray[np.int32], steps: int) -> Floats:
-    """
-    Find the values of the paths that lead to a cell by its best label and back the same way.
-
-    Parameters
-    ----------
-    problem : LabelProblem
-        As for `search`.
-    origins : ndarray of int, shape (sum of within, width)
-        As of `search`.
-    steps : int
-        From the base to the cell.
-
-    Returns
-    -------
-    ndarray, shape (within[steps],)
-        For each cell, in units; -inf for those that have no such path of an allowed length.
-
-    """
-    reach, _, gains, objective = problem
-    values = np.full(reach.within[steps], -inf)
-    visits = np.zeros(reach.neighbors.shape[0], np.int64)
-    products = new_products(1, gains)
-    path, walked = np.empty(2 * steps + 1, np.int64), np.empty(2 * steps + 1)
-    start = reach.start[steps]
-    for cell in range(reach.within[steps]):
-        if origins[start + cell, 0] < 0:
-            continue
-        path[steps] = cell
-        trace(reach, origins, 0, path[: steps + 1])
-        for step in range(steps):
-            path[2 * steps - step] = path[step]
-        measure(path, reach, walked)
-        if walked[2 * steps] > reach.longest:
-            continue
-        if most_visits(path, visits) <= gains.factor.shape[1]:
-            take(path, 0, 0, gains, visits, products)
-            values[cell] = label_value(products, 0, objective)
-    return values
+def mirrored(path: Places) -> int:
+    """Return how many first steps of a path its last steps lead back, at most half of all."""
+    steps = path.size - 1
+    same = 0
+    while same < steps // 2 and path[same + 1] == path[steps - same - 1]:
+        same += 1
+    return same
 
 
 @compiled
-def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
+def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, ways: int) -> int:
     """
     Replace stretches of a closed path by better ones until there are none: a local search.
 
@@ -162,6 +149,9 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
         Of the path.
     most_between : int
         See above.
+    ways : int
+        1, or 2 to replace stretches of the first steps, together with those of the last steps that
+        lead back the same way.
 
     Returns
     -------
@@ -180,52 +170,99 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
     column = np.empty(most_between + 1, np.int64)
     take(path[: steps + 1], 0, 0, gains, visits, products)
     best_value = label_value(products, 0, objective)
+    # Metres of the step from each cell to the place where a stretch ends; inf where there is none.
+    closing = np.full(neighbors.shape[0], inf)
     # Places since the last replacement, up to all of them.
     first, unchanged = 0, 0
-    while unchanged < steps:
+    places = steps if ways == 1 else mirrored(path[: steps + 1])
+    while unchanged < places:
         found, last = -1, first
-        while found < 0 and last < min(first + most_between + 1, steps):
+        while found < 0 and last < min(first + most_between + 1, places):
             last += 1
             between = last - first - 1
-            take(path[: steps + 1], first, last, gains, visits, products)
-            most = min(most_between, path.size - 1 - steps + between)
-            length[0] = walked[first] + walked[steps] - walked[last]
+            take(path[: steps + 1], first, last, gains, visits, products, ways == 2)
+            most = min(most_between, (path.size - 1 - steps) // ways + between)
+            length[0] = walked[steps] - ways * (walked[last] - walked[first])
+            mark_steps_to(reach, path[last], True, closing)
             # Depth first through all stretches; row `depth` is the label with so many cells.
             depth, stretch[0], column[0] = 0, path[first], 0
             while depth >= 0:
                 cell = stretch[depth]
                 if column[depth] == 0:
-                    closed = length[depth] + length_to(reach, cell, path[last])
+                    closed = length[depth] + ways * closing[cell]
                     value = label_value(products, depth, objective) if closed < inf else -inf
                     if value > best_value and closed <= reach.longest:
                         best_value, found = value, depth
                         best[: depth + 1] = stretch[: depth + 1]
                 if column[depth] == 9 or depth == most:
                     if depth > 0:
-                        visits[cell] -= 1
+                        visits[cell] -= ways
                     depth -= 1
                     continue
                 there = neighbors[cell, column[depth]]
                 column[depth] += 1
-                if there < 0 or visits[there] >= max_visits:
+                if there < 0 or visits[there] + ways > max_visits:
                     continue
-                if depth + 1 < most or length_to(reach, there, path[last]) < inf:
-                    before = visits[there]
-                    visit(products, depth, gains, there, before, products, depth + 1)
-                    visits[there] += 1
-                    length[depth + 1] = length[depth] + reach.length[column[depth] - 1]
+                if depth + 1 < most or closing[there] < inf:
+                    row = depth
+                    for _ in range(ways):
+                        visit(products, row, gains, there, visits[there], products, depth + 1)
+                        visits[there] += 1
+                        row = depth + 1
+                    length[depth + 1] = length[depth] + ways * reach.length[column[depth] - 1]
                     depth += 1
                     stretch[depth], column[depth] = there, 0
+            mark_steps_to(reach, path[last], False, closing)
         if found >= 0:
-            stop = steps + 1
+            stop = steps + 1 if ways == 1 else steps - last + 1
             rest = path[last:stop].copy()
             for k in range(1, found + 1):
                 path[first + k] = best[k]
             for k in range(rest.size):
                 path[first + found + 1 + k] = rest[k]
-            steps += found - between
+            steps += ways * (found - between)
+            if ways == 2:
+                for k in range(first + found + 1):
+                    path[steps - k] = path[k]
             measure(path[: steps + 1], reach, walked)
-            unchanged = 0
+            places = steps if ways == 1 else mirrored(path[: steps + 1])
+            first, unchanged = first % max(1, places), 0
         else:
-            first, unchanged = (first + 1) % steps, unchanged + 1
+            first, unchanged = (first + 1) % places, unchanged + 1
     return steps
+
+
+@compiled
+def improve_all(
+    problem: LabelProblem, paths: NDArray[np.intp], steps: Places, most_between: int, in_stem: int
+) -> None:
+    """
+    Improve closed paths until neither replacing cells nor replacing cells of a stem helps.
+
+    One call for all: to hand over `problem` takes as long as to improve some paths.
+
+    Parameters
+    ----------
+    problem : LabelProblem
+        What was searched for.
+    paths : ndarray of int, shape (paths, max_steps + 1)
+        Ranks of their cells, and room; are changed.
+    steps : ndarray of int, shape (paths,)
+        Of each path; are changed.
+    most_between, in_stem : int
+        As `most_between` of `improve`, on one way and on both ways of a stem. If the first is 0,
+        stems alone are improved, and once.
+
+    """
+    for row in range(steps.size):
+        path, count = paths[row], steps[row]
+        if most_between:
+            count = improve(problem, path, count, most_between, 1)
+        is_better = True
+        while is_better:
+            before = path[: count + 1].copy()
+            count = improve(problem, path, count, in_stem, 2)
+            is_better = most_between > 0 and not np.array_equal(path[: count + 1], before)
+            if is_better:
+                count = improve(problem, path, count, most_between, 1)
+        steps[row] = count

@@ -14,12 +14,17 @@ from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
 from kbnitp_ros.core.planning.search.gains import gains_of
 from kbnitp_ros.core.planning.search.improvement_kernels import (
     exact_values,
-    improve,
-    out_and_back,
+    improve_all,
 )
-from kbnitp_ros.core.planning.search.label_kernels import LabelObjective, LabelProblem, Reach
+from kbnitp_ros.core.planning.search.label_kernels import (
+    Gains,
+    LabelObjective,
+    LabelProblem,
+    Reach,
+)
+from kbnitp_ros.core.planning.search.lasso_kernels import search_lassos
 from kbnitp_ros.core.planning.search.reach import reach_of
-from kbnitp_ros.core.planning.search.search_kernels import search, trace, trace_closed
+from kbnitp_ros.core.planning.search.search_kernels import search, trace_closed
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,13 +32,17 @@ from numpy.typing import NDArray
 # them are improved.
 RANKED = 8
 
-# So many paths that lead back the way they came are improved as well.
-TURNED = 4
+# Of lassos, so many stems are kept for each cell and step. First, in so many of the best lassos up
+# to so many cells in a row of the stem are replaced, then in fewer of them more. So many of the
+# result are improved as other paths are.
+STEMS = 4
+IMPROVED_STEMS = ((96, 1), (48, 3))
+LASSOS = 16
 
-# Local search replaces up to so many cells in a row of a closed path, and in so many of the best
-# one more.
+# Local search replaces up to so many cells in a row of a closed path, one more in the best of all,
+# and so many on both ways of a stem.
 REPLACED = 2
-BEST = 2
+IN_STEM = 3
 
 # The most bytes that a search may take.
 MOST_MEMORY = 1 << 30
@@ -48,10 +57,11 @@ def best_paths(
     Labels at the same cell after the same number of steps compete by the objective of their
     partial path, and every second one is kept for its heuristic value: the objective of that path
     and a good completion together. Paths that differ only in the order of their visits have the
-    same value and count once. A local search then replaces stretches of one or two cells in the
-    best closed paths, and in the best that lead back the way they came, and stretches of up to
-    three in the best of all these. A search of width 1 does nothing of this: there is one label
-    for each cell and step, as in the paper.
+    same value and count once. A second search is for lassos, paths that go out, around a loop, and
+    back the way out. A local search then replaces stretches of one or two cells in the best closed
+    paths and lassos, up to three in stems, on both ways together, and up to three in the best of
+    all these. A search of width 1 does nothing of this: there is one label for each cell and step,
+    as in the paper.
 
     Parameters
     ----------
@@ -62,7 +72,8 @@ def best_paths(
     options : SearchOptions
         Of which the search reads `max_steps`, `max_distance` and `max_visits`.
     width : int
-        How many labels of each cell and step are kept.
+        How many lassos of each cell and step are kept, and of other paths half as many; or all if
+        `max_visits` is 1, which leaves no lasso.
 
     Returns
     -------
@@ -79,9 +90,13 @@ def best_paths(
     labels = LabelSearch(grid, objective, options, width)
     closed = labels.closed_paths(max(width, RANKED))
     if width > 1:
-        improved = labels.improved([*closed[:RANKED], *labels.turned_paths(TURNED)], REPLACED)
-        best = [path for _, path in labels.ranked(improved)[:BEST]]
-        closed += improved + labels.improved(best, REPLACED + 1)
+        lassos = labels.lassos()
+        for most, in_stem in IMPROVED_STEMS:
+            with_stems = labels.improved(lassos[:most], 0, in_stem)
+            lassos = [path for _, path in labels.ranked(with_stems)]
+        improved = labels.improved([*closed[:RANKED], *lassos[:LASSOS]], REPLACED, IN_STEM)
+        best = [path for _, path in labels.ranked(improved)[:1]]
+        closed += improved + labels.improved(best, REPLACED + 1, IN_STEM)
     return [Candidate(value, labels.reach.cells[path]) for value, path in labels.ranked(closed)]
 
 
@@ -115,59 +130,56 @@ class LabelSearch:
         self._hazard = objective.belief.hazard[self.reach.cells]
         self._log_survival = objective.model.log_survival
         self._width = width
+        self._position = np.stack(np.divmod(self.reach.cells, grid.width), axis=1)
+        # Lassos visit each cell of their stem twice.
+        self._seeks_lassos = width > 1 and max_visits > 1
+        self._kept = width // 2 if self._seeks_lassos else width
         # The values of closed paths, by the marks of their visits.
         self._exact: dict[int, float] = {}
-        by_heuristic = width // 2
+        by_heuristic = self._kept // 2
         completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 5))
         if by_heuristic:
             search(self.problem, 1, 0, completions)
         # Where each label comes from, and the values of those at the base.
-        self._origins, self._values = search(self.problem, width, by_heuristic, completions)
+        self._origins, self._values = search(self.problem, self._kept, by_heuristic, completions)
 
     def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
         """Return the paths of the best labels at the base, then the shortest, as ranks."""
         best = np.argsort(-self._values, axis=None, kind='stable')[:most]
-        steps, slots = np.divmod(best[self._values.flat[best] > -inf], self._width)
+        steps, slots = np.divmod(best[self._values.flat[best] > -inf], self._kept)
         paths = np.empty((steps.size, self.reach.within.size), dtype=np.intp)
         trace_closed(self.reach, self._origins, steps, slots, paths)
         return [path[: count + 1] for path, count in zip(paths, steps)]
 
-    def turned_paths(self, most: int) -> list[NDArray[np.intp]]:
-        """
-        Return the best of the paths that go to a cell by its best label and back the same way.
-
-        They leave two of the steps allowed to improve them by.
-        """
-        allowed = self.reach.within.size - 1
-        if self.reach.longest:
-            allowed = min(allowed, int(self.reach.longest / self.reach.length.max()))
-        steps = (allowed - 2) // 2
-        if steps < 1:
+    def lassos(self) -> list[NDArray[np.intp]]:
+        """Return the best lasso for each end of a stem that has one, the best first, as ranks."""
+        if not self._seeks_lassos:
             return []
-        values = out_and_back(self.problem, self._origins, steps)
-        ways = [
-            self._traced(cell, 0, steps)
-            for cell in np.argsort(-values, kind='stable')[:most]
-            if values[cell] > -inf
+        gains = twice(self.problem.gains)
+        closed = search_lassos(self.problem, gains, self._position, self._width, STEMS)
+        return [
+            closed.path[end, : closed.steps[end] + 1].astype(np.intp)
+            for end in np.argsort(-closed.value, kind='stable')
+            if closed.value[end] > -inf
         ]
-        return [np.concatenate((way, way[-2::-1])) for way in ways]
 
-    def _traced(self, cell: int, slot: int, steps: int) -> NDArray[np.intp]:
-        """Return the path of a label in some slot after so many steps at a cell, as ranks."""
-        path = np.empty(steps + 1, dtype=np.intp)
-        path[steps] = cell
-        trace(self.reach, self._origins, slot, path)
-        return path
-
-    def improved(self, paths: Sequence[NDArray[np.intp]], replaced: int) -> list[NDArray[np.intp]]:
+    def improved(
+        self, paths: Sequence[NDArray[np.intp]], replaced: int, in_stem: int
+    ) -> list[NDArray[np.intp]]:
         """Return closed paths with stretches of up to so many cells replaced by better ones."""
-        improved = []
-        for path in paths:
-            longest = np.empty(self.reach.within.size, dtype=np.intp)
-            longest[: path.size] = path
-            steps = improve(self.problem, longest, path.size - 1, replaced)
-            improved.append(longest[: steps + 1])
-        return improved
+        padded, steps = self._padded(paths)
+        improve_all(self.problem, padded, steps, replaced, in_stem)
+        return [path[: count + 1] for path, count in zip(padded, steps)]
+
+    def _padded(
+        self, paths: Sequence[NDArray[np.intp]]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return paths as rows of one array, and their steps."""
+        steps = np.array([path.size - 1 for path in paths], dtype=np.intp)
+        padded = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
+        for row, path in zip(padded, paths):
+            row[: path.size] = path
+        return padded, steps
 
     def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
         """Return closed paths and their value, the best first, those of equal visits once."""
@@ -183,12 +195,20 @@ class LabelSearch:
         """Return the values of closed paths, without the error of the moments, rounded."""
         if self._sought.alpha != SHANNON:
             return [Candidate.along(self.reach.cells[each], self._sought).value for each in paths]
-        steps = np.array([path.size - 1 for path in paths], dtype=np.intp)
-        padded = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
-        for row, path in zip(padded, paths):
-            row[: path.size] = path
-        values = exact_values(self.problem, padded, steps, self._hazard, *self._log_survival)
+        values = exact_values(
+            self.problem, *self._padded(paths), self._hazard, *self._log_survival
+        )
         return [round(value, DECIMALS) for value in values.tolist()]
+
+
+def twice(gains: Gains) -> Gains:
+    """Return what each next two visits multiply and add to."""
+    pairs = gains.factor.shape[1] // 2
+    first, second = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2)
+    return gains._replace(
+        factor=np.ascontiguousarray(gains.factor[:, first] * gains.factor[:, second]),
+        term=np.ascontiguousarray(gains.term[:, first] + gains.term[:, second]),
+    )
 
 
 def check_memory(
@@ -233,6 +253,12 @@ def check_memory(
         labels * (4 * width + (number * (powers + 5) if width > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
         + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 2) + 4 * 9)
+        # The lassos of two steps, with their paths.
+        + (width > 1)
+        * 2
+        * cells
+        * (width + STEMS)
+        * (number * (factors_and_terms + 3) + 4 * (max_steps + 1))
         # The gains and the chances of readings, while they are made.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2
