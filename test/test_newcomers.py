@@ -67,7 +67,8 @@ QUICK = [
     'test/nodes/test_parameters.py',
 ]
 LAWS = [
-    'test/core/inference/test_ledger.py::test_a_return_that_makes_later_ones_impossible_is_refused',
+    'test/core/inference/test_ledger.py'
+    '::test_a_return_that_makes_later_ones_impossible_is_refused',
     'test/core/planning/test_planning.py::test_plans_are_legal_and_say_what_they_are_worth',
     'test/messages/test_beliefs.py::test_a_belief_comes_back_bit_for_bit',
 ]

@@ -13,7 +13,7 @@ from kbnitp_ros.configuration.names import own_name
 from kbnitp_ros.configuration.table import LONGEST_SIDE
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import Datum, Map, read_map
-from kbnitp_ros.messages.grids import told_resolution, told_yaw
+from kbnitp_ros.messages.grids import rounded_resolution, rounded_yaw
 
 
 def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
@@ -37,7 +37,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
     if heard is None and values['map_topic']:
         raise ValueError('parameter map_topic is given, and no map has come on it')
     field = read_map(values['map']) if values['map'] else heard
-    side = told_resolution(values['grid.resolution'])
+    side = rounded_resolution(values['grid.resolution'])
     corners = values['grid.corners']
     steps = {
         'connectivity': values['grid.connectivity'],
@@ -46,7 +46,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
     if field is not None:
         # As it is told, so that all nodes have one grid.
         field = replace(
-            field, resolution=told_resolution(field.resolution), yaw=told_yaw(field.yaw)
+            field, resolution=rounded_resolution(field.resolution), yaw=rounded_yaw(field.yaw)
         )
         grid = field.grid(
             side or None,
@@ -71,7 +71,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
         height=values['grid.height'],
         resolution=side or 1.0,
         origin=origin[:2],
-        yaw=told_yaw(*origin[2:] or (0.0,)),
+        yaw=rounded_yaw(*origin[2:] or (0.0,)),
     )
     base = int(grid.cells_at([position])[0]) if position else values['grid.base']
     grid = replace(grid, base=base, blocked=values['grid.blocked'], **steps)

@@ -48,7 +48,7 @@ from kbnitp_ros.messages.beliefs import (
 from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import from_stamp, read_stamp
-from kbnitp_ros.messages.missions import NOT_TOLD
+from kbnitp_ros.messages.missions import NO_MISSION
 from kbnitp_ros.messages.operator_action import read_operator_action
 from kbnitp_ros.messages.progress import MissionState, Standing
 from kbnitp_ros.messages.status import read_status
@@ -227,8 +227,8 @@ class Fold:
         assert self._ledger is not None
         assert self.report.prior is not None
         # That of the paths, which may tell none.
-        is_told = read_stamp('mission', belief.mission) != NOT_TOLD
-        mission = self.report.prior.mission if is_told else NOT_TOLD
+        is_told = read_stamp('mission', belief.mission) != NO_MISSION
+        mission = self.report.prior.mission if is_told else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
         # What it was computed from.
         del computed.since, computed.taken_in

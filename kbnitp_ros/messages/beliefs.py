@@ -41,7 +41,7 @@ from kbnitp_ros.messages.headers import (
     shown,
     stamp_fields,
 )
-from kbnitp_ros.messages.missions import NOT_TOLD
+from kbnitp_ros.messages.missions import NO_MISSION
 import numpy as np
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Snapshot:
 def belief_fields(
     ledger: Ledger,
     started: int,
-    mission: int = NOT_TOLD,
+    mission: int = NO_MISSION,
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> Fields:
@@ -205,7 +205,7 @@ def belief_field_names() -> set[str]:
 def belief_maps(
     ledger: Ledger,
     started: int,
-    mission: int = NOT_TOLD,
+    mission: int = NO_MISSION,
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> BeliefMaps:

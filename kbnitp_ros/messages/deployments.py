@@ -23,7 +23,7 @@ from kbnitp_ros.messages.headers import (
     shown,
     to_stamp,
 )
-from kbnitp_ros.messages.missions import NOT_TOLD
+from kbnitp_ros.messages.missions import NO_MISSION
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -40,7 +40,7 @@ class Source(IntEnum):
     OPERATOR = 2
 
 
-def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NOT_TOLD) -> Path:
+def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MISSION) -> Path:
     """
     Return the message that sends an agent along `cells`.
 

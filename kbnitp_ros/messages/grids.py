@@ -30,13 +30,13 @@ UNIT = 1e-2
 YAW_DECIMALS = 12
 
 
-def told_resolution(resolution: float) -> float:
-    """Return a cell's side in metres as messages, which have a float32, tell it: 0.1 as 0.1."""
+def rounded_resolution(resolution: float) -> float:
+    """Return a cell's side in metres, rounded as in messages with a float32: 0.1 stays 0.1."""
     return float(str(np.float32(resolution)))
 
 
-def told_yaw(yaw: float) -> float:
-    """Return an angle in rad as messages, which have a quaternion, tell it: in (-pi, pi]."""
+def rounded_yaw(yaw: float) -> float:
+    """Return an angle in rad, in (-pi, pi], rounded to what messages with a quaternion hold."""
     rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
     # Either half turn is the same, and is rounded to more than pi.
     return abs(rounded) if abs(rounded) > pi else rounded
@@ -92,9 +92,9 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
     return Grid(
         width=info.width,
         height=info.height,
-        resolution=told_resolution(info.resolution),
+        resolution=rounded_resolution(info.resolution),
         origin=(origin.position.x, origin.position.y),
-        yaw=told_yaw(2.0 * atan2(turn.z, turn.w)) if is_turned else 0.0,
+        yaw=rounded_yaw(2.0 * atan2(turn.z, turn.w)) if is_turned else 0.0,
         **rest,
     )
 

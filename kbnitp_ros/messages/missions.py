@@ -8,7 +8,7 @@ nav_msgs/Path has no other place for it, and a report belongs to the mission of 
 names. So messages of an old bag are told from those of the mission that they are played into.
 
 A path whose poses have no time, or that of the path itself, names none: it belongs to the mission
-`NOT_TOLD`.
+`NO_MISSION`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 from kbnitp_ros.messages.headers import from_stamp, read_stamp, SECOND
 
-NOT_TOLD = 0
+NO_MISSION = 0
 
 
 def mission_of_path(message: Any) -> int:
@@ -32,7 +32,7 @@ def mission_of_path(message: Any) -> int:
     """
     stated = message.poses[0].header.stamp if message.poses else message.header.stamp
     if from_stamp(stated) == from_stamp(message.header.stamp):
-        return NOT_TOLD
+        return NO_MISSION
     return read_stamp('poses[0].header.stamp', stated)
 
 
@@ -55,6 +55,6 @@ def check_mission(stated: int, own: int | None) -> None:
 
 def named(mission: int) -> str:
     """Return what a mission is called."""
-    if mission == NOT_TOLD:
+    if mission == NO_MISSION:
         return 'a mission that tells no time'
     return f'the mission begun at {mission // SECOND}.{mission % SECOND:09d}'

@@ -128,7 +128,7 @@ class Driver:
         """
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited
-        return '' if self._lifecycle.is_told else self._try_goal(place, stamp)
+        return '' if self._lifecycle.is_there else self._try_goal(place, stamp)
 
     def _try_goal(self, place: tuple[float, float], stamp: int) -> str:
         """Find out by a goal that ends where the robot is, and is cancelled when accepted."""

@@ -24,14 +24,14 @@ class Lifecycle:
         self._asked_at = 0.0
 
     @property
-    def is_told(self) -> bool:
+    def is_there(self) -> bool:
         """Whether the node is there and has a lifecycle."""
         return self._client.service_is_ready()
 
     @property
     def awaited(self) -> str:
         """Return what the node must tell before it is active; empty if it is, or tells nothing."""
-        if not self.is_told:
+        if not self.is_there:
             return ''
         now = time.monotonic()
         if now > self._asked_at + PERIOD:

@@ -30,7 +30,7 @@ from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.missions import check_mission, mission_of_path, NOT_TOLD
+from kbnitp_ros.messages.missions import check_mission, mission_of_path, NO_MISSION
 from kbnitp_ros.messages.operator_action import read_action_name
 from kbnitp_ros.messages.sizes import (
     check_size,
@@ -371,8 +371,8 @@ class RecorderNode(MissionNode):
         # Of these many keep nobody waiting; but the paths that were read with them do.
         is_seldom_awaited = topic.type_name in (BELIEF, STATUS)
         is_evidence = topic.type_name in EVIDENCE and not is_seldom_awaited
-        is_any_untold = any(each.untold for each in self._topics.values())
-        if is_evidence or (is_seldom_awaited and is_any_untold):
+        is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
+        if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
             # One sync serves all that waits: the paths of a round come together, and so does a
             # whole history. What was published before this is then on the disk before it counts.
             self._write_arrived()
@@ -389,7 +389,7 @@ class RecorderNode(MissionNode):
         topic, data, info = message
         try:
             check_size(data, min(LARGEST.get(topic.type_name, LARGEST_MESSAGE), LARGEST_MESSAGE))
-            if not self._is_told_by_us(topic, data):
+            if not self._is_of_this_mission(topic, data):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
@@ -410,7 +410,7 @@ class RecorderNode(MissionNode):
         for message, deadline in early:
             self._write_checked(message, deadline)
 
-    def _is_told_by_us(self, topic: HeardTopic, data: bytes) -> bool:
+    def _is_of_this_mission(self, topic: HeardTopic, data: bytes) -> bool:
         """Return whether diagnostics, which all missions tell on one topic, are of this one."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
@@ -437,14 +437,14 @@ class RecorderNode(MissionNode):
             stamp, mission = self._name(topic, message)
             content = content_hash(message)
             first = self._note(topic.name, stamp, mission, content)
-            topic.untold.append((stamp, first, mission))
-            if len(topic.untold) > qos.DEPTH:
+            topic.unacknowledged.append((stamp, first, mission))
+            if len(topic.unacknowledged) > qos.DEPTH:
                 self.diagnostics.refuse(
                     topic.name,
                     f'{qos.DEPTH} paths wait for the first belief of their mission: the oldest is '
                     'not acknowledged any more',
                 )
-                del topic.untold[0]
+                del topic.unacknowledged[0]
             if first != content:
                 raise ValueError(
                     f'another message with stamp {stamp} was recorded first, and counts (do two '
@@ -481,7 +481,7 @@ class RecorderNode(MissionNode):
             )
         self._departures.take(key, status)
         if status.state is OrderState.DEPARTED:
-            topic.untold.append((key.stamp, status.content, NOT_TOLD))
+            topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
     def _name(self, topic: HeardTopic, message: Any) -> tuple[int, int]:
         """
@@ -494,7 +494,7 @@ class RecorderNode(MissionNode):
 
         """
         if topic.type_name == OPERATOR:
-            return read_action_name(message), NOT_TOLD
+            return read_action_name(message), NO_MISSION
         stamp, mission = read_path_name(message), mission_of_path(message)
         check_mission(mission, self._tracker.mission)
         return stamp, mission
@@ -511,7 +511,9 @@ class RecorderNode(MissionNode):
         """Tell the agents which of their paths are on the disk."""
         for topic in self._topics.values():
             if topic.recorded is not None:
-                topic.untold = [each for each in topic.untold if not self._tell(topic, *each)]
+                topic.unacknowledged = [
+                    each for each in topic.unacknowledged if not self._tell(topic, *each)
+                ]
 
     def _tell(self, topic: HeardTopic, stamp: int, content: int, mission: int) -> bool:
         """Say that a path or action is on the disk; return False if that must wait."""

@@ -60,9 +60,9 @@ class HeardTopic:
     recent: Recent = field(default_factory=lambda: Recent(RECENT))
     # For the paths of an agent and what the operator decides: tells which are on the disk.
     recorded: Publisher | None = None
-    # Of those that are written and not told to be on the disk yet: stamp in nanoseconds, hash of
-    # the content, and when the mission began, in nanoseconds.
-    untold: list[tuple[int, int, int]] = field(default_factory=list)
+    # Of those that are written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash
+    # of the content, and when the mission began, in nanoseconds.
+    unacknowledged: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
         """Say whether a message has not come by another subscription, and remember it."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import Datum, MapError, read_site, Site
-from kbnitp_ros.messages.grids import told_yaw
+from kbnitp_ros.messages.grids import rounded_yaw
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -54,7 +54,7 @@ def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
 def lies_under(site: Site, grid: Grid) -> bool:
     """Say whether a grid is one of this map."""
     columns, rows = (ceil(side / grid.resolution - PART) for side in (site.width, site.height))
-    return (site.origin, told_yaw(site.yaw), columns, rows) == (
+    return (site.origin, rounded_yaw(site.yaw), columns, rows) == (
         grid.origin,
         grid.yaw,
         grid.width,

@@ -84,8 +84,9 @@ def test_replay_names_it_and_goes_on(tmp_path, whole_mission, compression, monke
 
 
 @pytest.mark.slow
-def test_report_names_it_and_goes_on(tmp_path, whole_mission, caplog, monkeypatch):
-    path = log_with_a_large_message(tmp_path, whole_mission.sent, 'none', monkeypatch)
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_report_names_it_and_goes_on(tmp_path, whole_mission, compression, caplog, monkeypatch):
+    path = log_with_a_large_message(tmp_path, whole_mission.sent, compression, monkeypatch)
     assert report(['--out', str(tmp_path / 'page'), str(path)]) == 0
     assert caplog.text.count(f'a message of topic {TOPIC}') == 1
 

@@ -30,7 +30,7 @@ from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import NOT_TOLD
+from kbnitp_ros.messages.missions import NO_MISSION
 from kbnitp_ros.messages.models import model_belief
 from kbnitp_ros.nodes.assimilated import NewEvidence
 import numpy as np
@@ -120,7 +120,7 @@ class Mission:
 
     def publish_belief(self):
         """Send the belief and its views."""
-        belief = belief_maps(self.ledger, self.started, NOT_TOLD, *self.new.take(self.ledger))
+        belief = belief_maps(self.ledger, self.started, NO_MISSION, *self.new.take(self.ledger))
         self.publish('belief', belief)
         stamp = from_stamp(belief.header.stamp)
         for name in ('hazard', 'target', 'kappa'):

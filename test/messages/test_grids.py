@@ -11,7 +11,7 @@ from kbnitp_ros.messages.grids import (
     occupancy_grid,
     read_map_metadata,
     read_occupancy_grid,
-    told_yaw,
+    rounded_yaw,
 )
 from laws import for_each
 from nav_msgs.msg import MapMetaData, OccupancyGrid
@@ -38,7 +38,7 @@ def grids(draw):
         resolution=draw(st.sampled_from([0.05, 0.1, 0.3, 0.7, 1.0, 2.5, 1 / 3, 12.3])),
         origin=(draw(st.floats(-1e6, 1e6)), draw(st.floats(-1e6, 1e6))),
         blocked=blocked,
-        yaw=told_yaw(draw(st.floats(-10.0, 10.0) | st.sampled_from([pi, -pi, pi / 2, 0.0]))),
+        yaw=rounded_yaw(draw(st.floats(-10.0, 10.0) | st.sampled_from([pi, -pi, pi / 2, 0.0]))),
     )
 
 
@@ -125,10 +125,10 @@ def test_a_grid_comes_back(grid):
 
 @given(st.floats(-1e3, 1e3))
 def test_an_angle_is_told_to_a_part_of_a_million_million(yaw):
-    told = told_yaw(yaw)
+    told = rounded_yaw(yaw)
     assert -pi < told < pi + 1e-11
     assert abs(np.exp(1j * told) - np.exp(1j * yaw)) < 1e-11
-    assert told_yaw(told) == told
+    assert rounded_yaw(told) == told
 
 
 def test_an_orientation_that_nobody_set_is_no_turn():

@@ -28,7 +28,7 @@ MISSION_REASON = 'mission_reason'
 
 # How many refusals are told at once in such a period, and how many characters are shown of each.
 # Those beyond are only counted: whoever floods a node with messages must not have it flood others.
-TOLD_AT_ONCE = 10
+SHOWN_AT_ONCE = 10
 SHOWN = 1000
 
 # How long a node that cannot go on stays for its last words: until somebody listens, and until
@@ -103,15 +103,15 @@ class Diagnostics:
         self._refused_lately += 1
         text = f'{what} refused: {why}'
         self._last_refusal = text if len(text) <= SHOWN else f'{text[:SHOWN]}...'
-        if self._refused_lately <= TOLD_AT_ONCE:
+        if self._refused_lately <= SHOWN_AT_ONCE:
             self._node.get_logger().warning(self._last_refusal)
             self.publish()
 
     def _publish_all(self) -> None:
         """Show the counts, and say how many refusals were not told."""
-        untold, self._refused_lately = self._refused_lately - TOLD_AT_ONCE, 0
-        if untold > 0:
-            self._node.get_logger().warning(f'{untold} more messages were refused')
+        not_shown, self._refused_lately = self._refused_lately - SHOWN_AT_ONCE, 0
+        if not_shown > 0:
+            self._node.get_logger().warning(f'{not_shown} more messages were refused')
         self.publish()
 
     def fail(self, why: Exception) -> None:
