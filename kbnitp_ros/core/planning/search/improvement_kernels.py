@@ -24,17 +24,6 @@ from numpy.typing import NDArray
 
 
 @compiled
-def most_visits(path: Places, visits: NDArray[np.int64]) -> int:
-    """Return how often a path enters the cell that it enters most; `visits` is overwritten."""
-    visits[:] = 0
-    most = 0
-    for step in range(1, path.size):
-        visits[path[step]] += 1
-        most = max(most, visits[path[step]])
-    return most
-
-
-@compiled
 def length_to(reach: Reach, cell: int, other: int) -> float:
     """Return the length of the step from a cell to another, metres; inf if there is none."""
     length = inf
@@ -256,13 +245,11 @@ def improve_all(
     """
     for row in range(steps.size):
         path, count = paths[row], steps[row]
-        if most_between:
-            count = improve(problem, path, count, most_between, 1)
         is_better = True
         while is_better:
+            if most_between:
+                count = improve(problem, path, count, most_between, 1)
             before = path[: count + 1].copy()
             count = improve(problem, path, count, in_stem, 2)
             is_better = most_between > 0 and not np.array_equal(path[: count + 1], before)
-            if is_better:
-                count = improve(problem, path, count, most_between, 1)
         steps[row] = count

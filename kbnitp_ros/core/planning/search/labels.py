@@ -130,7 +130,7 @@ class LabelSearch:
         self._hazard = objective.belief.hazard[self.reach.cells]
         self._log_survival = objective.model.log_survival
         self._width = width
-        self._position = np.stack(np.divmod(self.reach.cells, grid.width), axis=1)
+        self._columns = grid.width
         # Lassos visit each cell of their stem twice.
         self._seeks_lassos = width > 1 and max_visits > 1
         self._kept = width // 2 if self._seeks_lassos else width
@@ -156,7 +156,8 @@ class LabelSearch:
         if not self._seeks_lassos:
             return []
         gains = twice(self.problem.gains)
-        closed = search_lassos(self.problem, gains, self._position, self._width, STEMS)
+        position = np.stack(np.divmod(self.reach.cells, self._columns), axis=1)
+        closed = search_lassos(self.problem, gains, position, self._width, STEMS)
         return [
             closed.path[end, : closed.steps[end] + 1].astype(np.intp)
             for end in np.argsort(-closed.value, kind='stable')
