@@ -103,9 +103,11 @@ def lines(report: ReplayReport) -> Iterator[str]:
         yield f'the mission was {state.name} when the log ended{": " * bool(reason)}{reason}'
     missed = Counter(each.topic for each in report.mismatches)
     rounded = Counter(each.topic for each in report.roundings)
+    left = Counter(each.topic for each in report.not_compared)
     for topic, compared in sorted(report.compared.items()):
         equal = f', {rounded[topic]} of them equal to {TOLERANCE:g}' if rounded[topic] else ''
-        yield f'{topic}: {compared - missed[topic]} of {compared} messages reproduced{equal}'
+        gap = f', {left[topic]} not compared' if left[topic] else ''
+        yield f'{topic}: {compared - missed[topic]} of {compared} messages reproduced{equal}{gap}'
     yield from first_few('not reproduced', report.mismatches)
     yield from first_few('not compared', report.not_compared)
     yield from first_few('repeated', report.repeated)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -175,6 +176,10 @@ def check_same_field(
     return belief
 
 
+class GapError(ValueError):
+    """A belief on record that nothing can be compared with, since the log lacks something."""
+
+
 class Evidence(Deployments):
     """The deployments of a log, judged as the estimator judges them."""
 
@@ -191,13 +196,10 @@ class Evidence(Deployments):
         self.reports: dict[DeploymentKey, Report] = {}
         # What no estimator takes, and why.
         self.refused: list[str] = []
-        # All that was read, by the hashes of the messages, and after how many beliefs the first
-        # report of each deployment is on record.
+        # All that was read, by the hashes of the messages; by their times, the reports that fit.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
         self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
-        self._first_read: dict[DeploymentKey, tuple[int, Report]] = {}
-        self._beliefs = 0
-        self._by_stamp: dict[tuple[DeploymentKey, int], Report] = {}
+        self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
         """Take paths that are as long as the estimator of some belief takes them."""
@@ -207,7 +209,6 @@ class Evidence(Deployments):
 
     def pass_belief(self, belief: Any) -> None:
         """Go past a kbnitp_msgs/BeliefMaps; if it is none that is said when it is read."""
-        self._beliefs += 1
         with suppress(ValueError):
             self.allow(belief.max_steps, read_robot_types(belief.own))
 
@@ -236,12 +237,11 @@ class Evidence(Deployments):
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
         """Take note of a report, also of one that does not count."""
         self._reports_read.setdefault((key, report.content), report)
-        self._first_read.setdefault(key, (self._beliefs, report))
         return super().record_report(key, report)
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
         outcome = super()._outcome(key, report)
-        self._by_stamp.setdefault((key, report.stamp), report)
+        self._by_stamp[key].setdefault(report.stamp, report)
         return outcome
 
     def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
@@ -251,32 +251,30 @@ class Evidence(Deployments):
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:
         """Return the first report of a deployment of this time, or else the one that counts."""
-        return self._by_stamp.get((key, stamp), self.reports[key])
+        return self._by_stamp[key].get(stamp, self.reports[key])
 
-    def named(self, evidence: Assimilated, index: int, stamp: int) -> tuple[ArrayLike, Report]:
+    def named(self, evidence: Assimilated, stamp: int) -> tuple[ArrayLike, Report]:
         """
-        Return the path and the report of a deployment that a belief names.
-
-        A report that was not on disk yet when recorder and agent died is on record only as the
-        agent made it again: then that one, with the content that is named. `index` tells which of
-        the beliefs on record names it, from 0, and `stamp` when that is from.
+        Return the path and the report of a deployment that a belief of a time names.
 
         Raises
         ------
+        GapError
+            If the deployment has only later reports on record. The one named was not on disk yet
+            when recorder and agent were killed, and the agent made it again.
         ValueError
-            If one of them is not on record.
+            If one of them is not on record, or with other contents.
 
         """
         key = evidence.key
         if (key, evidence.path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
-        path = self._paths_read[key, evidence.path]
         if found := self._reports_read.get((key, evidence.report)):
-            return path, found
-        first, report = self._first_read.get(key, (0, Report(False)))
-        if first <= index:
-            raise ValueError(f'report of deployment {key} is not on record')
-        return path, replace(report, stamp=stamp, content=evidence.report)
+            return self._paths_read[key, evidence.path], found
+        missing = f'report of deployment {key} is not on record'
+        if min(self._by_stamp[key], default=stamp) > stamp:
+            raise GapError(f'{missing}, but a later one')
+        raise ValueError(missing)
 
     @property
     def survived(self) -> int:

@@ -6,6 +6,7 @@ A belief on record names the evidence that was assimilated since the belief befo
 assimilates that as well, and compares what it then believes with what is on record, field by
 field.
 Where a belief is missing, those after it are not compared, up to one that names all that it holds.
+So it is from a belief on whose report is missing, where the log has later ones of the deployment.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from kbnitp_ros.log.evidence import (
     DECISION,
     Evidence,
     first_belief,
+    GapError,
     GRID,
     MODEL,
     PATH,
@@ -170,14 +172,16 @@ class Fold:
             elif (belief.since and not follows) or not self._assimilate(
                 newest, read_assimilated(belief), not belief.since, stamp
             ):
-                reason = f'the belief of {belief.since} deployments that it adds to is missing'
-                self._find(self.report.not_compared, newest, reason)
-                self.views.pass_over(stamp)
-                return
+                raise GapError(
+                    f'the belief of {belief.since} deployments that it adds to is missing'
+                )
             self._held = digest
             self._compare(belief, newest, stamp)
         except LogError:
             raise
+        except GapError as gap:
+            self._find(self.report.not_compared, newest, str(gap))
+            self.views.pass_over(stamp)
         except ValueError as error:
             self.report.compared[self.topic] += 1
             self._find(self.report.mismatches, newest, str(error))
@@ -211,7 +215,7 @@ class Fold:
         for key, each in of.items():
             if key != newest and self._assimilated.get(key) == each:
                 continue
-            path, report = self.report.evidence.named(each, self._index, stamp)
+            path, report = self.report.evidence.named(each, stamp)
             self._ledger.record_path(key, path, each.path)
             is_new = self._ledger.record_report(key, report)
             if not is_complete and not is_new:

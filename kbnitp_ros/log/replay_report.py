@@ -71,7 +71,7 @@ class ReplayReport:
     # Those that are different, and those that are equal to `TOLERANCE` but not identical.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
-    # Beliefs after one that is missing, and those that are on record twice.
+    # Beliefs that the log lacks something for, and those that are on record twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
     # Deployments that no belief holds, though later ones are held: lost evidence.

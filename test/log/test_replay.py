@@ -671,19 +671,88 @@ def test_a_belief_on_record_twice_is_said_and_the_rest_is_compared(
     assert f'repeated: {repeated}' in capsys.readouterr().out
 
 
-def test_a_report_that_died_with_the_recorder_is_that_which_the_agent_made_again(replayed):
+@pytest.fixture
+def reported_twice():
+    """
+    Return a mission, its first deployment, and the first report of it.
+
+    The agent and the recorder are killed once the report is published, and the agent reports the
+    deployment again after the belief in the next one.
+    """
     whole = Mission()
-    key = whole.deploy(Observation([2, 7, 2], False))
+    key = whole.deploy(Observation([2, 7, 2], True, [True, False]))
+    (first,) = on(whole.sent, '/scout_1/report')
     whole.deploy(Observation([2, 3, 2], False))
-    (lost,) = [
-        each for each in on(whole.sent, '/scout_1/report') if read_report(each.message)[0] == key
-    ]
-    whole.hear_report(*whole.come_back(key, Observation([2, 7, 2], False)))
+    whole.hear_report(*whole.come_back(key, Observation([2, 7, 2], True, [True, False])))
     whole.new.name_all()
     whole.deploy(Observation([2, 1, 2], False))
-    report = replayed(without(whole.sent, lost))
+    return whole, key, first
+
+
+@for_each('is_heard_late, is_complete', product([False, True], repeat=2))
+def test_beliefs_of_a_report_that_was_made_again_are_not_compared(
+    reported_twice, tmp_path, capsys, is_heard_late, is_complete
+):
+    """A recorder that starts again may hear the belief after the report that was made again."""
+    whole, key, first = reported_twice
+    sent = without(whole.sent, first)
+    _, one, two, _ = beliefs(sent)
+    if is_complete:
+        # Then it names the report itself, as the one before does.
+        complete = deepcopy(two.message)
+        complete.since, complete.taken_in = 0, one.message.taken_in + two.message.taken_in
+        sent = instead(sent, two, complete)
+    if is_heard_late:
+        (again,) = (
+            each for each in on(sent, '/scout_1/report') if read_report(each.message)[0] == key
+        )
+        sent = without(sent, again)
+        sent.insert(0, again)
+    path = record(tmp_path / 'mission.mcap', sent)
+    report = replay(path)
     assert report.reproduced
-    assert report.compared['/belief'] == 4
+    assert report.passed_over == report.not_yet_held == []
+    assert [each.index for each in report.not_compared] == [1, 2]
+    missing = f'report of deployment {key} is not on record, but a later one'
+    builds_on = 'the belief of 1 deployments that it adds to is missing'
+    reasons = [each.reason for each in report.not_compared]
+    assert reasons == [missing, missing if is_complete else builds_on]
+    assert main([str(path)]) == 0
+    told = capsys.readouterr().out
+    assert '/belief: 2 of 2 messages reproduced, 2 not compared\n' in told
+    assert f'not compared: /belief message 1 (after {key}): {missing}\n' in told
+
+
+def test_what_follows_a_report_that_was_made_again_is_compared(reported_twice, replayed):
+    whole, _key, first = reported_twice
+    last = beliefs(whole.sent)[-1]
+    spoiled = instead(whole.sent, last, flipped(last.message, 'hazard', 7, bit=0))
+    report = replayed(without(spoiled, first))
+    assert [each.index for each in report.mismatches] == [3]
+
+
+def test_a_log_with_later_reports_only_says_how_much_is_not_compared(
+    whole_mission, tmp_path, capsys
+):
+    sent = whole_mission.sent
+    for each in on(sent, '/scout_1/report'):
+        later = deepcopy(each.message)
+        later.header.stamp.sec += 3600
+        sent = instead(sent, each, later)
+    path = record(tmp_path / 'mission.mcap', sent)
+    assert replay(path).not_yet_held == keys(sent)
+    assert main([str(path)]) == 0
+    told = capsys.readouterr().out
+    assert f'/belief: 1 of 1 messages reproduced, {ROBOTS} not compared\n' in told
+
+
+def test_a_report_with_other_contents_is_found_though_it_was_made_again(reported_twice, replayed):
+    whole, key, first = reported_twice
+    spoiled = deepcopy(first.message)
+    spoiled.readings[0].detected = False
+    report = replayed(instead(whole.sent, first, spoiled))
+    (mismatch, *_) = report.mismatches
+    assert (mismatch.index, mismatch.reason) == (1, f'report of deployment {key} is not on record')
 
 
 @for_each('finished', [True, False])
