@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
+.PHONY: build kernels demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -56,13 +56,17 @@ coverage: build .venv/.dev .venv/.npm
 linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
+# Several processes of the tests would compile the same kernels at once.
+kernels: build
+	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 test/kernels.py
+
 # What takes no seconds, no processes and no npm: for every edit. Tests, which pytest compiles, and
 # nodes start sooner where Python may keep what it compiled. These wait for nothing.
 test-quick: WORKERS = logical
 test-quick: build .venv/.dev
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
 
-test: build .venv/.dev .venv/.npm
+test: build kernels .venv/.dev .venv/.npm
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
 
 # What `test` leaves out, but for what takes minutes a test.

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import kbnitp_ros.core
+import kernels
 from laws import for_each
 import numba
 import pytest
@@ -158,47 +159,21 @@ print(whole(1.0))
     assert printed == ['5.0', '2.5']
 
 
-MISSIONS = """
-from kbnitp_ros.core import (
-    Belief, Clustering, Dynamics, Grid, Learning, plan, run_mission, SearchOptions, SensorModel,
-    Team, Unknowns, World,
-)
-import numpy as np
-
-grid, model = Grid(4, 4), SensorModel(0.9)
-prior = Belief.prior(grid, 0.5, 0.45, 0.8)
-for method, objective, unknowns, effect in (
-    ('kappa_bnitp_smoothed', 'behavioral', Unknowns(), 'static'),
-    ('kappa_bnitp_sampled', 'information', Unknowns(lethality=(0.0, 1.0)), 'static'),
-    ('kappa_bnitp_sampled', 'information', Unknowns(), 'used_up'),
-):
-    rng = np.random.default_rng(1)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    alpha = 2.0 if objective == 'behavioral' else 1.0
-    clustering = Clustering(grid, 'learn') if unknowns.priors else None
-    mission = run_mission(
-        grid, prior, model, world, 8, rng, method,
-        SearchOptions(max_steps=6, objective=objective, alpha=alpha),
-        team=Team(2), dynamics=Dynamics(effect),
-        learning=Learning(unknowns, clustering=clustering),
-    )
-    print(mission[-1].belief.joint.tobytes().hex())
-print(plan(grid, prior, model, 6, bound=True).upper_bound)
-"""
+EVERYTHING = f'{Path(kernels.__file__).read_text()}\nprint(plans(), missions())\n'
 
 
 @pytest.mark.full
 def test_torn_files_of_every_module_with_kernels_are_compiled_anew(tmp_path):
     kept = tmp_path / 'kept'
     environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
-    beliefs, warnings = run(MISSIONS, **environment)
+    results, warnings = run(EVERYTHING, **environment)
     assert not warnings
     modules = {path.stem for path in CORE.rglob('*.py') if '\n@compiled\n' in path.read_text()}
     files = sorted(kept.glob('*/*.nb[ic]'))
     assert {file.name.split('.')[0] for file in files} == modules
     for number, file in enumerate(files):
         (cut, emptied, overwritten)[number % 3](file)
-    again, warnings = run(MISSIONS, **environment)
-    assert again == beliefs
+    again, warnings = run(EVERYTHING, **environment)
+    assert again == results
     assert len(warnings) == len(list(kept.iterdir()))
-    assert run(MISSIONS, **environment) == (beliefs, [])
+    assert run(EVERYTHING, **environment) == (results, [])
