@@ -7,6 +7,7 @@ belief is a plain array of joints, (cells, 2, 2) over [z, x]. Equation numbers a
 Srivastava, Kontoudis, Sofge, Otte: Path-Based Sensors, arXiv:2305.06929.
 """
 
+from functools import cache
 from itertools import product
 from math import comb, log, prod
 
@@ -55,12 +56,17 @@ def pairs(grid, states):
     return down + (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
 
 
-def clustered_prior(grid, coupling, density):
-    """Return all states of the hazards, (states, cells), and their prior probabilities."""
+@cache
+def hazards_of(grid):
+    """Return all states of the hazards, and of each how many and how many pairs there are."""
     states = np.array(list(product((0, 1), repeat=grid.cells)))
     states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
-    count = states.sum(axis=1)
-    paired = pairs(grid, states)
+    return states, states.sum(axis=1), pairs(grid, states)
+
+
+def clustered_prior(grid, coupling, density):
+    """Return all states of the hazards, (states, cells), and their prior probabilities."""
+    states, count, paired = hazards_of(grid)
     low, high = -40.0, 40.0
     for _ in range(100):
         field = (low + high) / 2

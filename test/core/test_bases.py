@@ -56,6 +56,7 @@ def random_problem(seed):
     return grid, Belief(joint).on(grid), sensors, RobotType(base=bases[int(rng.integers(3))])
 
 
+@pytest.mark.slow
 @for_each('chunk', range(CASES // PER_CHUNK), every=12)
 def test_plans_from_any_base_are_the_best_of_all_paths(chunk):
     for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):

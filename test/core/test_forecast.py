@@ -101,6 +101,7 @@ def test_learnt_numbers_are_drawn_together_with_the_hazards():
     assert grid.cells == drawn[0][0].hazard.size
 
 
+@pytest.mark.slow
 @for_each('goal', [None, Lane(to=15, confidence=0.8), Area([1, 2], confidence=0.8)])
 def test_the_order_in_which_missions_are_run_changes_nothing(goal):
     def backwards(fly, worlds):

@@ -137,6 +137,7 @@ def test_no_robots_no_deployments():
     assert fly(8, robots=0)[1] == []
 
 
+@pytest.mark.slow
 @for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
 def test_teams_of_one_are_robots_one_by_one(method, allocation):
     alone = fly(9, method=method)[1]
@@ -144,6 +145,7 @@ def test_teams_of_one_are_robots_one_by_one(method, allocation):
     assert trace(teams) == trace(alone)
 
 
+@pytest.mark.slow
 @for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
 def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
     options = {'allocation': allocation, 'loss_cost': 0.2}

@@ -169,6 +169,7 @@ def test_the_order_of_returned_robots_does_not_matter(method, belief, model, ret
     np.testing.assert_allclose(one.joint, other.joint, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @thorough
 @given(beliefs(), models, observations(survived=True))
 def test_one_long_return_is_as_two_short_ones(belief, model, observation):

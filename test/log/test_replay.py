@@ -111,6 +111,7 @@ def test_a_mission_is_reproduced(replayed, method):
     assert report.evidence.without_path == report.evidence.refused == []
 
 
+@pytest.mark.slow
 @for_each('method', METHODS)
 def test_what_robots_make_of_their_orders_is_reproduced(replayed, method):
     """Walks, last contacts and failed cameras."""
@@ -192,6 +193,7 @@ def test_an_estimator_that_was_restarted_has_learnt_the_same(replayed):
     assert replayed(whole.sent).reproduced
 
 
+@pytest.mark.slow
 @for_each(
     'field, bit, grade',
     [
@@ -338,6 +340,7 @@ def test_a_late_return_that_no_belief_has_is_said(replayed):
     assert not report.reproduced
 
 
+@pytest.mark.slow
 @for_each('gone, is_sent_anew', [
     ((0,), False), ((0, 1), False), ((0, 2), False), ((0, 1, 2), False),
     # With (0, 1, 2) nothing on record would tell that the estimator was restarted.
@@ -427,6 +430,7 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
     assert gone or not report.not_compared + report.repeated
 
 
+@pytest.mark.slow
 @for_each('method', METHODS)
 def test_reports_out_of_order_are_reproduced(replayed, method):
     """All robots are out at once, and their reports come the other way round."""
@@ -514,6 +518,7 @@ def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data
     assert (found[0].topic, found[0].index) == (original.topic, place)
 
 
+@pytest.mark.slow
 @for_each(
     'field, value',
     [
@@ -834,6 +839,7 @@ def test_a_restarted_estimator_is_reproduced(whole_mission, replayed):
     assert replayed(without(whole.sent, prior_again)).reproduced
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('first', ['path', 'reports'])
 def test_any_number_of_reports_of_one_deployment_is_read_once_each(
     whole_mission, replayed, tmp_path, capsys, monkeypatch, first

@@ -29,6 +29,7 @@ def mission(request, tmp_path_factory):
     return read_mission(single(log, 12, with_truth=request.param))
 
 
+@pytest.mark.slow
 def test_a_missions_figures_are_legible(mission, tmp_path):
     curves = curves_of(mission)
     for figure in (maps_figure(mission), progress_figure(mission, curves)):

@@ -58,6 +58,7 @@ def test_differences_are_paired(results):
     ].mean().round(6)
 
 
+@pytest.mark.slow
 def test_teams_have_rows_of_their_own(scenario):
     teams = (Strategy(), Strategy(2), Strategy(2, 'independent', 0.25))
     scenario = replace(scenario, teams=teams, lethalities=(0.9,), trials=2)

@@ -83,6 +83,7 @@ def test_where_a_robot_was_lost_is_taken_in_exactly(seed):
     assert found == pytest.approx(expected, rel=0, abs=1e-12)
 
 
+@pytest.mark.slow
 @for_each('seed', range(300))
 def test_multi_universe_averaging_takes_it_in_exactly(seed):
     joint, model, path, steps, lost_at = located(seed, independent=True)
@@ -159,7 +160,7 @@ def test_sampling_takes_missions_in(seed):
 
 # Those of 300 that sampling is furthest from at its default number of sweeps: .003 to .02.
 @pytest.mark.slow
-@for_each('seed', [63, 291, 267, 53])
+@for_each('seed', [63, 291, 267, 53], every=2)
 def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)

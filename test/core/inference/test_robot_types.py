@@ -145,6 +145,7 @@ def test_robots_of_several_types_are_sampled_closely(seed):
 LETHALITIES = (np.arange(200) + 0.5) / 200
 
 
+@pytest.mark.slow
 @for_each('seed', range(6))
 def test_a_lethality_is_learnt_of_the_robots_that_share_it(seed):
     """By enumeration: a robot with a lethality of its own tells of hazards, not of the number."""

@@ -77,6 +77,7 @@ def test_the_random_planner_draws_the_same_for_the_same_belief_and_visits():
     assert paths == {tuple(path.tolist()) for path in sent(grid, 'random', 5, 18)}
 
 
+@pytest.mark.slow
 @for_each(
     'planner, max_visits, grid',
     product(TOURS, [1, 3], [Grid(7, 7), Grid(9, 4, base=20, connectivity=4), WALLED]),

@@ -120,7 +120,7 @@ def every_path():
 @for_each('alpha, planner', product(ALPHAS, SHARES))
 def test_the_search_comes_close_to_the_best_of_all_paths(alpha, planner, record_property):
     least = 1.0
-    for seed in range(20 if FULL else 4):
+    for seed in range(20 if FULL else 2):
         rng = np.random.default_rng(seed)
         belief = Belief(brute_force.random_joint(rng, 9, 0))
         model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))
@@ -191,6 +191,7 @@ def test_at_alpha_1_missions_are_the_very_same(planner, allocation):
     assert one == mission(objective='behavioral', alpha=0.3)
 
 
+@pytest.mark.slow
 @for_each('alpha', [0.5, 2.0])
 def test_each_seeks_its_own(alpha):
     """By its own alpha a plan is worth more, on average over beliefs, than one for information."""

@@ -47,9 +47,9 @@ from kbnitp_ros.core import (
 )
 
 for seed, lethality in enumerate((0.0, 0.5, 1.0)):
-    grid = Grid(5, 4, base=7, blocked=(12,))
+    grid = Grid(4, 3, base=5, blocked=(7,))
     rng = np.random.default_rng(seed)
-    belief, model = Belief(brute_force.random_joint(rng, 20, 7)), SensorModel(lethality)
+    belief, model = Belief(brute_force.random_joint(rng, 12, 5)), SensorModel(lethality)
     for planner, width in (('relaxed', 1), ('beam', 5)):
         found = plan(grid, belief, model, 7, planner, width=width)
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
@@ -233,6 +233,7 @@ def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, alloca
     assert all(np.all(np.array(sizes) <= most) for sizes in later)
 
 
+@pytest.mark.slow
 def test_the_best_of_a_wide_search_is_found():
     """On beliefs of a mission: most is known near the base, and little beyond."""
     grid = Grid(9, 9)

@@ -80,6 +80,7 @@ def models_of(kinds, model):
 # What paths of robots that differ are worth together
 
 
+@pytest.mark.slow
 @for_each('seed', range(300))
 def test_team_information_is_exact_where_hazards_are_known(seed):
     """Then no loss ties cells together: what remains is how cameras add up."""
@@ -198,7 +199,7 @@ def test_what_robots_are_out_for_is_left_to_them():
 
 
 @pytest.mark.slow
-@for_each('seed', range(8))
+@for_each('seed', range(8), every=3)
 def test_greedy_comes_close_to_the_best_of_all_pairs_of_kinds(seed):
     grid = Grid(3, 2, base=1)
     belief = random_belief(seed, grid)

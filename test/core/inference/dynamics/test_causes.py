@@ -62,10 +62,10 @@ def test_it_is_the_posterior_of_all_deployments(kind, seeds):
 @pytest.mark.slow
 @for_each('kind', ['used_up', 'changing'])
 def test_more_sweeps_come_closer(kind, monkeypatch):
-    before = np.mean(list(divergences(kind, range(20))))
+    before = np.mean(list(divergences(kind, range(8))))
     monkeypatch.setattr(cause_sampler, 'SWEEPS', 256)
     monkeypatch.setattr(cause_sampler, 'MOST_SWEEPS', 256)
-    after = np.mean(list(divergences(kind, range(20))))
+    after = np.mean(list(divergences(kind, range(8))))
     assert after < 0.0003
     assert after < 0.5 * before
 

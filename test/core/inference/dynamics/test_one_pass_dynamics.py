@@ -158,6 +158,7 @@ def test_two_losses_that_one_hazard_alone_explains_are_refused(lethality, method
     estimator.assimilate(loss, RobotType(malfunction=0.1))
 
 
+@pytest.mark.slow
 def test_a_field_changes_as_its_robots_are_told():
     """A hazard is gone once it struck; chance alone makes others, and none where none may be."""
     grid = Grid(4, 3, base=5, blocked=(0,))

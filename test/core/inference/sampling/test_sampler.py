@@ -167,7 +167,7 @@ def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
 
 
 @pytest.mark.slow
-@for_each('name', ['hazard_density', 'kappa', 'target_background'])
+@for_each('name', ['hazard_density', 'kappa', 'target_background'], every=2)
 @for_each('seed', range(3))
 def test_cells_that_nobody_went_to_are_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 9, monkeypatch)
