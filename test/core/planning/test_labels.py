@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The label search: what its numbers mean, what it costs, and the same bits on every way."""
 
+import itertools
 import os
 from pathlib import Path
 import subprocess
@@ -19,7 +20,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.planning.objective.moments import ERROR
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.search import labels, planners
-from kbnitp_ros.core.planning.search.improvement_kernels import take
+from kbnitp_ros.core.planning.search.improvement_kernels import improve, Seen, take
 from kbnitp_ros.core.planning.search.label_kernels import label_value, new_products
 from laws import for_each
 import numpy as np
@@ -144,6 +145,60 @@ def lassos(grid, max_steps):
         for loop in walks(stem[-1:], max_steps - 2 * (len(stem) - 1)):
             if len(loop) > 1 and loop[-1] == stem[-1] and stem[-1] not in loop[1:-1]:
                 yield np.array([*stem, *loop[1:], *stem[-2::-1]])
+
+
+@for_each('seed, ways', itertools.product(range(20), (1, 2)))
+def test_an_improved_path_is_better_than_all_around_it(seed, ways):
+    """With one stretch replaced, on one way or on both ways of a stem, and as long as allowed."""
+    rng = np.random.default_rng(seed)
+    grid = Grid(3, 3, base=seed % 9, connectivity=(4, 8)[seed // 2 % 2])
+    belief = Belief(brute_force.random_joint(rng, 9, grid.base))
+    model = SensorModel(**brute_force.random_sensors(rng))
+    options = SearchOptions(max_steps=8, max_visits=4, max_distance=(0.0, 8.5)[seed % 2])
+    search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options, 2)
+    rank = np.zeros(9, dtype=np.intp)
+    rank[search.reach.cells] = np.arange(search.reach.cells.size)
+
+    near = [set(grid.neighbors(cell).tolist()) for cell in range(9)]
+
+    def is_allowed(path):
+        steps = len(path) - 1
+        return (
+            steps <= options.max_steps
+            and all(b in near[a] for a, b in itertools.pairwise(path))
+            and np.bincount(path[1:]).max() <= options.max_visits
+            and (not options.max_distance or grid.path_length(path) <= options.max_distance)
+        )
+
+    starts = [each for each in lassos(grid, 5) if is_allowed(each)]
+    for before in (starts[k] for k in rng.integers(len(starts), size=4)):
+        room = np.zeros(options.max_steps + 1, dtype=np.intp)
+        room[: before.size] = rank[before]
+        seen = Seen(np.zeros(100, np.int64), np.zeros(1, np.int64))
+        steps, is_new = improve(search.problem, room, before.size - 1, 2, ways, seen)
+        assert is_new
+        best = search.exact([room[: steps + 1]])[0]
+        assert best >= search.exact([rank[before]])[0] - 2 * ERROR
+        improved = search.reach.cells[room[: steps + 1]].tolist()
+        assert is_allowed(improved)
+        for each in around(improved, 2, ways):
+            assert not is_allowed(each) or search.exact([rank[each]])[0] <= best + 2 * ERROR
+
+
+def around(path, most, ways):
+    """Yield a path with each stretch of so few cells replaced, whether or not the others fit."""
+    steps = end = len(path) - 1
+    if ways == 2:
+        # Up to the cell after those on which the way back is the way out.
+        same = itertools.takewhile(lambda k: path[k] == path[steps - k], range(1, steps // 2 + 1))
+        end = min(len([*same]) + 1, steps // 2)
+    for first in range(end):
+        for last in range(first + 1, min(first + most + 1, end) + 1):
+            for count in range(most + 1):
+                for cells in itertools.product(range(9), repeat=count):
+                    out = [*path[: first + 1], *cells]
+                    back = out[::-1] if ways == 2 else path[steps + 1 :]
+                    yield [*out, *path[last : steps - last + 1 if ways == 2 else None], *back]
 
 
 def test_a_plan_is_the_same_in_a_larger_field():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from math import inf
+from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled
 from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
@@ -23,6 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+class Seen(NamedTuple):
+    """
+    Paths that the local search has come to.
+
+    Attributes
+    ----------
+    mark : ndarray of int, shape (places,)
+        The sums of the marks of their visits.
+    kept : ndarray of int, shape (1,)
+        How many of these there are.
+
+    """
+
+    mark: NDArray[np.int64]
+    kept: NDArray[np.int64]
+
+
 @compiled
 def length_to(reach: Reach, cell: int, other: int) -> float:
     """Return the length of the step from a cell to another, metres; inf if there is none."""
@@ -34,12 +52,30 @@ def length_to(reach: Reach, cell: int, other: int) -> float:
 
 
 @compiled
-def mark_steps_to(reach: Reach, to: int, is_marked: bool, length: Floats) -> None:
-    """Write the length of the step from each cell to a cell, metres, or inf again."""
+def mark_steps_to(reach: Reach, to: int, length: Floats) -> None:
+    """Write the length of the step from each cell to a cell, metres."""
     for column in range(9):
         cell = reach.neighbors[to, column]
         if cell >= 0:
-            length[cell] = reach.length[column] if is_marked else inf
+            length[cell] = reach.length[column]
+
+
+@compiled
+def add_steps_from(reach: Reach, back: int, to: int, length: Floats) -> None:
+    """Add the length of the step from a cell to each that is one step from another, or inf."""
+    for column in range(9):
+        cell = reach.neighbors[to, column]
+        if cell >= 0:
+            length[cell] += length_to(reach, back, cell)
+
+
+@compiled
+def unmark_steps_to(reach: Reach, to: int, length: Floats) -> None:
+    """Write inf for each cell that is one step from a cell."""
+    for column in range(9):
+        cell = reach.neighbors[to, column]
+        if cell >= 0:
+            length[cell] = inf
 
 
 @compiled
@@ -121,7 +157,36 @@ def mirrored(path: Places) -> int:
 
 
 @compiled
-def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, ways: int) -> int:
+def stretches_end(path: Places, ways: int) -> int:
+    """
+    Return the last place of a path where a stretch that is replaced may end.
+
+    On both ways that is the one after those on which its last steps lead back its first ones.
+    """
+    steps = path.size - 1
+    return steps if ways == 1 else min(mirrored(path) + 1, steps // 2)
+
+
+@compiled
+def is_new(path: Places, marks: NDArray[np.int64], seen: Seen) -> bool:
+    """Return whether no path of the same visits was seen, and remember it if there is room."""
+    mark = 0
+    for step in range(1, path.size):
+        mark += marks[path[step]]
+    count = seen.kept[0]
+    for k in range(count):
+        if seen.mark[k] == mark:
+            return False
+    if count < seen.mark.size:
+        seen.mark[count] = mark
+        seen.kept[0] += 1
+    return True
+
+
+@compiled
+def improve(
+    problem: LabelProblem, path: Places, steps: int, most_between: int, ways: int, seen: Seen
+) -> tuple[int, bool]:
     """
     Replace stretches of a closed path by better ones until there are none: a local search.
 
@@ -140,15 +205,19 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
         See above.
     ways : int
         1, or 2 to replace stretches of the first steps, together with those of the last steps that
-        lead back the same way.
+        lead back the same way; the cells between which these end may differ.
+    seen : Seen
+        Paths that are not gone on from; is added to.
 
     Returns
     -------
     int
         The steps it has now.
+    bool
+        Whether it was not seen before.
 
     """
-    reach, _, gains, objective = problem
+    reach, marks, gains, objective = problem
     max_visits, neighbors = gains.factor.shape[1], reach.neighbors
     visits = np.zeros(neighbors.shape[0], np.int64)
     products = new_products(most_between + 1, gains)
@@ -159,11 +228,11 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
     column = np.empty(most_between + 1, np.int64)
     take(path[: steps + 1], 0, 0, gains, visits, products)
     best_value = label_value(products, 0, objective)
-    # Metres of the step from each cell to the place where a stretch ends; inf where there is none.
+    # Metres of the steps that join each cell to where a stretch ends; inf where there are none.
     closing = np.full(neighbors.shape[0], inf)
     # Places since the last replacement, up to all of them.
     first, unchanged = 0, 0
-    places = steps if ways == 1 else mirrored(path[: steps + 1])
+    places = stretches_end(path[: steps + 1], ways)
     while unchanged < places:
         found, last = -1, first
         while found < 0 and last < min(first + most_between + 1, places):
@@ -171,14 +240,17 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
             between = last - first - 1
             take(path[: steps + 1], first, last, gains, visits, products, ways == 2)
             most = min(most_between, (path.size - 1 - steps) // ways + between)
-            length[0] = walked[steps] - ways * (walked[last] - walked[first])
-            mark_steps_to(reach, path[last], True, closing)
+            length[0] = walked[steps] - (walked[last] - walked[first])
+            mark_steps_to(reach, path[last], closing)
+            if ways == 2:
+                length[0] -= walked[steps - first] - walked[steps - last]
+                add_steps_from(reach, path[steps - last], path[last], closing)
             # Depth first through all stretches; row `depth` is the label with so many cells.
             depth, stretch[0], column[0] = 0, path[first], 0
             while depth >= 0:
                 cell = stretch[depth]
                 if column[depth] == 0:
-                    closed = length[depth] + ways * closing[cell]
+                    closed = length[depth] + closing[cell]
                     value = label_value(products, depth, objective) if closed < inf else -inf
                     if value > best_value and closed <= reach.longest:
                         best_value, found = value, depth
@@ -192,6 +264,9 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
                 column[depth] += 1
                 if there < 0 or visits[there] + ways > max_visits:
                     continue
+                if depth == 0 and between and there == path[first + 1]:
+                    # That is the stretch from the next place.
+                    continue
                 if depth + 1 < most or closing[there] < inf:
                     row = depth
                     for _ in range(ways):
@@ -201,7 +276,7 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
                     length[depth + 1] = length[depth] + ways * reach.length[column[depth] - 1]
                     depth += 1
                     stretch[depth], column[depth] = there, 0
-            mark_steps_to(reach, path[last], False, closing)
+            unmark_steps_to(reach, path[last], closing)
         if found >= 0:
             stop = steps + 1 if ways == 1 else steps - last + 1
             rest = path[last:stop].copy()
@@ -214,11 +289,13 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int, 
                 for k in range(first + found + 1):
                     path[steps - k] = path[k]
             measure(path[: steps + 1], reach, walked)
-            places = steps if ways == 1 else mirrored(path[: steps + 1])
+            if not is_new(path[: steps + 1], marks, seen):
+                return steps, False
+            places = stretches_end(path[: steps + 1], ways)
             first, unchanged = first % max(1, places), 0
         else:
             first, unchanged = (first + 1) % places, unchanged + 1
-    return steps
+    return steps, True
 
 
 @compiled
@@ -226,9 +303,10 @@ def improve_all(
     problem: LabelProblem, paths: NDArray[np.intp], steps: Places, most_between: int, in_stem: int
 ) -> None:
     """
-    Improve closed paths until neither replacing cells nor replacing cells of a stem helps.
+    Improve closed paths until neither replacing cells of a stem nor replacing cells helps.
 
-    One call for all: to hand over `problem` takes as long as to improve some paths.
+    A path that comes to one that was there before is left so. One call for all: to hand over
+    `problem` takes as long as to improve some paths.
 
     Parameters
     ----------
@@ -239,17 +317,17 @@ def improve_all(
     steps : ndarray of int, shape (paths,)
         Of each path; are changed.
     most_between, in_stem : int
-        As `most_between` of `improve`, on one way and on both ways of a stem. If the first is 0,
-        stems alone are improved, and once.
+        As `most_between` of `improve`, on one way and on both ways of a stem.
 
     """
+    seen = Seen(np.zeros(paths.size, np.int64), np.zeros(1, np.int64))
     for row in range(steps.size):
         path, count = paths[row], steps[row]
-        is_better = True
-        while is_better:
-            if most_between:
-                count = improve(problem, path, count, most_between, 1)
+        goes_on = is_new(path[: count + 1], problem.marks, seen)
+        while goes_on:
             before = path[: count + 1].copy()
-            count = improve(problem, path, count, in_stem, 2)
-            is_better = most_between > 0 and not np.array_equal(path[: count + 1], before)
+            count, goes_on = improve(problem, path, count, in_stem, 2, seen)
+            if goes_on:
+                count, goes_on = improve(problem, path, count, most_between, 1, seen)
+            goes_on = goes_on and not np.array_equal(path[: count + 1], before)
         steps[row] = count

@@ -28,21 +28,16 @@ from kbnitp_ros.core.planning.search.search_kernels import search, trace_closed
 import numpy as np
 from numpy.typing import NDArray
 
-# As many closed paths are ranked by their exact value, or `width` if that is more; so many of
-# them are improved.
+# As many closed paths are ranked by their exact value, or twice `width` if that is more.
 RANKED = 8
 
-# Of lassos, so many stems are kept for each cell and step. First, in so many of the best lassos up
-# to so many cells in a row of the stem are replaced, then in fewer of them more. So many of the
-# result are improved as other paths are.
+# Of lassos, so many stems are kept for each cell and step, and so many lassos are improved.
 STEMS = 4
-IMPROVED_STEMS = ((96, 1), (48, 3))
-LASSOS = 16
+LASSOS = 96
 
-# Local search replaces up to so many cells in a row of a closed path, one more in the best of all,
-# and so many on both ways of a stem.
-REPLACED = 2
-IN_STEM = 3
+# In each round of the local search up to so many cells in a row are replaced, and up to so many
+# of a stem, on both ways; so many of the best paths are kept.
+ROUNDS = ((1, 2, 24), (2, 3, 8), (3, 3, 8))
 
 # The most bytes that a search may take.
 MOST_MEMORY = 1 << 30
@@ -58,10 +53,10 @@ def best_paths(
     partial path, and every second one is kept for its heuristic value: the objective of that path
     and a good completion together. Paths that differ only in the order of their visits have the
     same value and count once. A second search is for lassos, paths that go out, around a loop, and
-    back the way out. A local search then replaces stretches of one or two cells in the best closed
-    paths and lassos, up to three in stems, on both ways together, and up to three in the best of
-    all these. A search of width 1 does nothing of this: there is one label for each cell and step,
-    as in the paper.
+    back the way out. A local search then replaces stretches of cells in the paths of both, on one
+    way and in stems on both ways together: single cells in all, and longer stretches in the best.
+    A search of width 1 does nothing of this: there is one label for each cell and step, as in the
+    paper.
 
     Parameters
     ----------
@@ -72,14 +67,14 @@ def best_paths(
     options : SearchOptions
         Of which the search reads `max_steps`, `max_distance` and `max_visits`.
     width : int
-        How many lassos of each cell and step are kept, and of other paths half as many; or all if
-        `max_visits` is 1, which leaves no lasso.
+        How many lassos of each cell and step are kept, and of other paths a quarter as many; or
+        all if `max_visits` is 1, which leaves no lasso.
 
     Returns
     -------
     list of Candidate
-        Ranked by the exact objective, the best first, then the shortest; `RANKED` or `width` of
-        those that seemed best, and what became of them. The same belief gives the same paths.
+        Ranked by the exact objective, the best first, then the shortest; `RANKED` or twice `width`
+        of those that seemed best, and what became of them. The same belief gives the same paths.
 
     Raises
     ------
@@ -88,15 +83,13 @@ def best_paths(
 
     """
     labels = LabelSearch(grid, objective, options, width)
-    closed = labels.closed_paths(max(width, RANKED))
+    closed = labels.closed_paths(max(2 * width, RANKED))
     if width > 1:
-        lassos = labels.lassos()
-        for most, in_stem in IMPROVED_STEMS:
-            with_stems = labels.improved(lassos[:most], 0, in_stem)
-            lassos = [path for _, path in labels.ranked(with_stems)]
-        improved = labels.improved([*closed[:RANKED], *lassos[:LASSOS]], REPLACED, IN_STEM)
-        best = [path for _, path in labels.ranked(improved)[:1]]
-        closed += improved + labels.improved(best, REPLACED + 1, IN_STEM)
+        paths = [*closed, *labels.lassos()[:LASSOS]]
+        for replaced, in_stem, kept in ROUNDS:
+            improved = labels.improved(paths, replaced, in_stem)
+            paths = [path for _, path in labels.ranked(improved)[:kept]]
+            closed += paths
     return [Candidate(value, labels.reach.cells[path]) for value, path in labels.ranked(closed)]
 
 
@@ -133,7 +126,7 @@ class LabelSearch:
         self._columns = grid.width
         # Lassos visit each cell of their stem twice.
         self._seeks_lassos = width > 1 and max_visits > 1
-        self._kept = width // 2 if self._seeks_lassos else width
+        self._kept = max(1, width // 4) if self._seeks_lassos else width
         # The values of closed paths, by the marks of their visits.
         self._exact: dict[int, float] = {}
         by_heuristic = self._kept // 2
@@ -185,8 +178,13 @@ class LabelSearch:
     def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
         """Return closed paths and their value, the best first, those of equal visits once."""
         of_visits: dict[int, NDArray[np.intp]] = {}
-        for path in paths:
-            of_visits.setdefault(int(self.problem.marks[path[1:]].sum()), path)
+        padded, steps = self._padded(paths)
+        # Without the base where it begins, and in the room behind it.
+        marks = self.problem.marks
+        for mark, path in zip(
+            (marks[padded].sum(axis=1) - (padded.shape[1] - steps) * marks[0]).tolist(), paths
+        ):
+            of_visits.setdefault(mark, path)
         new = {each: path for each, path in of_visits.items() if each not in self._exact}
         self._exact.update(zip(new, self.exact([*new.values()])))
         values = [(self._exact[visits], path) for visits, path in of_visits.items()]

@@ -133,10 +133,8 @@ def visits_of(labels: Lassos, row: int, places: int, rank: int) -> int:
     # Its way home ends in the base.
     visits = int(rank == 0)
     stem = labels.stem[row]
-    for place in range(1, stem + 1):
-        visits += 2 * (labels.path[row, place] == rank)
-    for place in range(stem + 1, places + 1):
-        visits += labels.path[row, place] == rank
+    for place in range(1, places + 1):
+        visits += (1 + (place <= stem)) * (labels.path[row, place] == rank)
     return visits
 
 
@@ -228,7 +226,7 @@ def find_extensions(
                 insert(value, mark, length, 2 * (16 * slot + column) + source, best)
 
 
-@inlined
+@compiled
 def extend(
     problem: LabelProblem,
     gains: Gains,
@@ -318,7 +316,7 @@ def search_lassos(
     for step in range(1, max_steps + 1):
         extend(problem, gains, loops, stems, 1, step, position, closed, best_loops, next_loops)
         loops, next_loops = next_loops, loops
-        if step % 2 == 0:
+        if step % 2 == 0 and step < max_steps:
             extend(
                 problem,
                 gains_of_two,
