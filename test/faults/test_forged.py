@@ -51,4 +51,4 @@ def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
 @pytest.mark.full
 @pytest.mark.campaign
 def test_a_hundred_missions_survive_all_of_it(tmp_path):
-    assert run_forged_missions(100, 1, tmp_path) == 0
+    assert run_forged_missions(100, 1, SCALE, tmp_path) == 0
