@@ -16,15 +16,15 @@ requires-python = ">=3.10,<3.14"
 environments = ["python_full_version < '3.14' and platform_machine == 'x86_64' and platform_python_implementation == 'CPython' and sys_platform == 'linux'"]
 END
 
-# With their extras: to a package that another one wants with an extra, pip applies no pin without it.
 compile() {
-  (cd "$work" && uv pip compile --quiet --universal --python-version 3.10 --no-strip-extras --no-header --no-annotate "$@")
+  (cd "$work" && uv pip compile --quiet --universal --python-version 3.10 --no-header --no-annotate "$@")
 }
 
 # One version of each package in all files, since they share an environment.
 compile requirements*.txt --output-file all.txt
 for file in requirements*.txt; do
-  compile "$file" --constraints all.txt --generate-hashes --output-file lock
+  # With extras: to a package that another one wants with an extra, pip applies no pin without it.
+  compile "$file" --no-strip-extras --constraints all.txt --generate-hashes --output-file lock
   # What is said of every package is left out.
   {
     echo "# Written by tools/lock.sh from $file: all packages, with the hashes of their files."
