@@ -197,8 +197,10 @@ def around(path, most, ways):
             for count in range(most + 1):
                 for cells in itertools.product(range(9), repeat=count):
                     out = [*path[: first + 1], *cells]
-                    back = out[::-1] if ways == 2 else path[steps + 1 :]
-                    yield [*out, *path[last : steps - last + 1 if ways == 2 else None], *back]
+                    stop = steps - last + 1
+                    yield (
+                        [*out, *path[last:stop], *out[::-1]] if ways == 2 else [*out, *path[last:]]
+                    )
 
 
 def test_a_plan_is_the_same_in_a_larger_field():
