@@ -147,7 +147,7 @@ def test_the_dockerfile_installs_by_the_commands_of_the_readme():
 def test_all_that_is_installed_is_locked_by_its_hashes(file):
     lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
     entries = re.findall(
-        r'^([\w.-]+==[\w.]+)( ; .+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)',
+        r'^([\w.\[\]-]+==[\w.]+)( ; .+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)',
         lock,
         re.M,
     )
@@ -155,7 +155,7 @@ def test_all_that_is_installed_is_locked_by_its_hashes(file):
     comment, _, rest = lock.partition('\n')
     assert comment.startswith('#')
     assert len(rest.splitlines()) == sum(1 + hashes.count('\n') for _, _, hashes in entries)
-    locked = {requirement for requirement, _, _ in entries}
+    locked = {re.sub(r'\[\w+\]', '', requirement) for requirement, _, _ in entries}
     required = {re.sub(r'\[\w+\]', '', line) for line in pinned(file).values()}
     assert {each.lower() for each in required} <= locked
 
@@ -165,7 +165,9 @@ def test_packages_in_several_locks_have_the_same_versions():
     for file in FILES:
         lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
         versions = defaultdict(set)
-        for name, version, condition in re.findall(r'^([\w.-]+)==([\w.]+)(.*) \\$', lock, re.M):
+        for name, version, condition in re.findall(
+            r'^([\w.\[\]-]+)==([\w.]+)(.*) \\$', lock, re.M
+        ):
             versions[name].add((version, condition))
         for name, each in versions.items():
             found[name].add(frozenset(version for version, _ in each))
