@@ -147,6 +147,7 @@ def lassos(grid, max_steps):
                 yield np.array([*stem, *loop[1:], *stem[-2::-1]])
 
 
+@pytest.mark.slow
 @for_each('seed, ways', itertools.product(range(20), (1, 2)))
 def test_an_improved_path_is_better_than_all_around_it(seed, ways):
     """With one stretch replaced, on one way or on both ways of a stem, and as long as allowed."""
@@ -170,8 +171,8 @@ def test_an_improved_path_is_better_than_all_around_it(seed, ways):
             and (not options.max_distance or grid.path_length(path) <= options.max_distance)
         )
 
-    starts = [each for each in lassos(grid, 5) if is_allowed(each)]
-    for before in (starts[k] for k in rng.integers(len(starts), size=4)):
+    starts = [each for each in lassos(grid, 6) if is_allowed(each)]
+    for before in (starts[k] for k in rng.integers(len(starts), size=5)):
         room = np.zeros(options.max_steps + 1, dtype=np.intp)
         room[: before.size] = rank[before]
         seen = Seen(np.zeros(100, np.int64), np.zeros(1, np.int64))
@@ -181,8 +182,8 @@ def test_an_improved_path_is_better_than_all_around_it(seed, ways):
         assert best >= search.exact([rank[before]])[0] - 2 * ERROR
         improved = search.reach.cells[room[: steps + 1]].tolist()
         assert is_allowed(improved)
-        for each in around(improved, 2, ways):
-            assert not is_allowed(each) or search.exact([rank[each]])[0] <= best + 2 * ERROR
+        others = [rank[each] for each in around(improved, 2, ways) if is_allowed(each)]
+        assert max(search.exact(others)) <= best + 2 * ERROR
 
 
 def around(path, most, ways):
