@@ -52,21 +52,14 @@ def length_to(reach: Reach, cell: int, other: int) -> float:
 
 
 @compiled
-def mark_steps_to(reach: Reach, to: int, length: Floats) -> None:
-    """Write the length of the step from each cell to a cell, metres."""
+def mark_steps_to(reach: Reach, to: int, back: int, ways: int, length: Floats) -> None:
+    """Write the length of the step from each cell to a cell, with 2 ways also from `back`."""
     for column in range(9):
         cell = reach.neighbors[to, column]
         if cell >= 0:
             length[cell] = reach.length[column]
-
-
-@compiled
-def add_steps_from(reach: Reach, back: int, to: int, length: Floats) -> None:
-    """Add the length of the step from a cell to each that is one step from another, or inf."""
-    for column in range(9):
-        cell = reach.neighbors[to, column]
-        if cell >= 0:
-            length[cell] += length_to(reach, back, cell)
+            if ways == 2:
+                length[cell] += length_to(reach, back, cell)
 
 
 @compiled
@@ -241,10 +234,9 @@ def improve(
             take(path[: steps + 1], first, last, gains, visits, products, ways == 2)
             most = min(most_between, (path.size - 1 - steps) // ways + between)
             length[0] = walked[steps] - (walked[last] - walked[first])
-            mark_steps_to(reach, path[last], closing)
             if ways == 2:
                 length[0] -= walked[steps - first] - walked[steps - last]
-                add_steps_from(reach, path[steps - last], path[last], closing)
+            mark_steps_to(reach, path[last], path[steps - last], ways, closing)
             # Depth first through all stretches; row `depth` is the label with so many cells.
             depth, stretch[0], column[0] = 0, path[first], 0
             while depth >= 0:

@@ -178,13 +178,8 @@ class LabelSearch:
     def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
         """Return closed paths and their value, the best first, those of equal visits once."""
         of_visits: dict[int, NDArray[np.intp]] = {}
-        padded, steps = self._padded(paths)
-        # Without the base where it begins, and in the room behind it.
-        marks = self.problem.marks
-        for mark, path in zip(
-            (marks[padded].sum(axis=1) - (padded.shape[1] - steps) * marks[0]).tolist(), paths
-        ):
-            of_visits.setdefault(mark, path)
+        for path in paths:
+            of_visits.setdefault(int(self.problem.marks[path[1:]].sum()), path)
         new = {each: path for each, path in of_visits.items() if each not in self._exact}
         self._exact.update(zip(new, self.exact([*new.values()])))
         values = [(self._exact[visits], path) for visits, path in of_visits.items()]
