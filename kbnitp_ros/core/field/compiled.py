@@ -58,9 +58,10 @@ def compiled(kernel: Kernel) -> Kernel:
 
 def inlined(kernel: Kernel) -> Kernel:
     """
-    Do what `compiled` does, and copy the code to where it is called, for each cell at best.
+    Do what `compiled` does, for a kernel called in loops: copy its code to where it is called.
 
-    To hand over many arrays takes as long as much of what is done with them.
+    It makes and returns no arrays, so references to those handed over are not counted: counting
+    those of many arrays takes as long as much of what is done with them.
     """
     return cast(Kernel, Compiled(kernel, is_inlined=True))
 
@@ -117,8 +118,10 @@ def _code_of(kernel: Callable[..., Any], is_inlined: bool) -> Callable[..., Any]
             'numba can keep compiled code nowhere: set NUMBA_CACHE_DIR to a folder to write in'
         )
         return kernel
-    # Others of the process go on meanwhile.
-    code: Callable[..., Any] = numba.njit(nogil=True, forceinline=is_inlined)(kernel)
+    # Others of the process go on meanwhile. Without `_nrt` references are not counted.
+    code: Callable[..., Any] = numba.njit(nogil=True, forceinline=is_inlined, _nrt=not is_inlined)(
+        kernel
+    )
     # What `cache=True` sets, but for files that cannot be used and calls to other files.
     code._cache = kept  # type: ignore[attr-defined]
     return code

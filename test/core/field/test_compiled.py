@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels are compiled where they can be, and run anyway where not."""
 
+import ast
 import os
 from pathlib import Path
 import pickle
@@ -157,6 +158,18 @@ print(whole(1.0))
         )
         printed += run(calling, folder=tmp_path)[0]
     assert printed == ['5.0', '2.5']
+
+
+def test_inlined_kernels_return_no_arrays():
+    # numba itself refuses those that make some.
+    returned = {
+        kernel.name: ast.unparse(kernel.returns)
+        for path in CORE.rglob('*_kernels.py')
+        for kernel in ast.parse(path.read_text()).body
+        if isinstance(kernel, ast.FunctionDef)
+        and 'inlined' in map(ast.unparse, kernel.decorator_list)
+    }
+    assert set(returned.values()) == {'float', 'int', 'None'}
 
 
 EVERYTHING = f'{Path(kernels.__file__).read_text()}\nprint(plans(), missions())\n'
