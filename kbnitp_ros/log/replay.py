@@ -230,9 +230,9 @@ class Fold:
         """Compare a belief with that of the ledger, and remember the views of it."""
         assert self._ledger is not None
         assert self.report.prior is not None
-        # That of the paths, which may tell none.
-        is_told = read_stamp('mission', belief.mission) != NO_MISSION
-        mission = self.report.prior.mission if is_told else NO_MISSION
+        # That of the paths, which may state none.
+        states_mission = read_stamp('mission', belief.mission) != NO_MISSION
+        mission = self.report.prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
         # What it was computed from.
         del computed.since, computed.taken_in

@@ -229,7 +229,7 @@ def draw_cause(
     room: CauseRoom,
 ) -> int:
     """Draw the cause of a loss given all others; -1 if none explains it."""
-    now, chance, share = room
+    now, chance, share = room.now, room.chance, room.share
     # Of the chances above 0, to what it was before the first step; and how many chances are 0.
     product, impossible = 1.0, 0
     for e in range(flights.first_entry[t], flights.first_entry[t + 1]):

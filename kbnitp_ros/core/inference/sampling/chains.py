@@ -18,6 +18,7 @@ from kbnitp_ros.core.inference.sampling.hypotheses import Clusters, Hypotheses
 from kbnitp_ros.core.inference.sampling.located_kernels import LARGE, weigh_by_located
 from kbnitp_ros.core.inference.sampling.number_kernels import (
     draw_values,
+    LossSurvival,
     sum_of_cells,
     weigh_by_losses,
 )
@@ -142,16 +143,16 @@ class Chains:
 
     def sweep(self) -> None:
         """Draw everything once, and add up the probabilities it was drawn with."""
-        target_if_safe, target_if_hazardous = self.draw_field()
+        odds = self.draw_field()
         self._draw_survival()
-        self._draw_the_rest(target_if_safe, target_if_hazardous)
+        self._draw_the_rest(odds)
         self._unvisited.add(self._place)
         self.sweeps += 1
 
-    def draw_field(self) -> tuple[Floats, Floats]:
-        """Draw the hazards alone; return the odds of targets without and with one."""
-        odds, target_if_safe, target_if_hazardous = self._given_returns()
-        factors = self._factors._replace(odds=odds)
+    def draw_field(self) -> gibbs.FieldOdds:
+        """Draw the hazards alone; return the odds that they were drawn with, and of targets."""
+        odds = self._given_returns()
+        factors = self._factors._replace(odds=odds.hazard)
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
                 self._hazard_state,
@@ -163,8 +164,9 @@ class Chains:
             if self._tally.steps.size or self._tally.located_steps.size:
                 proposals = self._rng.random((CHAINS, SWAPS, 4))
                 gibbs.swap_hazards(self._hazard_state, factors, proposals)
-            gibbs.add_joints(self._odds, target_if_safe, target_if_hazardous, self._joints)
-        return target_if_safe, target_if_hazardous
+            odds = odds._replace(hazard=self._odds)
+            gibbs.add_joints(odds, self._joints)
+        return odds
 
     @property
     def state(self) -> ChainState:
@@ -228,17 +230,15 @@ class Chains:
         )
         return np.stack(endured, axis=1), np.stack(spared, axis=1)
 
-    def _given_returns(self) -> tuple[Floats, Floats, Floats]:
+    def _given_returns(self) -> gibbs.FieldOdds:
         r"""
-        Return what steps survived and readings tell of each cell, shape (1 or chains, cells).
+        Return what steps survived and readings tell of each cell.
 
         Equations :eq:`reading-odds`, :eq:`hazard-odds` and :eq:`target-conditional`: with the log
         likelihood ratio d of the readings, the log odds of a hazard are
 
         .. math:: \ln \frac{h}{1 - h} + N \ln (1 - \lambda)
             + \ln (1 - \kappa + \kappa e^d) - \ln (1 - b + b e^d).
-
-        That is the odds of a hazard, and those of a target without and with one.
         """
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
@@ -251,7 +251,7 @@ class Chains:
         log_odds = log_odds + told_if_hazardous
         log_odds = log_odds - told_if_safe
         odds = self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD))
-        return odds, target_if_safe, target_if_hazardous
+        return gibbs.FieldOdds(odds, target_if_safe, target_if_hazardous)
 
     def _given_readings(self) -> tuple[Floats, Floats, Floats, Floats]:
         """
@@ -333,7 +333,7 @@ class Chains:
             endured = factors.endured[malfunction[:, None], factors.length]
             spared: Floats = factors.spared.reshape(values, robot_types * most).T.copy()
             place = exposures + (tally.robot_type * most).astype(np.int32)
-            weigh_by_losses(endured, place, spared, likelihood)
+            weigh_by_losses(LossSurvival(endured, place, spared), likelihood)
             self._weigh_by_located(
                 factors.step_endured[malfunction][:, :, None],
                 factors.step_spared.T[None],
@@ -355,7 +355,7 @@ class Chains:
             likelihood = np.ones((CHAINS, factors.endured.shape[0]))
             spared = factors.spared[lethality[:, None], tally.robot_type, exposures]
             length = np.broadcast_to(factors.length.astype(np.int32), spared.shape).copy()
-            weigh_by_losses(spared, length, factors.endured.T.copy(), likelihood)
+            weigh_by_losses(LossSurvival(spared, length, factors.endured.T.copy()), likelihood)
             self._weigh_by_located(
                 factors.step_endured.T[None],
                 factors.step_spared[lethality][:, :, None],
@@ -377,7 +377,7 @@ class Chains:
             )
             weigh_by_located(self._hazardous, self._factors.located, safe, exposed, likelihood)
 
-    def _draw_the_rest(self, target_if_safe: Floats, target_if_hazardous: Floats) -> None:
+    def _draw_the_rest(self, odds: gibbs.FieldOdds) -> None:
         r"""
         Draw the numbers of the prior and of the target sensor, given hazards and targets.
 
@@ -405,10 +405,10 @@ class Chains:
         read = self._read
         hazardous, if_safe, if_hazardous = (
             np.take(each, read, axis=1)
-            for each in (hazardous, target_if_safe, target_if_hazardous)
+            for each in (hazardous, odds.target_if_safe, odds.target_if_hazardous)
         )
-        odds = np.where(hazardous, if_hazardous, if_safe)
-        target = self._rng.random(odds.shape) * (1.0 + odds) < odds
+        of_target = np.where(hazardous, if_hazardous, if_safe)
+        target = self._rng.random(of_target.shape) * (1.0 + of_target) < of_target
         for name, prior, concerned in (
             ('kappa', maps.kappa, hazardous),
             ('target_background', maps.background, ~hazardous),
@@ -500,10 +500,11 @@ class Unvisited:
 
     def add(self, place: Mapping[str, Places]) -> None:
         """Add the joints by the numbers of each chain, whose values `place` has by name."""
-        hazard, target_if_safe, target_if_hazardous = (
-            odds[place[name]] for name, odds in self._odds.items()
+        odds = {name: of_values[place[name]] for name, of_values in self._odds.items()}
+        gibbs.add_joints(
+            gibbs.FieldOdds(odds['hazard_density'], odds['target_background'], odds['kappa']),
+            self._joints,
         )
-        gibbs.add_joints(hazard, target_if_safe, target_if_hazardous, self._joints)
 
     def joints(self, sweeps: int) -> Floats:
         """

@@ -126,6 +126,44 @@ class Factors(NamedTuple):
     coupling: Coupling
 
 
+class LossTable(NamedTuple):
+    """
+    The losses of one chain by how many of their steps led into a hazard; kernels change it.
+
+    Attributes
+    ----------
+    exposures : ndarray of int, shape (losses,)
+        As of `HazardState`.
+    length : ndarray of int, shape (losses,)
+        As of `Factors`.
+    chance : ndarray, shape (lengths, most exposures + 1)
+        Of a loss, by the rates of the chain.
+
+    """
+
+    exposures: NDArray[np.int32]
+    length: NDArray[np.intp]
+    chance: NDArray[np.float64]
+
+
+class FieldOdds(NamedTuple):
+    """
+    The odds of hazards and targets, each of shape (1 or chains, cells).
+
+    Attributes
+    ----------
+    hazard : ndarray
+        Of a hazard.
+    target_if_safe, target_if_hazardous : ndarray
+        Of a target without and with one.
+
+    """
+
+    hazard: NDArray[np.float64]
+    target_if_safe: NDArray[np.float64]
+    target_if_hazardous: NDArray[np.float64]
+
+
 @compiled
 def lost(survived: float) -> float:
     """Return the chance to be lost, from that to survive (equation :eq:`loss-probability`)."""
@@ -155,18 +193,13 @@ def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, haz
 
 @compiled
 def loss_ratio(
-    exposures: NDArray[np.int32],
-    table: NDArray[np.float64],
-    length: NDArray[np.intp],
-    graph: LossGraph,
-    cell: int,
-    hazards: int,
-    ratio: float,
+    losses: LossTable, graph: LossGraph, cell: int, hazards: int, ratio: float
 ) -> float:
     """Do what `add_exposures` does, and return `ratio` times that of the losses' chances."""
+    exposures = losses.exposures
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         path = graph.loss[entry]
-        chance = table[length[path]]
+        chance = losses.chance[losses.length[path]]
         before = chance[exposures[path]]
         exposures[path] += hazards * graph.visits[entry]
         ratio = min(ratio * (chance[exposures[path]] / before), LARGE)
@@ -307,6 +340,7 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
         if any_located:
             endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
             sum_all_steps(sums, located, hazardous, endured, alive)
+        losses = LossTable(exposures, factors.length, table)
         odds = factors.odds[chain % factors.odds.shape[0]]
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
@@ -329,12 +363,12 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
                 hazardous[old] = 1
                 ratio = min(ratio * coupling.strength[chain] ** more, LARGE)
             # The new hazard comes first, so that no loss is left unexplained in between.
-            ratio = loss_ratio(exposures, table, factors.length, graph, new, 1, ratio)
+            ratio = loss_ratio(losses, graph, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
                 hazardous[new] = 1
                 sum_through(sums, located, hazardous, new)
-            ratio = loss_ratio(exposures, table, factors.length, graph, old, -1, ratio)
+            ratio = loss_ratio(losses, graph, old, -1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
             changed = old if numbers[3] < ratio else new
@@ -358,12 +392,7 @@ def count_exposures(state: HazardState, graph: LossGraph) -> None:
 
 
 @compiled
-def add_joints(
-    odds: NDArray[np.float64],
-    target_if_safe: NDArray[np.float64],
-    target_if_hazardous: NDArray[np.float64],
-    joints: NDArray[np.float64],
-) -> None:
+def add_joints(odds: FieldOdds, joints: NDArray[np.float64]) -> None:
     r"""
     Add the joints of hazard and target, averaged over each group of chains.
 
@@ -373,22 +402,21 @@ def add_joints(
 
     Parameters
     ----------
-    odds : ndarray, shape (chains, cells)
-        Of a hazard.
-    target_if_safe, target_if_hazardous : ndarray, shape (1 or chains, cells)
-        Odds of a target.
+    odds : FieldOdds
+        Those of a hazard for each chain.
     joints : ndarray, shape (groups, cells, 2, 2)
         What to add to, indexed [group, cell, z, x]. The chains of a group follow each other.
 
     """
-    size = odds.shape[0] // joints.shape[0]
-    for chain in range(odds.shape[0]):
-        if_safe = target_if_safe[chain % target_if_safe.shape[0]]
-        if_hazardous = target_if_hazardous[chain % target_if_hazardous.shape[0]]
+    chains, cells = odds.hazard.shape
+    size = chains // joints.shape[0]
+    for chain in range(chains):
+        if_safe = odds.target_if_safe[chain % odds.target_if_safe.shape[0]]
+        if_hazardous = odds.target_if_hazardous[chain % odds.target_if_hazardous.shape[0]]
         group = joints[chain // size]
-        for cell in range(odds.shape[1]):
-            safe = 1.0 / (1.0 + odds[chain, cell]) / size
-            hazard = odds[chain, cell] * safe
+        for cell in range(cells):
+            safe = 1.0 / (1.0 + odds.hazard[chain, cell]) / size
+            hazard = odds.hazard[chain, cell] * safe
             safe /= 1.0 + if_safe[cell]
             hazard /= 1.0 + if_hazardous[cell]
             group[cell, 0, 0] += safe

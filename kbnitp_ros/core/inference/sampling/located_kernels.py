@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.field import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,7 +79,7 @@ def new_sums(located: LocatedGraph, robot_types: int) -> LocatedSums:
     )
 
 
-@compiled
+@inlined
 def sum_steps(
     sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
 ) -> None:
@@ -118,7 +118,7 @@ def sum_all_steps(
         sum_steps(sums, located, hazardous, path)
 
 
-@compiled
+@inlined
 def located_chance(
     sums: LocatedSums,
     located: LocatedGraph,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from kbnitp_ros.core.field import compiled
 from kbnitp_ros.core.inference.sampling.gibbs import lost
 import numpy as np
@@ -10,6 +12,26 @@ from numpy.typing import NDArray
 
 # How many losses may be multiplied up before products are divided.
 OFTEN = 6
+
+
+class LossSurvival(NamedTuple):
+    """
+    The chance to survive each lost path as a product of two, of which a rate changes one.
+
+    Attributes
+    ----------
+    fixed : ndarray, shape (chains, losses)
+        The chance that the rate has nothing to do with.
+    place : ndarray of int, shape (chains, losses)
+        The row of the other.
+    by_rate : ndarray, shape (places, values)
+        The other for each value of the rate.
+
+    """
+
+    fixed: NDArray[np.float64]
+    place: NDArray[np.int32]
+    by_rate: NDArray[np.float64]
 
 
 @compiled
@@ -32,12 +54,7 @@ def draw_values(
 
 
 @compiled
-def weigh_by_losses(
-    kept: NDArray[np.float64],
-    place: NDArray[np.int32],
-    rest: NDArray[np.float64],
-    likelihood: NDArray[np.float64],
-) -> None:
+def weigh_by_losses(survival: LossSurvival, likelihood: NDArray[np.float64]) -> None:
     r"""
     Multiply `likelihood`, (chains, values), by that of all losses, for each value of a rate.
 
@@ -47,21 +64,19 @@ def weigh_by_losses(
 
     Parameters
     ----------
-    kept, place : ndarray, shape (chains, losses)
-        The part of the chance to survive each lost path that the rate has nothing to do with,
-        and the row of the other part.
-    rest : ndarray, shape (places, values)
-        The other part, for each value of the rate.
+    survival : LossSurvival
+        Of the lost paths.
     likelihood : ndarray, shape (chains, values)
         Divided by whatever keeps it in range: only the ratios of a chain's values tell anything.
 
     """
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
-        for path in range(kept.shape[1]):
-            chance, row = kept[chain, path], rest[place[chain, path]]
+        for path in range(survival.fixed.shape[1]):
+            fixed = survival.fixed[chain, path]
+            by_rate = survival.by_rate[survival.place[chain, path]]
             for value in range(own.size):
-                own[value] *= lost(chance * row[value])
+                own[value] *= lost(fixed * by_rate[value])
             if path % OFTEN == OFTEN - 1:
                 largest = 0.0
                 for value in range(own.size):

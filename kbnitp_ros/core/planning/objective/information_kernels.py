@@ -189,7 +189,7 @@ def left_open(exposures: Exposures) -> float:
 
     Equation :eq:`outcome-entropy`.
     """
-    chance, log_survival = exposures
+    chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):
         survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
@@ -243,7 +243,7 @@ def outcome_left_open(exposures: Exposures, alpha: float, beta: float) -> float:
         Of the Prelec weight.
 
     """
-    chance, log_survival = exposures
+    chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):
         entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)

@@ -87,6 +87,27 @@ class Best(NamedTuple):
     by_heuristic: Ranking
 
 
+class Completions(NamedTuple):
+    """
+    The best completion of so many steps at most from each cell that it may start in.
+
+    Attributes
+    ----------
+    moments : ndarray, shape (sum of within, powers + 5)
+        By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
+        both, and its length.
+    value : ndarray, shape (cells,)
+        Of the label that the last completion of each cell was made of.
+    room : ndarray, shape (powers + 5,)
+        For one of them, where lengths are limited: that which is short enough for a label.
+
+    """
+
+    moments: Floats
+    value: Floats
+    room: Floats
+
+
 class Trail(NamedTuple):
     """
     The label that was followed back last.
@@ -114,7 +135,7 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
     equal marks have equal scores, and of these the shorter is kept: what may follow it is all that
     may follow the longer one.
     """
-    scores, marks, lengths, origins = best
+    scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
     low, high = 0, scores.size
     while low < high:
         middle = (low + high) // 2
@@ -144,7 +165,7 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
 
 @compiled
 def copy_fitting(
-    length: float, rank: int, left: int, reach: Reach, completions: Floats, completion: Floats
+    length: float, rank: int, left: int, reach: Reach, completions: Completions
 ) -> bool:
     """
     Copy the completion of most steps from a cell, at most `left`, that is no longer than this.
@@ -153,8 +174,8 @@ def copy_fitting(
     """
     while left >= 0 and rank < reach.within[left]:
         place = reach.start[left] + rank
-        if completions[place, -1] <= length:
-            completion[:] = completions[place]
+        if completions.moments[place, -1] <= length:
+            completions.room[:] = completions.moments[place]
             return True
         left -= 1
     return False
@@ -166,8 +187,7 @@ def find_best(
     labels: Labels,
     step: int,
     rank: int,
-    completions: Floats,
-    room: Floats,
+    completions: Completions,
     best: Best,
 ) -> None:
     r"""
@@ -189,21 +209,19 @@ def find_best(
         Those of the step before.
     step, rank : int
         How many steps lead to the cell, and the cell.
-    completions : ndarray, shape (sum of within, powers + 5)
-        By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
-        both, and its length.
-    room : ndarray, shape (powers + 5,)
-        For one of them, where lengths are limited: that which is short enough for each label.
+    completions : Completions
+        To value labels with.
     best : Best
         The result.
 
     """
-    reach, marks, gains, objective = problem
-    gain_factor, gain_term = gains
-    weight, chance, loss_cost, units = objective
-    factor, term = labels.products
+    reach, marks, objective = problem.reach, problem.marks, problem.objective
+    gain_factor, gain_term = problem.gains.factor, problem.gains.term
+    weight, chance = objective.weight, objective.chance
+    loss_cost, units = objective.loss_cost, objective.units
+    factor, term = labels.products.factor, labels.products.term
     mark, seen, kept = labels.mark, labels.seen, labels.kept
-    by_value, by_heuristic = best
+    by_value, by_heuristic = best.by_value, best.by_heuristic
     score, heuristic = by_value.score, by_heuristic.score
     powers, max_visits = weight.size, gain_factor.shape[1]
     width = mark.size // kept.size
@@ -214,9 +232,9 @@ def find_best(
     is_limited = reach.longest > 0.0
     length, fits = 0.0, True
     left = reach.within.size - 1 - step
-    completion = room
+    completion = completions.room
     if heuristic.size and not is_limited:
-        completion = completions[reach.start[left] + rank]
+        completion = completions.moments[reach.start[left] + rank]
     for column in range(9):
         origin = reach.neighbors[rank, column]
         if origin < 0 or origin >= reach.within[step - 1]:
@@ -232,7 +250,7 @@ def find_best(
                 if reach.home[rank] > allowed:
                     continue
                 if heuristic.size:
-                    fits = copy_fitting(allowed, rank, left, reach, completions, completion)
+                    fits = copy_fitting(allowed, rank, left, reach, completions)
             left_open, left_open_completed = 0.0, 0.0
             for k in range(powers):
                 moment = factor[row, k] * gain_factor[rank, before, k]
@@ -281,21 +299,20 @@ def find_best(
 def merge(best: Best, found: NDArray[np.int64], found_mark: NDArray[np.int64]) -> int:
     """Write the origins and marks of the best, those that are both once; return how many."""
     kept = 0
-    score, mark, _, origin = best.by_value
-    for slot in range(score.size):
-        if score[slot] > -inf:
-            found[kept], found_mark[kept] = origin[slot], mark[slot]
+    by_value, by_heuristic = best.by_value, best.by_heuristic
+    for slot in range(by_value.score.size):
+        if by_value.score[slot] > -inf:
+            found[kept], found_mark[kept] = by_value.origin[slot], by_value.mark[slot]
             kept += 1
     by_value_only = kept
-    score, mark, _, origin = best.by_heuristic
-    for slot in range(score.size):
-        if score[slot] == -inf or kept == found.size:
+    for slot in range(by_heuristic.score.size):
+        if by_heuristic.score[slot] == -inf or kept == found.size:
             break
         is_new = True
         for other in range(by_value_only):
-            is_new = is_new and found_mark[other] != mark[slot]
+            is_new = is_new and found_mark[other] != by_heuristic.mark[slot]
         if is_new:
-            found[kept], found_mark[kept] = origin[slot], mark[slot]
+            found[kept], found_mark[kept] = by_heuristic.origin[slot], by_heuristic.mark[slot]
             kept += 1
     return kept
 
@@ -305,10 +322,9 @@ def write_completion(
     labels: Labels, row: int, length: float, problem: LabelProblem, completion: Floats
 ) -> None:
     """Write the completion along a label, and by one step, as in `find_best`; its length."""
-    gains, objective = problem.gains, problem.objective
-    factor, term = labels.products
-    gain_factor, gain_term = gains
-    weight, chance = objective.weight, objective.chance
+    factor, term = labels.products.factor, labels.products.term
+    gain_factor, gain_term = problem.gains.factor, problem.gains.term
+    weight, chance = problem.objective.weight, problem.objective.chance
     powers = weight.size
     for k in range(powers):
         completion[k] = weight[k] * factor[row, k] * gain_factor[0, 0, k]
@@ -330,30 +346,28 @@ def write_completions(
     labels: Labels,
     step: int,
     best_value: Floats,
-    completions: Floats,
-    best_completion: Floats,
+    completions: Completions,
 ) -> None:
     """
     Write the best completion of so many steps at most from each cell that it may start in.
 
     A path has the same value in both directions, so a completion is a label at a neighbour, walked
-    backwards, and the step into the base. `best_completion`, (cells,), has the value of the label
-    that each was made of, and is changed.
+    backwards, and the step into the base. `best_value`, (cells,), has that of the best label.
     """
-    reach = problem.reach
+    reach, moments, value = problem.reach, completions.moments, completions.value
     start = reach.start[step]
     for rank in range(reach.within[step]):
         via, length = -1, 0.0
         for column in range(9):
             origin = reach.neighbors[rank, column]
-            if 0 <= origin < reach.within[step - 1] and best_value[origin] > best_completion[rank]:
-                via, best_completion[rank] = origin, best_value[origin]
+            if 0 <= origin < reach.within[step - 1] and best_value[origin] > value[rank]:
+                via, value[rank] = origin, best_value[origin]
                 length = labels.length[origin] + reach.length[column]
         if via >= 0:
-            write_completion(labels, via, length, problem, completions[start + rank])
+            write_completion(labels, via, length, problem, moments[start + rank])
         else:
             # One of fewer steps is as good.
-            completions[start + rank] = completions[reach.start[step - 1] + rank]
+            moments[start + rank] = moments[reach.start[step - 1] + rank]
 
 
 @compiled
@@ -395,7 +409,7 @@ def no_ranking(places: int, is_limited: bool) -> Ranking:
 
 @compiled
 def search(
-    problem: LabelProblem, width: int, by_heuristic: int, completions: Floats
+    problem: LabelProblem, width: int, by_heuristic: int, moments: Floats
 ) -> tuple[NDArray[np.int32], Floats]:
     r"""
     Extend the best labels of each cell, step by step.
@@ -421,10 +435,9 @@ def search(
         How many labels each cell may have.
     by_heuristic : int
         See above, less than `width`.
-    completions : ndarray, shape (sum of within, powers + 5)
-        A completion of at most so many steps from each cell that it may start in, as in
-        `find_best`, by steps and then cells. It is read if there are rows by heuristic, and
-        otherwise written; no rows if there is none to be known.
+    moments : ndarray, shape (sum of within, powers + 5)
+        Those of `Completions`. They are read if there are rows by heuristic, and otherwise
+        written; no rows if there is none to be known.
 
     Returns
     -------
@@ -435,7 +448,7 @@ def search(
         Of the labels at the base, in units; -inf for none.
 
     """
-    reach, _, gains, objective = problem
+    reach, gains, objective = problem.reach, problem.gains, problem.objective
     within, neighbors = reach.within, reach.neighbors
     max_steps, cells, powers = within.size - 1, neighbors.shape[0], objective.weight.size
     origins = np.full((reach.start[-1], width), -1, np.int32)
@@ -451,21 +464,21 @@ def search(
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
     steps = max_steps + 1
     trail = Trail(np.full(steps, -1), np.full(steps, -1), np.zeros(cells, np.int64))
-    best_value, best_completion = np.zeros(cells), np.full(cells, -inf)
-    room = np.zeros(powers + 5)
-    writes_completions = completions.shape[0] > 0 and by_heuristic == 0
+    best_value = np.zeros(cells)
+    completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
+    writes_completions = moments.shape[0] > 0 and by_heuristic == 0
     if writes_completions:
         # No steps left, and there.
-        completions[0, :powers] = objective.weight
-        completions[0, powers:] = 0.0
-        completions[0, powers] = completions[0, powers + 1] = 1.0
-        best_completion[0] = 0.0
+        moments[0, :powers] = objective.weight
+        moments[0, powers:] = 0.0
+        moments[0, powers] = moments[0, powers + 1] = 1.0
+        completions.value[0] = 0.0
 
     for step in range(1, max_steps + 1):
         if writes_completions:
-            write_completions(problem, labels, step, best_value, completions, best_completion)
+            write_completions(problem, labels, step, best_value, completions)
         for rank in range(within[step]):
-            find_best(problem, labels, step, rank, completions, room, best)
+            find_best(problem, labels, step, rank, completions, best)
             after.kept[rank] = merge(best, found, found_mark)
             best_value[rank] = best.by_value.score[0]
             for slot in range(after.kept[rank]):
