@@ -3,6 +3,7 @@
 
 from collections import Counter
 
+from extent import FULL
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import lines
@@ -12,7 +13,7 @@ from mission_log import record_to
 import numpy as np
 import pytest
 
-CUTS = 500
+CUTS = 500 if FULL else 100
 
 # How many messages a chunk has.
 BATCH = 3

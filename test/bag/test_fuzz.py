@@ -20,7 +20,7 @@ from mission_log import Mission, on, record_to
 import pytest
 
 KINDS = ['mcap', 'mcap zstd', 'mcap by rosbags', 'sqlite3', 'metadata.yaml']
-CASES = 10_000 if FULL else 500
+CASES = 10_000 if FULL else 250
 
 place = st.integers(0, 2**20)
 some_bytes = st.binary(min_size=1, max_size=40)

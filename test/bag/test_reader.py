@@ -3,6 +3,7 @@
 
 import struct
 
+from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
@@ -121,7 +122,7 @@ def test_nothing_but_the_first_bytes_is_an_empty_log(files, tmp_path, size):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150 if FULL else 60, deadline=None)
 def test_a_corrupt_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_factory, data):
     """Nothing is lost or changed in silence, and no other error is raised."""
     content = bytearray((files / 'finished.mcap').read_bytes())

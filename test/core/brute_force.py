@@ -58,23 +58,31 @@ def pairs(grid, states):
 
 @cache
 def hazards_of(grid):
-    """Return all states of the hazards, and of each how many and how many pairs there are."""
+    """
+    Return all states of the hazards, and which of them are alike in how many hazards and pairs.
+
+    Of each kind follow how many hazards and pairs it has, and how many states are of it.
+    """
     states = np.array(list(product((0, 1), repeat=grid.cells)))
     states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
-    return states, states.sum(axis=1), pairs(grid, states)
+    counts = np.stack([states.sum(axis=1), pairs(grid, states)])
+    (count, paired), alike, number = np.unique(
+        counts, axis=1, return_inverse=True, return_counts=True
+    )
+    return states, alike.ravel(), count, paired, number
 
 
 def clustered_prior(grid, coupling, density):
     """Return all states of the hazards, (states, cells), and their prior probabilities."""
-    states, count, paired = hazards_of(grid)
+    states, alike, count, paired, number = hazards_of(grid)
     low, high = -40.0, 40.0
     for _ in range(100):
         field = (low + high) / 2
         weight = np.exp(field * count + coupling * paired - max(0.0, field) * grid.cells)
-        weight /= weight.sum()
-        below = weight @ count < density * grid.may_be_hazardous.sum()
+        weight /= weight @ number
+        below = (weight * number) @ count < density * grid.may_be_hazardous.sum()
         low, high = (field, high) if below else (low, field)
-    return states, weight
+    return states, weight[alike]
 
 
 def adjacent(width, height, blocked=()):

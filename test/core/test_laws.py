@@ -11,17 +11,17 @@ import pytest
 @pytest.mark.slow
 @for_each('method', METHODS)
 def test_methods_keep_their_laws(method):
-    check_method(method, cases=40 if FULL else 4)
+    check_method(method, cases=40 if FULL else 2)
 
 
 @pytest.mark.slow
 # The planner exact is for one robot that goes alone.
 @for_each('planner', [each for each in PLANNERS if each != 'exact'])
 def test_planners_keep_their_laws(planner):
-    check_planner(planner, cases=500 if FULL else 40)
+    check_planner(planner, cases=500 if FULL else 15)
 
 
 @pytest.mark.slow
 @for_each('allocation', ALLOCATIONS)
 def test_allocations_keep_their_laws(allocation):
-    check_allocation(allocation, cases=250 if FULL else 25)
+    check_allocation(allocation, cases=250 if FULL else 10)

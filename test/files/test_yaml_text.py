@@ -4,7 +4,8 @@
 from pathlib import Path
 
 from bounded import run_code
-from hypothesis import given
+from extent import FULL
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.files import NotYamlError, parse_yaml, read_yaml
 from kbnitp_ros.files.yaml_text import DEEPEST, LONGEST, MOST_BYTES, MOST_VALUES
@@ -42,6 +43,7 @@ HOSTILE = {
 
 @pytest.mark.slow
 @given(contents)
+@settings(max_examples=100 if FULL else 40)
 def test_what_pyyaml_writes_is_read_back(content):
     assert parse_yaml(yaml.safe_dump(content)) == content
 

@@ -9,6 +9,7 @@ from functools import cache, partial
 from itertools import product
 import re
 
+from extent import FULL
 from hypothesis import assume, given, Phase, settings
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import UnknownNumber
@@ -260,7 +261,7 @@ def test_a_mission_in_a_namespace_is_reproduced(replayed):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40 if FULL else 10, deadline=None)
 def test_the_order_between_topics_does_not_matter(whole_mission, tmp_path_factory, data):
     """A recorder hears each topic in order, but one may be far behind another."""
     queues = [on(whole_mission.sent, topic) for topic in {s.topic for s in whole_mission.sent}]
@@ -387,7 +388,7 @@ flown = cache(observations)
 @pytest.mark.slow
 @given(st.booleans(), st.data())
 # Making a case smaller takes minutes, and a case is small.
-@settings(max_examples=100, deadline=None, phases=[Phase.generate])
+@settings(max_examples=100 if FULL else 15, deadline=None, phases=[Phase.generate])
 def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_factory, silent, data):
     """
     It hears what each publisher said in its order, and not all its beliefs are recorded.
@@ -494,7 +495,7 @@ def test_the_sign_of_a_zero_in_a_map_is_found(whole_mission, replayed, field):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60 if FULL else 20, deadline=None)
 def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data):
     """One of the last bits of a joint may look like rounding; it is said all the same."""
     which = on(whole_mission.sent, '/belief', *VIEWS)

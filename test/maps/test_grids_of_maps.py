@@ -62,7 +62,7 @@ def random_grid(rng, connectivity, unknown_blocks):
 
 
 @pytest.mark.slow
-@for_each('seed, connectivity', product(range(200), [4, 8]))
+@for_each('seed, connectivity', product(range(200), [4, 8]), every=3)
 def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     rng = np.random.default_rng(seed)
     unknown_blocks = bool(rng.integers(2))

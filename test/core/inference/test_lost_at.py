@@ -160,7 +160,7 @@ def test_sampling_takes_missions_in(seed):
 
 # Those of 300 that sampling is furthest from at its default number of sweeps: .003 to .02.
 @pytest.mark.slow
-@for_each('seed', [63, 291, 267, 53], every=2)
+@for_each('seed', [63, 291, 267, 53], every=4)
 def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)

@@ -113,7 +113,7 @@ def test_one_robot_of_a_type_is_assimilated_exactly(seed):
 
 
 @pytest.mark.slow
-@for_each('seed', range(300))
+@for_each('seed', range(300), every=4)
 def test_robots_of_several_types_are_smoothed_exactly(seed):
     """Of four cells the smoother fixes all that losses tie together."""
     joint, model, seen = random_robots(seed, 6)

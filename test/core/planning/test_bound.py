@@ -94,7 +94,7 @@ def values(belief, model, visits, loss_cost):
 
 
 @pytest.mark.slow
-@for_each('chunk', range(CHUNKS), every=25)
+@for_each('chunk', range(CHUNKS), every=50)
 def test_no_path_has_a_higher_value_than_the_bound(chunk):
     for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
         grid, most_steps, max_visits, belief, model, loss_cost = random_problem(seed)
@@ -153,7 +153,7 @@ def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
 def test_the_median_gap_on_beliefs_of_missions_is_3_percent_at_most(record_property):
     """On 9x9 cells with 18 steps, after no to 60 robots, at lethality 0.1 to 0.9."""
     grid, options, gaps = Grid(9, 9), SearchOptions('relaxed', 18), []
-    for seed in range(30) if FULL else (0, 2, 4):
+    for seed in range(30) if FULL else (0, 4):
         model = SensorModel((0.1, 0.3, 0.5, 0.7, 0.9)[seed % 5])
         rng = np.random.default_rng(seed)
         world = World.random(grid, rng, 0.15, 0.8, 0.1)

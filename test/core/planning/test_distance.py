@@ -165,7 +165,7 @@ def test_the_limits_of_these_problems_matter():
 
 
 @pytest.mark.slow
-@for_each('seed', range(20), every=3)
+@for_each('seed', range(20), every=7)
 def test_robots_of_a_team_keep_their_own_lengths(seed):
     rng = np.random.default_rng(seed)
     grid = Grid(7, 6, base=int(rng.integers(42)), resolution=0.5)

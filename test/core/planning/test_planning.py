@@ -39,7 +39,7 @@ def test_the_search_sees_all_closed_paths():
 
 
 @pytest.mark.slow
-@for_each('seed', range(50))
+@for_each('seed', range(50), every=3)
 def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
     grid, belief, model = random_problem(seed)
     best = optimum(grid, belief, model)

@@ -199,7 +199,7 @@ def test_what_robots_are_out_for_is_left_to_them():
 
 
 @pytest.mark.slow
-@for_each('seed', range(8), every=3)
+@for_each('seed', range(8), every=5)
 def test_greedy_comes_close_to_the_best_of_all_pairs_of_kinds(seed):
     grid = Grid(3, 2, base=1)
     belief = random_belief(seed, grid)

@@ -17,6 +17,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.inference.sampling import sampler
+from kbnitp_ros.core.inference.sampling.chains import Chains
 from laws import for_each
 import numpy as np
 import pytest
@@ -119,15 +120,41 @@ def test_beliefs_are_those_of_enumeration(record_property):
     assert np.mean(of_couplings) < 0.02
 
 
+def converge_at(monkeypatch, error, most):
+    """Have sweeps made until no more than this error is left, and at most so many."""
+    monkeypatch.setattr(sampler, 'CONVERGED', error)
+    monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', error)
+    monkeypatch.setattr(sampler, 'MOST_SWEEPS', most)
+
+
 @pytest.mark.slow
 def test_more_sweeps_come_closer(monkeypatch):
-    few, _ = divergences(range(4))
-    monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
-    monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
-    monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', 0.0)
-    many, _ = divergences(range(4))
-    assert np.mean(many) < np.mean(few) / 3
-    assert np.max(many) < 5e-5
+    found = []
+    for most in (4, 128):
+        converge_at(monkeypatch, 0.0, most)
+        found.append(divergences(range(3))[0])
+    few, many = found
+    assert np.mean(many) < np.mean(few) / 10
+    assert np.max(many) < 2e-4
+
+
+@for_each('seed', [0, 1])
+@for_each('error, most, made', [(0.0, 4, 4), (0.0, 24, 24), (1e9, 24, 4)])
+def test_as_many_sweeps_are_made_as_are_asked_for(monkeypatch, seed, error, most, made):
+    """In rounds of four: all of them, or one round where the belief is as close as it is to be."""
+    grid, clustering, density, model, observations = random_mission(seed)
+    estimator = estimator_of(grid, clustering, density, model)
+    converge_at(monkeypatch, error, most)
+    sweeps, sweep = [], Chains.sweep
+
+    def counted(self):
+        sweeps.append(self)
+        sweep(self)
+
+    monkeypatch.setattr(Chains, 'sweep', counted)
+    for number, each in enumerate(observations[:3], 1):
+        estimator.assimilate(each)
+        assert len(sweeps) == number * made
 
 
 @for_each('seed', range(6))

@@ -160,14 +160,14 @@ def check_by_enumeration(name, seed, cells, monkeypatch):
 
 
 @pytest.mark.slow
-@for_each('name', EVERYTHING, every=3)
+@for_each('name', EVERYTHING, every=4)
 @for_each('seed', range(3))
 def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 4, monkeypatch)
 
 
 @pytest.mark.slow
-@for_each('name', ['hazard_density', 'kappa', 'target_background'], every=2)
+@for_each('name', ['hazard_density', 'kappa', 'target_background'], every=4)
 @for_each('seed', range(3))
 def test_cells_that_nobody_went_to_are_as_by_enumeration(name, seed, monkeypatch):
     check_by_enumeration(name, seed, 9, monkeypatch)
@@ -243,7 +243,7 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
     """25 robots on 4x4 cells from a prior of maximum entropy."""
     model = SensorModel(lethality)
     away = []
-    for seed in range(20):
+    for seed in range(20 if FULL else 8):
         observations = mission_of_25(seed, model)
         exact = marginals(*weight_of_hazards(ENTROPIC.joint, model, observations))
         away.append(divergence(exact, assimilated(ENTROPIC, model, observations).belief.joint))
@@ -279,7 +279,7 @@ def test_more_sweeps_come_as_close_as_anyone_likes(monkeypatch):
     for sweeps, close in ((8, 1e-3), (128, 1e-4), (512, 3e-5))[: 3 if FULL else 2]:
         away, said = [], []
         # What is said varies as much as what it tells of, so that it takes many to compare them.
-        for seed in range(20):
+        for seed in range(20 if FULL else 12):
             monkeypatch.setattr(sampler, 'MOST_SWEEPS', 4)
             estimator = assimilated(ENTROPIC, model, observations[:-1], seed=seed)
             monkeypatch.setattr(sampler, 'MOST_SWEEPS', sweeps)
