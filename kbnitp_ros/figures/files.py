@@ -17,6 +17,9 @@ EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype'
 # In inches: two columns of a journal.
 WIDTH = 7.2
 
+# No layout but that which a figure asks for.
+AS_ASKED = {'figure.autolayout': False, 'figure.constrained_layout.use': False}
+
 # Letters as they are in print at that width.
 LETTERS = {
     'font.size': 8,
@@ -47,9 +50,9 @@ def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
 
     """
     files = [path.with_suffix(f'.{each}') for each in formats]
-    with rc_context(EMBEDDED):
+    with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=DPI, metadata=METADATA[each])
-            # It is laid out once, and so the same in each format.
-            figure.set_layout_engine('none')
+            # It is laid out once, and so the same in each format, and drawn once for each.
+            figure.set_layout_engine(None)
     return files

@@ -23,6 +23,7 @@ from kbnitp_ros.cli.demo import (
     parse,
     recorded_parameters,
 )
+from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import (
     Belief,
@@ -70,7 +71,7 @@ def running(tmp_path):
     )
     log = tmp_path / 'mission.mcap'
     deadline = time.monotonic() + PATIENCE
-    while not (log.exists() and log.stat().st_size > 100_000):
+    while not (log.exists() and log.stat().st_size > 40_000):
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -142,7 +143,7 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
 
 @pytest.mark.processes
 def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, capsys):
-    options = ['--robots', '40', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
+    options = ['--robots', '16', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
     killed = subprocess.Popen(
         [*DEMO, *options, '--seed', '7', '--out', str(tmp_path)],
         stderr=subprocess.DEVNULL,
@@ -150,19 +151,19 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     )
     log = tmp_path / 'mission.mcap'
     deadline = time.monotonic() + PATIENCE
-    while reports_in(log) < 8 and time.monotonic() < deadline:
+    while reports_in(log) < 3 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
     before = reports_in(log)
-    assert 8 <= before < 40
+    assert 3 <= before < 16
 
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
-    assert '40 deployments' in resumed.stdout
+    assert '16 deployments' in resumed.stdout
     history = read_history(log)
     options = SearchOptions(max_steps=6)
-    _, expected = mission_of(40, Grid(4, 4), 0.3, 7, options, learning=learning(7))
+    _, expected = mission_of(16, Grid(4, 4), 0.3, 7, options, learning=learning(7))
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]
@@ -258,17 +259,51 @@ MINE = """
 HIDDEN = "hazard: ['.x..', '....', '....']\ntarget: ['.x.x', '....', '..x.']\n"
 
 
-@pytest.mark.processes
-def test_everything_can_be_given_and_the_options_count_for_more_than_the_file(tmp_path):
+@pytest.fixture
+def everything(tmp_path):
+    """Return options of which each counts for more than a file, and where the world stands."""
     world_file = tmp_path / 'hidden.yaml'
     world_file.write_text(HIDDEN)
     mine = tmp_path / 'mine.yaml'
     mine.write_text(MINE.replace('WORLD', str(world_file)))
-    done = run_demo(
-        '--params', mine, '--robots', 5, '--set', 'max_visits=2',
+    options = [
+        '--params', str(mine), '--robots', '5', '--set', 'max_visits=2',
         '--set', 'sensor.false_positive=0.1', '--set', 'agent:sensor.lethality=0.7',
-        '--method', 'kappa_bnitp', '--out', tmp_path / 'out',
-    )  # fmt: skip
+        '--method', 'kappa_bnitp', '--out', str(tmp_path / 'out'),
+    ]  # fmt: skip
+    return options, world_file
+
+
+def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(everything):
+    options, world_file = everything
+    plain, given = (chosen_parameters(parse(each)) for each in ([], options))
+    field = {'grid.width': 4, 'grid.height': 3, 'grid.base': 5, 'grid.blocked': [0, 7]}
+    sensor = {'malfunction': 0.02, 'false_negative': 0.1, 'true_positive': 0.9}
+    everywhere = {f'sensor.{name}': value for name, value in sensor.items()}
+    everywhere |= {**field, 'max_steps': 6, 'sensor.lethality': 0.3, 'sensor.false_positive': 0.1}
+    everywhere |= {'seed': 11, 'max_visits': 2, 'robots': 5, 'method': 'kappa_bnitp'}
+    for node in NODES:
+        own = {
+            'agent': {'sensor.lethality': 0.7, 'world.file': str(world_file)},
+            'planner': {'beam_width': 2, 'loss_cost': 0.5},
+            'estimator': {'prior.hazard': 0.3, 'prior.target': 0.4, 'prior.kappa': 0.7},
+        }.get(node, {})
+        expected = {name: each for name, each in everywhere.items() if name in plain[node]} | own
+        told = {name: given[node][name] for name in expected}
+        assert {k: [*v] if isinstance(v, tuple) else v for k, v in told.items()} == expected
+        others = plain[node].keys() - expected.keys() - {'learn', 'recorded', 'file'}
+        assert {name: given[node][name] for name in others} == {
+            name: plain[node][name] for name in others
+        }
+        # The demo records, whatever the file says.
+        assert given[node].get('recorded', True)
+
+
+@pytest.mark.processes
+@pytest.mark.full
+def test_everything_can_be_given(everything, tmp_path):
+    options, world_file = everything
+    done = run_demo(*options)
     assert done.returncode == 0, done.stdout + done.stderr
 
     grid = Grid(4, 3, base=5, blocked=(0, 7))
@@ -486,18 +521,15 @@ def test_demo_refuses_what_cannot_be_before_it_starts_anything(
 
 
 @pytest.mark.processes
-def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running):
+def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running, capsys):
     process, log = running
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, stderr
     assert 'Traceback' not in stderr
     assert f'interrupted; to go on: python3 -m kbnitp_ros demo --resume {log}' in stderr
-    replayed = subprocess.run(
-        [sys.executable, '-m', 'kbnitp_ros', 'replay', str(log)], capture_output=True, text=True
-    )
-    assert replayed.returncode == 0, replayed.stdout
-    assert 'unfinished' not in replayed.stdout
+    assert replay_command([str(log)]) == 0
+    assert 'unfinished' not in capsys.readouterr().out
 
 
 @pytest.mark.processes

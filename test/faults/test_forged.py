@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from campaign import run_forged_missions
+from extent import FULL
 from forged import run_forged
 from forger import FORGERIES
 import pytest
@@ -11,7 +12,7 @@ import pytest
 pytestmark = pytest.mark.processes
 
 # Of the messages of the campaign: its flood alone takes 20 s.
-SCALE = 0.1
+SCALE = 0.1 if FULL else 0.03
 
 
 @pytest.fixture(scope='module')

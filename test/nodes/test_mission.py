@@ -126,12 +126,12 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
     'parameters',
     [
         # As users start nodes.
-        pytest.param({'seed': 3, 'robots': 40 if FULL else 15}, marks=pytest.mark.interpreter),
-        {**ODD, 'seed': 4, 'robots': 25},
+        pytest.param({'seed': 3, 'robots': 40 if FULL else 6}, marks=pytest.mark.interpreter),
+        {**ODD, 'seed': 4, 'robots': 25 if FULL else 12},
         pytest.param({**LEARNING, 'seed': 5, 'robots': 25}, marks=pytest.mark.full),
-        {**WILFUL, 'seed': 6, 'robots': 25},
+        {**WILFUL, 'seed': 6, 'robots': 25 if FULL else 12},
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
-        {**HUGE, 'seed': 8, 'robots': 3},
+        {**HUGE, 'seed': 8, 'robots': 3 if FULL else 2},
         pytest.param({'planner': 'coverage', 'seed': 9, 'robots': 10}, marks=pytest.mark.full),
         {
             **SMALL,

@@ -79,7 +79,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     for kills in range(KILLS):
         # A recorder that is killed before it has a file of its own has nothing to lose.
         field.until(lambda kills=kills: len(parts_of(log)) > kills, 'file of the next recorder')
-        load.send((DEPLOYMENTS - 100) // (2 * KILLS), rng.uniform(0.5, 2.5))
+        load.send((DEPLOYMENTS - 100) // (2 * max(KILLS, 10)), rng.uniform(0.5, 2.5))
         recorder.kill()
         recorder.wait()
         parts = parts_of(log)

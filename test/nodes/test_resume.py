@@ -119,7 +119,7 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
 @pytest.mark.parametrize(
     'before, depth',
     [
-        (160, 100),
+        (70, 50),
         pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
         pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
     ],

@@ -39,7 +39,7 @@ def test_few_cells_make_few_classes():
 
 
 @for_each('lethalities, trials', [((0.2, 0.9), 3), ((0.9,), 1)], every=2)
-def test_every_study_has_its_report(results, tmp_path, lethalities, trials):
+def test_every_study_has_its_report(results, tmp_path, pictures, lethalities, trials):
     scenario = replace(results.scenario, lethalities=lethalities, trials=trials)
     written = write_report(Results(scenario, results.outcomes), tmp_path)
     assert sorted(tmp_path.iterdir()) == sorted(written)

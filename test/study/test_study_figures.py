@@ -53,7 +53,7 @@ def changed(scenario, changes):
     return replace(scenario, **{'methods': ('kappa_bnitp',), 'trials': 2} | changes)
 
 
-@for_each('name', STUDIES, every=3)
+@for_each('name', STUDIES, every=4)
 def test_figures_are_legible(scenario, name):
     scenario = changed(scenario, STUDIES[name])
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
@@ -123,7 +123,7 @@ def test_rows_of_panels_are_full_if_they_can_be():
 
 def test_lines_are_what_was_measured(scenario):
     """The log loss after each round is read back from the figure of the rounds."""
-    scenario = changed(scenario, STUDIES['allocations'])
+    scenario = changed(scenario, {**STUDIES['allocations'], 'lethalities': (0.1, 0.9)})
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
     results = Results(scenario, outcomes)
     panels = iter(figures_of(results)['by_round'].axes)
