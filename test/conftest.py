@@ -11,6 +11,9 @@ from hypothesis import HealthCheck, settings
 import laws
 import pytest
 
+# Of numpy, which is not imported yet: tests run side by side, and threads would wait in vain.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
 # Fixtures that start processes, so that the tests that ask for them are marked `processes`.
 STARTERS = {'browser', 'field', 'set_out'}
 

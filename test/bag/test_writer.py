@@ -444,7 +444,10 @@ def test_corruption_anywhere_is_noticed_before_a_log_is_gone_on_with(
         log.sync()
         record_to(log, whole_mission.sent[6:9])
     content = path.read_bytes()
-    for at in [*range(0, len(content), 97 if FULL else 389), *range(len(content) - 40, len(content))]:
+    for at in [
+        *range(0, len(content), 97 if FULL else 389),
+        *range(len(content) - 40, len(content)),
+    ]:
         flipped, after = bytes([content[at] ^ 0x10]), at + 1
         path.write_bytes(content[:at] + flipped + content[after:])
         with pytest.raises(LogError, match=r'is corrupt near byte|is no MCAP file'):

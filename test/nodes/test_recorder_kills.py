@@ -25,7 +25,7 @@ from rclpy.serialization import serialize_message
 from samples import key, lost, path, prior
 from std_msgs.msg import UInt8MultiArray
 
-KILLS = 50 if FULL else 3
+KILLS = 50 if FULL else 2
 
 # All that a publisher keeps for a recorder that comes back.
 DEPLOYMENTS = qos.DEPTH

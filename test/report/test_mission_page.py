@@ -108,7 +108,7 @@ def move(page, moment):
 def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
     mission, _ = shown
     page = opened()
-    chosen = np.random.default_rng(0).choice(len(mission.moments), 20, replace=False)
+    chosen = np.random.default_rng(0).choice(len(mission.moments), 8, replace=False)
     for moment in chosen:
         move(page, moment)
         for name in NAMES:

@@ -106,7 +106,7 @@ def test_the_chi_square_is_right():
     assert probability_of_more(27.204, 20) == pytest.approx(0.1, abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize('size', [FEW, pytest.param(MANY, marks=LONG)])
 def test_ranks_are_uniform(size):
     p, name = worst(*size)
