@@ -6,22 +6,48 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.field import compiled, inlined
 from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
 from kbnitp_ros.core.planning.search.label_kernels import (
     Floats,
     Gains,
     label_value,
+    LabelObjective,
     LabelProblem,
     new_products,
-    outcome_value,
     Places,
     Products,
     Reach,
+    surprisal,
     visit,
+)
+from kbnitp_ros.core.planning.search.stretch_kernels import (
+    find_long_stretch,
+    find_stretch,
+    Gap,
+    new_room,
 )
 import numpy as np
 from numpy.typing import NDArray
+
+
+class Moves(NamedTuple):
+    """
+    What the local search replaces.
+
+    Attributes
+    ----------
+    between, in_stem : int
+        Up to so many cells in a row by all that fit, on one way and on both ways of a stem.
+    long, long_in_stem : int
+        So many likewise by label searches, once that does not help any more; 0 for none.
+
+    """
+
+    between: int
+    in_stem: int
+    long: int
+    long_in_stem: int
 
 
 class Seen(NamedTuple):
@@ -79,32 +105,47 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
         walked[step] = walked[step - 1] + length_to(reach, path[step - 1], path[step])
 
 
-@compiled
-def take(
-    path: Places,
-    first: int,
-    last: int,
-    gains: Gains,
-    visits: Places,
-    to: Products,
-    both_ways: bool = False,
+@inlined
+def visit_all(
+    path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products
 ) -> None:
-    """
-    Write the label of a path, ranks of cells, without the steps between two of its places.
-
-    It is written into row 0 of `to`, and its visits to each cell are counted. With `both_ways`
-    those between the same two places from the end are left out as well.
-    """
-    visits[:] = 0
-    to.factor[0] = 1.0
-    to.term[0] = 0.0
-    for step in range(1, path.size):
-        back = path.size - 1 - step
-        if first < step < last or (both_ways and first < back < last):
-            continue
+    """Visit the cells of a path from one place to another: row 0 of `to`, and their counts."""
+    for step in range(first, last + 1):
         cell = path[step]
         visit(to, 0, gains, cell, visits[cell], to, 0)
         visits[cell] += 1
+
+
+@compiled
+def take(path: Places, gains: Gains, visits: Places, to: Products) -> None:
+    """Write the label of a closed path, ranks of cells, into row 0, and count its visits."""
+    visits[:] = 0
+    to.factor[0], to.term[0] = 1.0, 0.0
+    visit_all(path, 1, path.size - 1, gains, visits, to)
+
+
+@compiled
+def outcome_value(products: Products, row: int, objective: LabelObjective) -> float:
+    r"""
+    Return the value of a label without the entropy that hazards leave in its own outcome.
+
+    The first sum of equation :eq:`label-value`,
+
+    .. math::
+
+        \sum_\omega w_\omega \bigl[ h(P_\omega) + P_\omega J_\omega - c (1 - P_\omega) \bigr],
+
+    over joint outcomes :math:`\omega` with the survival P and the information of readings J.
+    """
+    factor, term = products
+    chance, loss_cost = objective.chance, objective.loss_cost
+    powers = factor.shape[1] - chance.size
+    value = -loss_cost
+    for outcome in range(chance.size):
+        survival = factor[row, powers + outcome]
+        of_outcome = survival * (term[row, 1 + outcome] + loss_cost) + surprisal(1.0 - survival)
+        value += chance[outcome] * of_outcome
+    return value
 
 
 @compiled
@@ -117,7 +158,7 @@ def exact_value(
     Equation :eq:`objective-value`, with the chances to survive as of `exposed`.
     """
     products = new_products(1, problem.gains)
-    take(path, 0, 0, problem.gains, np.empty(hazard.size, np.int64), products)
+    take(path, problem.gains, np.empty(hazard.size, np.int64), products)
     value: float = outcome_value(products, 0, problem.objective)
     return value - left_open(exposed(path[1:], hazard, log_safe, log_deadly))
 
@@ -177,14 +218,35 @@ def is_new(path: Places, marks: NDArray[np.int64], seen: Seen) -> bool:
 
 
 @compiled
+def replace(path: Places, steps: int, first: int, last: int, cells: Places, ways: int) -> int:
+    """Write other cells between two places of a path; return the steps that it has then."""
+    rest = path[last : (steps if ways == 1 else steps - last) + 1].copy()
+    after = first + 1 + cells.size
+    path[first + 1 : after] = cells
+    path[after : after + rest.size] = rest
+    steps += ways * (cells.size - (last - first - 1))
+    if ways == 2:
+        for place in range(after):
+            path[steps - place] = path[place]
+    return steps
+
+
+@compiled
 def improve(
-    problem: LabelProblem, path: Places, steps: int, most_between: int, ways: int, seen: Seen
+    problem: LabelProblem,
+    path: Places,
+    steps: int,
+    most_between: int,
+    ways: int,
+    by_labels: bool,
+    seen: Seen,
 ) -> tuple[int, bool]:
     """
     Replace stretches of a closed path by better ones until there are none: a local search.
 
     A stretch of up to `most_between` cells is replaced by the best of up to so many with which
-    the path keeps to its length: all else stays, so its value is that of the whole path.
+    the path keeps to its length. With `by_labels` stretches of `most_between` cells are, or of
+    fewer at the end, and by good ones.
 
     Parameters
     ----------
@@ -199,6 +261,8 @@ def improve(
     ways : int
         1, or 2 to replace stretches of the first steps, together with those of the last steps that
         lead back the same way; the cells between which these end may differ.
+    by_labels : bool
+        Whether `find_long_stretch` looks for them, or `find_stretch`.
     seen : Seen
         Paths that are not gone on from; is added to.
 
@@ -211,75 +275,62 @@ def improve(
 
     """
     reach, marks, gains, objective = problem
-    max_visits, neighbors = gains.factor.shape[1], reach.neighbors
-    visits = np.zeros(neighbors.shape[0], np.int64)
-    products = new_products(most_between + 1, gains)
-    # Metres up to each place; and up to each cell of a stretch, with all that stays.
-    walked, length = np.zeros(path.size), np.zeros(most_between + 1)
+    cells = reach.neighbors.shape[0]
+    room = new_room(cells, 1 + most_between * (cells if by_labels else 1), most_between, gains)
+    # Metres up to each place.
+    walked = np.zeros(path.size)
     measure(path[: steps + 1], reach, walked)
-    stretch, best = np.empty(most_between + 1, np.int64), np.empty(most_between + 1, np.int64)
-    column = np.empty(most_between + 1, np.int64)
-    take(path[: steps + 1], 0, 0, gains, visits, products)
-    best_value = label_value(products, 0, objective)
-    # Metres of the steps that join each cell to where a stretch ends; inf where there are none.
-    closing = np.full(neighbors.shape[0], inf)
+    take(path[: steps + 1], gains, room.visits, room.products)
+    best_value = label_value(room.products, 0, objective)
+    # The label of the first steps, `reached` of them.
+    before, visits_before, reached = new_products(1, gains), np.zeros_like(room.visits), path.size
     # Places since the last replacement, up to all of them.
     first, unchanged = 0, 0
     places = stretches_end(path[: steps + 1], ways)
     while unchanged < places:
-        found, last = -1, first
-        while found < 0 and last < min(first + most_between + 1, places):
+        if reached > first:
+            before.factor[0], before.term[0] = 1.0, 0.0
+            visits_before[:] = 0
+            reached = 0
+        visit_all(path, reached + 1, first, gains, visits_before, before)
+        reached = first
+        farthest = min(first + most_between + 1, places)
+        found, last = -1, farthest - 1 if by_labels else first
+        while found < 0 and last < farthest:
             last += 1
             between = last - first - 1
-            take(path[: steps + 1], first, last, gains, visits, products, ways == 2)
-            most = min(most_between, (path.size - 1 - steps) // ways + between)
-            length[0] = walked[steps] - (walked[last] - walked[first])
+            room.visits[:] = visits_before
+            room.products.factor[0], room.products.term[0] = before.factor[0], before.term[0]
+            length = walked[steps] - (walked[last] - walked[first])
+            back = steps if ways == 1 else steps - last
+            visit_all(path, last, back, gains, room.visits, room.products)
             if ways == 2:
-                length[0] -= walked[steps - first] - walked[steps - last]
-            mark_steps_to(reach, path[last], path[steps - last], ways, closing)
-            # Depth first through all stretches; row `depth` is the label with so many cells.
-            depth, stretch[0], column[0] = 0, path[first], 0
-            while depth >= 0:
-                cell = stretch[depth]
-                if column[depth] == 0:
-                    closed = length[depth] + closing[cell]
-                    value = label_value(products, depth, objective) if closed < inf else -inf
-                    if value > best_value and closed <= reach.longest:
-                        best_value, found = value, depth
-                        best[: depth + 1] = stretch[: depth + 1]
-                if column[depth] == 9 or depth == most:
-                    if depth > 0:
-                        visits[cell] -= ways
-                    depth -= 1
-                    continue
-                there = neighbors[cell, column[depth]]
-                column[depth] += 1
-                if there < 0 or visits[there] + ways > max_visits:
-                    continue
-                if depth == 0 and between and there == path[first + 1]:
-                    # That is the stretch from the next place.
-                    continue
-                if depth + 1 < most or closing[there] < inf:
-                    row = depth
-                    for _ in range(ways):
-                        visit(products, row, gains, there, visits[there], products, depth + 1)
-                        visits[there] += 1
-                        row = depth + 1
-                    length[depth + 1] = length[depth] + ways * reach.length[column[depth] - 1]
-                    depth += 1
-                    stretch[depth], column[depth] = there, 0
-            unmark_steps_to(reach, path[last], closing)
+                visit_all(path, steps - first, steps, gains, room.visits, room.products)
+                length -= walked[steps - first] - walked[back]
+            is_kept = between > 0 and not by_labels
+            gap = Gap(
+                ways,
+                min(most_between, (path.size - 1 - steps) // ways + between),
+                path[first],
+                path[last],
+                path[first + 1] if is_kept else -1,
+                path[last - 1] if is_kept else -1,
+                length,
+            )
+            mark_steps_to(reach, gap.end, path[back], ways, room.closing)
+            if between and length + room.closing[gap.start] <= reach.longest:
+                value = label_value(room.products, 0, objective)
+                if value > best_value:
+                    best_value, found = value, 0
+            if by_labels:
+                value, count = find_long_stretch(problem, gap, room, best_value)
+            else:
+                value, count = find_stretch(problem, gap, room, best_value)
+            if count > 0:
+                best_value, found = value, count
+            unmark_steps_to(reach, gap.end, room.closing)
         if found >= 0:
-            stop = steps + 1 if ways == 1 else steps - last + 1
-            rest = path[last:stop].copy()
-            for k in range(1, found + 1):
-                path[first + k] = best[k]
-            for k in range(rest.size):
-                path[first + found + 1 + k] = rest[k]
-            steps += ways * (found - between)
-            if ways == 2:
-                for k in range(first + found + 1):
-                    path[steps - k] = path[k]
+            steps = replace(path, steps, first, last, room.best[1 : found + 1], ways)
             measure(path[: steps + 1], reach, walked)
             if not is_new(path[: steps + 1], marks, seen):
                 return steps, False
@@ -292,10 +343,10 @@ def improve(
 
 @compiled
 def improve_all(
-    problem: LabelProblem, paths: NDArray[np.intp], steps: Places, most_between: int, in_stem: int
+    problem: LabelProblem, paths: NDArray[np.intp], steps: Places, moves: Moves
 ) -> None:
     """
-    Improve closed paths until neither replacing cells of a stem nor replacing cells helps.
+    Improve closed paths until no move helps.
 
     A path that comes to one that was there before is left so. One call for all: to hand over
     `problem` takes as long as to improve some paths.
@@ -308,8 +359,8 @@ def improve_all(
         Ranks of their cells, and room; are changed.
     steps : ndarray of int, shape (paths,)
         Of each path; are changed.
-    most_between, in_stem : int
-        As `most_between` of `improve`, on one way and on both ways of a stem.
+    moves : Moves
+        That are tried.
 
     """
     seen = Seen(np.zeros(paths.size, np.int64), np.zeros(1, np.int64))
@@ -317,9 +368,13 @@ def improve_all(
         path, count = paths[row], steps[row]
         goes_on = is_new(path[: count + 1], problem.marks, seen)
         while goes_on:
-            before = path[: count + 1].copy()
-            count, goes_on = improve(problem, path, count, in_stem, 2, seen)
+            old = path[: count + 1].copy()
+            count, goes_on = improve(problem, path, count, moves.in_stem, 2, False, seen)
             if goes_on:
-                count, goes_on = improve(problem, path, count, most_between, 1, seen)
-            goes_on = goes_on and not np.array_equal(path[: count + 1], before)
+                count, goes_on = improve(problem, path, count, moves.between, 1, False, seen)
+            if goes_on and moves.long and np.array_equal(path[: count + 1], old):
+                count, goes_on = improve(problem, path, count, moves.long_in_stem, 2, True, seen)
+                if goes_on:
+                    count, goes_on = improve(problem, path, count, moves.long, 1, True, seen)
+            goes_on = goes_on and not np.array_equal(path[: count + 1], old)
         steps[row] = count

@@ -21,7 +21,7 @@ from __future__ import annotations
 from math import floor, log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.field import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +38,8 @@ class Reach(NamedTuple):
     cells : ndarray of int, shape (n,)
         By their distance from the base, which comes first, and then ascending; the place of a
         cell is its rank.
+    position : ndarray of int, shape (n, 2)
+        Row and column of each.
     neighbors : ndarray of int, shape (n, 9)
         Ranks of the cells one step away, -1 where there is none. Columns j and 8 - j lead into
         opposite directions.
@@ -55,6 +57,7 @@ class Reach(NamedTuple):
     """
 
     cells: Places
+    position: Places
     neighbors: Places
     within: Places
     start: Places
@@ -145,33 +148,44 @@ class Products(NamedTuple):
     term: Floats
 
 
+@inlined
+def steps_apart(reach: Reach, one: int, other: int) -> int:
+    """Return how many steps are between two cells at least, without obstacles."""
+    position = reach.position
+    rows: int = abs(position[one, 0] - position[other, 0])
+    columns: int = abs(position[one, 1] - position[other, 1])
+    return max(rows, columns)
+
+
 @compiled
 def surprisal(p: float) -> float:
     """Return -p ln p."""
     return -p * log(p) if p > 0.0 else 0.0
 
 
-@compiled
-def outcome_value(products: Products, row: int, objective: LabelObjective) -> float:
+@inlined
+def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: float) -> float:
     r"""
     Return the value of a label without the entropy that hazards leave in its own outcome.
 
-    The first sum of equation :eq:`label-value`,
+    The first sum of equation :eq:`label-value`, with the surprisal of a loss averaged as in
+    equation :eq:`loss-surprisal`: with the chance q of a loss in each joint outcome,
 
-    .. math::
+    .. math:: E[-q \ln q] \approx -\bar q \ln \bar q - \operatorname{Var}(q) / (2 \bar q).
 
-        \sum_\omega w_\omega \bigl[ h(P_\omega) + P_\omega J_\omega - c (1 - P_\omega) \bigr],
+    Parameters
+    ----------
+    brought : float
+        The mean of what readings bring, nats.
+    lost, lost_square : float
+        The means of q and of its square.
+    loss_cost : float
+        Nats.
 
-    over joint outcomes :math:`\omega` with the survival P and the information of readings J.
     """
-    factor, term = products
-    chance, loss_cost = objective.chance, objective.loss_cost
-    powers = factor.shape[1] - chance.size
-    value = -loss_cost
-    for outcome in range(chance.size):
-        survival = factor[row, powers + outcome]
-        of_outcome = survival * (term[row, 1 + outcome] + loss_cost) + surprisal(1.0 - survival)
-        value += chance[outcome] * of_outcome
+    value = brought + surprisal(lost) - loss_cost * lost
+    if lost > 0.0:
+        value -= 0.5 * (lost_square - lost * lost) / lost
     return value
 
 
@@ -180,26 +194,41 @@ def label_value(products: Products, row: int, objective: LabelObjective) -> floa
     r"""
     Return the value of a label, in units.
 
-    Equation :eq:`label-value`: `outcome_value` less what hazards leave open of the outcome,
+    Equation :eq:`label-value`: `averaged_value` less what hazards leave open of the outcome,
 
     .. math:: E[h(p)] \approx \sum_j w_j E[p^{a_j}] - E[p \ln p],
 
     by equations :eq:`entropy-powers` and :eq:`moment-log`.
     """
     factor, term = products
+    weight, chance, loss_cost, units = objective
     left_open = -factor[row, 0] * term[row, 0]
-    for k in range(objective.weight.size):
-        left_open += objective.weight[k] * factor[row, k]
-    value: float = outcome_value(products, row, objective) - left_open
-    return floor(value * objective.units + 0.5)
+    for k in range(weight.size):
+        left_open += weight[k] * factor[row, k]
+    lost, lost_square, brought = 0.0, 0.0, 0.0
+    for outcome in range(chance.size):
+        survival = factor[row, weight.size + outcome]
+        loss = chance[outcome] * (1.0 - survival)
+        lost += loss
+        lost_square += loss * (1.0 - survival)
+        brought += chance[outcome] * survival * term[row, 1 + outcome]
+    value: float = averaged_value(brought, lost, lost_square, loss_cost) - left_open
+    return floor(value * units + 0.5)
 
 
-@compiled
+@inlined
 def visit(
-    products: Products, row: int, gains: Gains, rank: int, before: int, to: Products, to_row: int
+    products: Products,
+    row: int,
+    gains: Gains,
+    rank: int,
+    before: int,
+    to: Products,
+    to_row: int,
+    times: int = 1,
 ) -> None:
     r"""
-    Write a label after one more visit to a cell that it visits so often before.
+    Write a label after one or two more visits to a cell that it visits so often before.
 
     The moments of equation :eq:`moment-power` are multiplied, the sums of :eq:`moment-log` and of
     the information of readings are added to: after visit n to cell i,
@@ -210,9 +239,56 @@ def visit(
         J_\omega \leftarrow J_\omega + J_{i,n,\omega} - J_{i,n-1,\omega}.
     """
     for k in range(products.factor.shape[1]):
-        to.factor[to_row, k] = products.factor[row, k] * gains.factor[rank, before, k]
+        factor = products.factor[row, k] * gains.factor[rank, before, k]
+        if times == 2:
+            factor *= gains.factor[rank, before + 1, k]
+        to.factor[to_row, k] = factor
     for k in range(products.term.shape[1]):
-        to.term[to_row, k] = products.term[row, k] + gains.term[rank, before, k]
+        term = products.term[row, k] + gains.term[rank, before, k]
+        if times == 2:
+            term += gains.term[rank, before + 1, k]
+        to.term[to_row, k] = term
+
+
+@inlined
+def value_after(
+    products: Products,
+    row: int,
+    gains: Gains,
+    rank: int,
+    before: int,
+    times: int,
+    objective: LabelObjective,
+) -> float:
+    """Return `label_value` after `visit`, without writing that label."""
+    factor, term = products
+    weight, chance, loss_cost, units = objective
+    powers = weight.size
+    left_open, mean = 0.0, 0.0
+    for k in range(powers):
+        moment = factor[row, k] * gains.factor[rank, before, k]
+        if times == 2:
+            moment *= gains.factor[rank, before + 1, k]
+        left_open += weight[k] * moment
+        if k == 0:
+            mean = moment
+    spread = term[row, 0] + gains.term[rank, before, 0]
+    if times == 2:
+        spread += gains.term[rank, before + 1, 0]
+    lost, lost_square, brought = 0.0, 0.0, 0.0
+    for outcome in range(chance.size):
+        survival = factor[row, powers + outcome] * gains.factor[rank, before, powers + outcome]
+        readings = term[row, 1 + outcome] + gains.term[rank, before, 1 + outcome]
+        if times == 2:
+            survival *= gains.factor[rank, before + 1, powers + outcome]
+            readings += gains.term[rank, before + 1, 1 + outcome]
+        loss = chance[outcome] * (1.0 - survival)
+        lost += loss
+        lost_square += loss * (1.0 - survival)
+        brought += chance[outcome] * survival * readings
+    left_open -= mean * spread
+    value: float = averaged_value(brought, lost, lost_square, loss_cost) - left_open
+    return floor(value * units + 0.5)
 
 
 @compiled

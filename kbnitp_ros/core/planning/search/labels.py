@@ -15,9 +15,9 @@ from kbnitp_ros.core.planning.search.gains import gains_of
 from kbnitp_ros.core.planning.search.improvement_kernels import (
     exact_values,
     improve_all,
+    Moves,
 )
 from kbnitp_ros.core.planning.search.label_kernels import (
-    Gains,
     LabelObjective,
     LabelProblem,
     Reach,
@@ -35,9 +35,8 @@ RANKED = 8
 STEMS = 4
 LASSOS = 96
 
-# In each round of the local search up to so many cells in a row are replaced, and up to so many
-# of a stem, on both ways; so many of the best paths are kept.
-ROUNDS = ((1, 2, 24), (2, 3, 8), (3, 3, 8))
+# The rounds of the local search: what is replaced, and how many of the best paths are kept.
+ROUNDS = ((Moves(1, 2, 0, 0), 48), (Moves(2, 3, 0, 0), 8), (Moves(3, 3, 6, 4), 8))
 
 # The most bytes that a search may take.
 MOST_MEMORY = 1 << 30
@@ -54,7 +53,8 @@ def best_paths(
     and a good completion together. Paths that differ only in the order of their visits have the
     same value and count once. A second search is for lassos, paths that go out, around a loop, and
     back the way out. A local search then replaces stretches of cells in the paths of both, on one
-    way and in stems on both ways together: single cells in all, and longer stretches in the best.
+    way and in stems on both ways together: single cells in all, and longer stretches in the best,
+    the longest by label searches of their own.
     A search of width 1 does nothing of this: there is one label for each cell and step, as in the
     paper.
 
@@ -86,8 +86,8 @@ def best_paths(
     closed = labels.closed_paths(max(2 * width, RANKED))
     if width > 1:
         paths = [*closed, *labels.lassos()[:LASSOS]]
-        for replaced, in_stem, kept in ROUNDS:
-            improved = labels.improved(paths, replaced, in_stem)
+        for moves, kept in ROUNDS:
+            improved = labels.improved(paths, moves)
             paths = [path for _, path in labels.ranked(improved)[:kept]]
             closed += paths
     return [Candidate(value, labels.reach.cells[path]) for value, path in labels.ranked(closed)]
@@ -123,7 +123,6 @@ class LabelSearch:
         self._hazard = objective.belief.hazard[self.reach.cells]
         self._log_survival = objective.model.log_survival
         self._width = width
-        self._columns = grid.width
         # Lassos visit each cell of their stem twice.
         self._seeks_lassos = width > 1 and max_visits > 1
         self._kept = max(1, width // 4) if self._seeks_lassos else width
@@ -148,21 +147,17 @@ class LabelSearch:
         """Return the best lasso for each end of a stem that has one, the best first, as ranks."""
         if not self._seeks_lassos:
             return []
-        gains = twice(self.problem.gains)
-        position = np.stack(np.divmod(self.reach.cells, self._columns), axis=1)
-        closed = search_lassos(self.problem, gains, position, self._width, STEMS)
+        closed = search_lassos(self.problem, self._width, STEMS)
         return [
             closed.path[end, : closed.steps[end] + 1].astype(np.intp)
             for end in np.argsort(-closed.value, kind='stable')
             if closed.value[end] > -inf
         ]
 
-    def improved(
-        self, paths: Sequence[NDArray[np.intp]], replaced: int, in_stem: int
-    ) -> list[NDArray[np.intp]]:
-        """Return closed paths with stretches of up to so many cells replaced by better ones."""
+    def improved(self, paths: Sequence[NDArray[np.intp]], moves: Moves) -> list[NDArray[np.intp]]:
+        """Return closed paths with stretches of cells replaced by better ones."""
         padded, steps = self._padded(paths)
-        improve_all(self.problem, padded, steps, replaced, in_stem)
+        improve_all(self.problem, padded, steps, moves)
         return [path[: count + 1] for path, count in zip(padded, steps)]
 
     def _padded(
@@ -193,16 +188,6 @@ class LabelSearch:
             self.problem, *self._padded(paths), self._hazard, *self._log_survival
         )
         return [round(value, DECIMALS) for value in values.tolist()]
-
-
-def twice(gains: Gains) -> Gains:
-    """Return what each next two visits multiply and add to."""
-    pairs = gains.factor.shape[1] // 2
-    first, second = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2)
-    return gains._replace(
-        factor=np.ascontiguousarray(gains.factor[:, first] * gains.factor[:, second]),
-        term=np.ascontiguousarray(gains.term[:, first] + gains.term[:, second]),
-    )
 
 
 def check_memory(
@@ -253,6 +238,12 @@ def check_memory(
         * cells
         * (width + STEMS)
         * (number * (factors_and_terms + 3) + 4 * (max_steps + 1))
+        # The labels of a stretch.
+        + (width > 1)
+        * max(moves.long for moves, _ in ROUNDS)
+        * cells
+        * number
+        * (factors_and_terms + 5)
         # The gains and the chances of readings, while they are made.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2

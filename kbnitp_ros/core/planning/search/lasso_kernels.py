@@ -15,7 +15,7 @@ labels with stems of any length compete at the same cell after the same number o
 
 from __future__ import annotations
 
-from math import floor, inf
+from math import inf
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled, inlined
@@ -23,12 +23,12 @@ from kbnitp_ros.core.planning.search.label_kernels import (
     Floats,
     Gains,
     label_value,
-    LabelObjective,
     LabelProblem,
     new_products,
     Places,
     Products,
-    surprisal,
+    steps_apart,
+    value_after,
     visit,
 )
 from kbnitp_ros.core.planning.search.search_kernels import insert, no_ranking, Ranking
@@ -100,34 +100,6 @@ def no_lassos(cells: int, width: int, steps: int, gains: Gains) -> Lassos:
 
 
 @inlined
-def value_after(
-    products: Products, row: int, gains: Gains, rank: int, before: int, objective: LabelObjective
-) -> float:
-    """Return the value of a label after one more visit, in units, averaged as in `find_best`."""
-    factor, term = products
-    gain_factor, gain_term = gains
-    weight, chance, loss_cost, units = objective
-    powers = weight.size
-    left_open = 0.0
-    for k in range(powers):
-        left_open += weight[k] * (factor[row, k] * gain_factor[rank, before, k])
-    lost, lost_square, brought = 0.0, 0.0, 0.0
-    for outcome in range(chance.size):
-        survival = factor[row, powers + outcome] * gain_factor[rank, before, powers + outcome]
-        loss = chance[outcome] * (1.0 - survival)
-        lost += loss
-        lost_square += loss * (1.0 - survival)
-        readings = term[row, 1 + outcome] + gain_term[rank, before, 1 + outcome]
-        brought += chance[outcome] * survival * readings
-    mean = factor[row, 0] * gain_factor[rank, before, 0]
-    spread = term[row, 0] + gain_term[rank, before, 0]
-    value: float = brought + surprisal(lost) + mean * spread - left_open - loss_cost * lost
-    if lost > 0.0:
-        value -= 0.5 * (lost_square - lost * lost) / lost
-    return floor(value * units + 0.5)
-
-
-@inlined
 def visits_of(labels: Lassos, row: int, places: int, rank: int) -> int:
     """Return how often a label visits a cell; it has so many places after the first base."""
     # Its way home ends in the base.
@@ -155,25 +127,23 @@ def close(labels: Lassos, row: int, step: int, value: float, closed: Closed) -> 
 @inlined
 def find_extensions(
     problem: LabelProblem,
-    gains: Gains,
     labels: Lassos,
     ways: int,
     step: int,
     rank: int,
     source: int,
-    position: Places,
     closed: Closed,
     best: Ranking,
 ) -> None:
     """
     Find the best ways to extend labels to a cell.
 
+    A label is left out that cannot be where its stem ends in time, even without obstacles.
+
     Parameters
     ----------
     problem : LabelProblem
         Of the search.
-    gains : Gains
-        Of visits on so many ways at once.
     labels : Lassos
         Those of `ways` steps before.
     ways : int
@@ -182,16 +152,13 @@ def find_extensions(
         After how many steps the robot is at the cell, and the cell.
     source : int
         What the origins are marked with: 0 for loops and 1 for stems.
-    position : ndarray of int, shape (cells, 2)
-        Row and column of each cell. A label is left out that cannot be where its stem ends in
-        time, even without obstacles.
     closed : Closed
         Lassos that end here, if they are better.
     best : Ranking
         The result, with `2 * (16 * slot + column) + source` as origins.
 
     """
-    reach, marks, _, objective = problem
+    reach, marks, gains, objective = problem
     width = labels.mark.size // labels.kept.size
     left = reach.within.size - 1 - step
     is_limited = reach.longest > 0.0
@@ -203,10 +170,7 @@ def find_extensions(
             row = origin * width + slot
             stem = labels.stem[row]
             end = labels.path[row, stem]
-            if ways == 1 and left < max(
-                abs(position[rank, 0] - position[end, 0]),
-                abs(position[rank, 1] - position[end, 1]),
-            ):
+            if ways == 1 and left < steps_apart(reach, rank, end):
                 continue
             length = labels.length[row] + ways * reach.length[column]
             if is_limited and length > reach.longest:
@@ -217,10 +181,10 @@ def find_extensions(
                 if value > closed.value[end]:
                     close(labels, row, step, value, closed)
                 continue
-            before = visits_of(labels, row, step - ways - stem, rank) // ways
-            if before >= gains.factor.shape[1]:
+            before = visits_of(labels, row, step - ways - stem, rank)
+            if before + ways > gains.factor.shape[1]:
                 continue
-            value = value_after(labels.products, row, gains, rank, before, objective)
+            value = value_after(labels.products, row, gains, rank, before, ways, objective)
             if value > best.score[-1]:
                 mark = labels.mark[row] + ways * marks[rank]
                 insert(value, mark, length, 2 * (16 * slot + column) + source, best)
@@ -229,12 +193,10 @@ def find_extensions(
 @compiled
 def extend(
     problem: LabelProblem,
-    gains: Gains,
     loops: Lassos,
     stems: Lassos,
     ways: int,
     step: int,
-    position: Places,
     closed: Closed,
     best: Ranking,
     after: Lassos,
@@ -247,9 +209,9 @@ def extend(
     for rank in range(ways - 1, neighbors.shape[0]):
         best.score[:] = -inf
         if ways == 1:
-            find_extensions(problem, gains, loops, ways, step, rank, 0, position, closed, best)
+            find_extensions(problem, loops, ways, step, rank, 0, closed, best)
         if ways == 2 or (step % 2 == 1 and step > 1):
-            find_extensions(problem, gains, stems, ways, step, rank, 1, position, closed, best)
+            find_extensions(problem, stems, ways, step, rank, 1, closed, best)
         kept = 0
         while kept < width and best.score[kept] > -inf:
             origin = best.origin[kept]
@@ -257,9 +219,9 @@ def extend(
             labels = stems if origin & 1 else loops
             row = neighbors[rank, column] * (labels.mark.size // labels.kept.size) + (origin >> 5)
             places = step - ways - labels.stem[row]
-            before = visits_of(labels, row, places, rank) // ways
+            before = visits_of(labels, row, places, rank)
             to = rank * width + kept
-            visit(labels.products, row, gains, rank, before, after.products, to)
+            visit(labels.products, row, problem.gains, rank, before, after.products, to, ways)
             after.mark[to] = best.mark[kept]
             after.length[to] = labels.length[row] + ways * length[column]
             after.stem[to] = labels.stem[row] + ways - 1
@@ -270,9 +232,7 @@ def extend(
 
 
 @compiled
-def search_lassos(
-    problem: LabelProblem, gains_of_two: Gains, position: Places, width: int, stem_width: int
-) -> Closed:
+def search_lassos(problem: LabelProblem, width: int, stem_width: int) -> Closed:
     """
     Find good lassos, with stems of one step at least.
 
@@ -280,10 +240,6 @@ def search_lassos(
     ----------
     problem : LabelProblem
         What is searched for.
-    gains_of_two : Gains
-        Of each next two visits.
-    position : ndarray of int, shape (cells, 2)
-        Row and column of each cell.
     width, stem_width : int
         How many labels each cell may have after each number of steps: those whose loop has begun,
         and stems.
@@ -314,20 +270,9 @@ def search_lassos(
         np.full(cells, -inf), np.zeros((cells, max_steps + 1), np.int32), np.zeros(cells, np.intp)
     )
     for step in range(1, max_steps + 1):
-        extend(problem, gains, loops, stems, 1, step, position, closed, best_loops, next_loops)
+        extend(problem, loops, stems, 1, step, closed, best_loops, next_loops)
         loops, next_loops = next_loops, loops
         if step % 2 == 0 and step < max_steps:
-            extend(
-                problem,
-                gains_of_two,
-                loops,
-                stems,
-                2,
-                step,
-                position,
-                closed,
-                best_stems,
-                next_stems,
-            )
+            extend(problem, loops, stems, 2, step, closed, best_stems, next_stems)
             stems, next_stems = next_stems, stems
     return closed

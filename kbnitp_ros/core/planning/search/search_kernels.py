@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled, inlined
 from kbnitp_ros.core.planning.search.label_kernels import (
+    averaged_value,
     Floats,
     Gains,
     label_value,
@@ -190,16 +191,12 @@ def find_best(
     completions: Completions,
     best: Best,
 ) -> None:
-    r"""
+    """
     Find the best ways to extend labels to a cell.
 
-    Labels are compared by equation :eq:`label-value`, in which the surprisal of a loss, q in each
-    joint outcome, is averaged as in equation :eq:`loss-surprisal`,
-
-    .. math:: E[-q \ln q] \approx -\bar q \ln \bar q - \operatorname{Var}(q) / (2 \bar q),
-
-    and by the same with a completion, whose moments multiply (equation :eq:`heuristic`). Labels
-    are left out on which the robot could not come home within the length allowed.
+    Labels are compared by `label_value`, and by the same with a completion, whose moments multiply
+    (equation :eq:`heuristic`). Labels are left out on which the robot could not come home within
+    the length allowed.
 
     Parameters
     ----------
@@ -273,11 +270,8 @@ def find_best(
             spread = term[row, 0] + gain_term[rank, before, 0]
             next_mark = mark[row] + marks[rank]
 
-            value = brought + surprisal(lost) + mean * spread - left_open - loss_cost * lost
-            if lost > 0.0:
-                # Over several outcomes -q ln q is averaged to second order; its curvature is -1/q.
-                value -= 0.5 * (lost_square - lost * lost) / lost
-            value = floor(value * units + 0.5)
+            value = averaged_value(brought, lost, lost_square, loss_cost)
+            value = floor((value - (left_open - mean * spread)) * units + 0.5)
             # A twin of the last may be shorter.
             if value > score[-1] or (is_limited and value == score[-1]):
                 insert(value, next_mark, length, 16 * slot + column, by_value)
