@@ -220,10 +220,12 @@ def is_new(path: Places, marks: NDArray[np.int64], seen: Seen) -> bool:
 @compiled
 def replace(path: Places, steps: int, first: int, last: int, cells: Places, ways: int) -> int:
     """Write other cells between two places of a path; return the steps that it has then."""
-    rest = path[last : (steps if ways == 1 else steps - last) + 1].copy()
-    after = first + 1 + cells.size
-    path[first + 1 : after] = cells
-    path[after : after + rest.size] = rest
+    start, stop = first + 1, (steps if ways == 1 else steps - last) + 1
+    rest = path[last:stop].copy()
+    after = start + cells.size
+    end = after + rest.size
+    path[start:after] = cells
+    path[after:end] = rest
     steps += ways * (cells.size - (last - first - 1))
     if ways == 2:
         for place in range(after):
@@ -330,7 +332,7 @@ def improve(
                 best_value, found = value, count
             unmark_steps_to(reach, gap.end, room.closing)
         if found >= 0:
-            steps = replace(path, steps, first, last, room.best[1 : found + 1], ways)
+            steps = replace(path, steps, first, last, room.best[:found], ways)
             measure(path[: steps + 1], reach, walked)
             if not is_new(path[: steps + 1], marks, seen):
                 return steps, False

@@ -74,8 +74,8 @@ class Room(NamedTuple):
         The last cell of each label, and the row of the label that it extends.
     column : ndarray of int, shape (rows,)
         Of `Reach.neighbors`: where each label is extended to next.
-    best : ndarray of int, shape (most + 1,)
-        The best cells, from place 1 on.
+    best : ndarray of int, shape (most,)
+        The best cells.
 
     """
 
@@ -102,7 +102,7 @@ def new_room(cells: int, rows: int, most: int, gains: Gains) -> Room:
         np.empty(rows, np.int64),
         np.zeros(rows, np.int64),
         np.empty(rows, np.int64),
-        np.empty(most + 1, np.int64),
+        np.empty(most, np.int64),
     )
 
 
@@ -152,9 +152,9 @@ def find_stretch(problem: LabelProblem, gap: Gap, room: Room, least: float) -> t
             closed = value_after(products, depth, gains, there, visits[there], ways, objective)
             if closed > value:
                 value, found = closed, depth + 1
-                for place in range(1, found):
-                    best[place] = cell[place]
-                best[found] = there
+                for place in range(depth):
+                    best[place] = cell[place + 1]
+                best[depth] = there
         if depth + 1 < gap.most:
             visit(products, depth, gains, there, visits[there], products, depth + 1, ways)
             visits[there] += ways
@@ -206,8 +206,8 @@ def find_long_stretch(
                 label = value_after(room.products, row, gains, there, before, ways, objective)
                 if label > value and metres + room.closing[there] <= reach.longest:
                     value, found = label, count
-                    room.best[count], at = there, row
-                    for place in range(count - 1, 0, -1):
+                    room.best[count - 1], at = there, row
+                    for place in range(count - 2, -1, -1):
                         room.best[place], at = room.cell[at], room.origin[at]
                 to = after + there
                 if label > room.value[to]:
