@@ -55,6 +55,7 @@ def merged(outputs):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 @for_each('path', NOTEBOOKS)
 def test_a_notebook_shows_what_comes_out(path, executed):
     assert shown(path) == shown(executed / path.name), 'python3 tools/notebooks.py'

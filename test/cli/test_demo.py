@@ -142,6 +142,7 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, capsys):
     options = ['--robots', '16', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
     killed = subprocess.Popen(

@@ -30,6 +30,7 @@ def log(folder, name='kappa_bnitp'):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_any_number_of_workers_writes_the_same_bytes(tmp_path):
     told = []
     for workers in ('1', '2'):

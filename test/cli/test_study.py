@@ -153,6 +153,7 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_path):
     """At moments that nobody chose."""
     for _ in range(3 if FULL else 1):
@@ -188,6 +189,7 @@ def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_workers_leave_interrupts_to_the_study(start, tmp_path):
     process = start(write(tmp_path / 'mine.yaml', trials=4), tmp_path / 'out', 1)
     children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
@@ -208,6 +210,7 @@ def test_a_finished_study_runs_nothing_again(scenario, whole):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, tmp_path):
     out = tmp_path / 'out'
     shutil.copytree(whole, out)

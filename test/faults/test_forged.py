@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 from campaign import run_forged_missions
-from extent import FULL
 from forged import run_forged
 from forger import FORGERIES
 import pytest
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.full]
 
 # Of the messages of the campaign: its flood alone takes 20 s.
-SCALE = 0.1 if FULL else 0.03
+SCALE = 0.1
 
 
 @pytest.fixture(scope='module')
@@ -21,7 +20,6 @@ def undisturbed(processes, tmp_path_factory):
     return run_forged(tmp_path_factory.mktemp('undisturbed'), (), processes=processes)
 
 
-@pytest.mark.full
 @pytest.mark.parametrize('kind', FORGERIES)
 def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, processes, undisturbed, kind):
     outcome = run_forged(tmp_path, [kind], SCALE, processes=processes)
@@ -35,21 +33,18 @@ def test_a_mission_survives_all_of_it(tmp_path, processes, undisturbed):
     assert not outcome.findings, outcome
 
 
-@pytest.mark.full
 def test_with_a_second_planner_the_belief_is_that_of_the_log(tmp_path):
     outcome = run_forged(tmp_path, ['second_planner'])
     # Not that of core, which has one planner.
     assert {kind for kind, _ in outcome.findings} <= {'belief'}, outcome
 
 
-@pytest.mark.full
 @pytest.mark.campaign
 def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     outcome = run_forged(tmp_path, ['topics'], 10.0)
     assert not outcome.findings, outcome
 
 
-@pytest.mark.full
 @pytest.mark.campaign
 def test_a_hundred_missions_survive_all_of_it(tmp_path):
     assert run_forged_missions(100, 1, SCALE, tmp_path) == 0

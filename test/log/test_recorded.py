@@ -121,6 +121,7 @@ def answers(script, paths, **environment):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_it_is_read_where_ros_is_not_installed(tmp_path):
     paths = logs(tmp_path)
     lines = answers(WITHOUT_ROS, paths).splitlines()

@@ -61,6 +61,7 @@ def parameters():
     }
 
 
+@pytest.mark.full
 def test_a_mission_of_two_bases_goes_on_after_its_nodes_were_killed(field, parameters):
     log = str(field.folder / 'mission.mcap')
     beliefs = field.run_killed_mission(parameters, log)

@@ -31,6 +31,7 @@ def flap(mission, number, times, rng):
     return times
 
 
+@pytest.mark.full
 # How many robots leave, how long the link is down at least, in seconds, and how often it is up for
 # a moment when the robot is home.
 @pytest.mark.parametrize(

@@ -120,6 +120,7 @@ def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
     team.assert_is_the_fold_of_its_reports()
 
 
+@pytest.mark.full
 def test_sixty_four_agents_in_one_process(field):
     size = {'grid.width': 9, 'grid.height': 9, 'allocation': 'independent'}
     team = Team(field, 64, {**size, 'robots': 70})
@@ -160,6 +161,7 @@ def test_every_silent_loss_is_declared_once_and_no_return_ever(field):
     assert team.believed == expected[-1].belief.joint.tobytes()
 
 
+@pytest.mark.full
 def test_a_robot_that_comes_back_late_is_as_if_it_had_never_been_given_up(field):
     """Eight robots at a time; the log is reported on."""
     late = {'return_deadline': 0.05, 'sensor.lethality': 0.2, 'robots': 16}

@@ -134,6 +134,7 @@ def run(environment, *command, cwd=None):
     )
 
 
+@pytest.mark.full
 def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_package(tmp_path):
     environment = install(tmp_path, 'theirs', SOURCE, ADDED)
     done = run(

@@ -610,6 +610,7 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
     assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('scheme', some(['dark', 'light'], 2))
 def test_everybody_can_use_the_page_of_two(opened, two, scheme):
     assert serious_violations(opened(scheme=scheme, file=two[1])) == []

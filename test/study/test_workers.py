@@ -67,6 +67,7 @@ def test_processes_of_this_machine_give_the_same_table(scenario, results, backen
         check_same(scenario, results, pool)
 
 
+@pytest.mark.full
 def test_a_dask_cluster_gives_the_same_table(scenario, results, dask_cluster):
     with workers('dask', scheduler=dask_cluster) as pool:
         check_same(scenario, results, pool)
