@@ -50,6 +50,7 @@ def test_the_demo_and_its_replay(tmp_path):
         assert start([*command, *fewer], tmp_path).wait(timeout=300) == 0
 
 
+@pytest.mark.full
 def test_the_study_starts(tmp_path):
     (command,) = commands('study')
     study = start(command, tmp_path)

@@ -65,7 +65,7 @@ def trace(deployments):
 
 
 @pytest.mark.slow
-@for_each('planner, method', product(SEARCHES, METHODS))
+@for_each('planner, method', product(SEARCHES, METHODS), every=3)
 def test_the_same_seed_is_the_same_mission(method, planner):
     one, same, other = (trace(fly(s, method=method, planner=planner)[1]) for s in (1, 1, 2))
     assert one == same

@@ -129,7 +129,7 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         pytest.param({'seed': 3, 'robots': 40 if FULL else 6}, marks=pytest.mark.interpreter),
         {**ODD, 'seed': 4, 'robots': 25 if FULL else 12},
         pytest.param({**LEARNING, 'seed': 5, 'robots': 25}, marks=pytest.mark.full),
-        {**WILFUL, 'seed': 6, 'robots': 25 if FULL else 12},
+        pytest.param({**WILFUL, 'seed': 6, 'robots': 25}, marks=pytest.mark.full),
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         pytest.param({**HUGE, 'seed': 8, 'robots': 3}, marks=pytest.mark.full),
         pytest.param({'planner': 'coverage', 'seed': 9, 'robots': 10}, marks=pytest.mark.full),

@@ -101,6 +101,7 @@ def watch(field, watched):
     watched.compare()
 
 
+@pytest.mark.full
 def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(field):
     publish_map(field)
     # The recorder is to ask for the parameters of a node, as long as that has no answer.

@@ -53,7 +53,7 @@ def changed(scenario, changes):
     return replace(scenario, **{'methods': ('kappa_bnitp',), 'trials': 2} | changes)
 
 
-@for_each('name', STUDIES, every=4)
+@for_each('name', STUDIES, every=9)
 def test_figures_are_legible(scenario, name):
     scenario = changed(scenario, STUDIES[name])
     outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}

@@ -59,7 +59,7 @@ def check_same(scenario, results, pool):
     assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
 
 
-@for_each('backend, count', [('loky', 1), ('loky', 2), ('dask', 2)])
+@for_each('backend, count', [('loky', 2), ('loky', 1), ('dask', 2)], every=3)
 def test_processes_of_this_machine_give_the_same_table(scenario, results, backend, count):
     if backend == 'dask':
         pytest.importorskip('distributed')

@@ -117,7 +117,7 @@ def replaced_by_a_folder(file):
     file.mkdir()
 
 
-@for_each('torn', [cut, emptied, replaced_by_a_folder, overwritten, of_other_content], every=3)
+@for_each('torn', [cut, emptied, replaced_by_a_folder, overwritten, of_other_content], every=5)
 def test_torn_files_are_compiled_anew(tmp_path, torn):
     kept = tmp_path / 'kept'
     environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
