@@ -106,6 +106,7 @@ class Team:
         assert self.believed == self.folded(self.told)
 
 
+@pytest.mark.full
 def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
     team = Team(field, 8, {'robots': 20, 'hazards.dynamics': 'used_up'}, processes=True)
     team.until_done()

@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 
-from extent import FULL, some
+from extent import FULL
 from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
@@ -509,7 +509,8 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
 
 
 # The pages share their colours.
-@pytest.mark.parametrize('scheme', some(['light', 'dark'], 2))
+@pytest.mark.full
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
 def test_everybody_can_use_it(opened, scheme):
     assert serious_violations(opened(scheme=scheme)) == []
 
@@ -611,6 +612,6 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('scheme', some(['dark', 'light'], 2))
+@pytest.mark.parametrize('scheme', ['dark', 'light'])
 def test_everybody_can_use_the_page_of_two(opened, two, scheme):
     assert serious_violations(opened(scheme=scheme, file=two[1])) == []
