@@ -144,7 +144,7 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
 @pytest.mark.processes
 @pytest.mark.full
 def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, capsys):
-    options = ['--robots', '16', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
+    options = ['--robots', '40', '--size', '4', '--max-steps', '6', '--lethality', '0.3']
     killed = subprocess.Popen(
         [*DEMO, *options, '--seed', '7', '--out', str(tmp_path)],
         stderr=subprocess.DEVNULL,
@@ -152,19 +152,19 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     )
     log = tmp_path / 'mission.mcap'
     deadline = time.monotonic() + PATIENCE
-    while reports_in(log) < 3 and time.monotonic() < deadline:
+    while reports_in(log) < 8 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
     before = reports_in(log)
-    assert 3 <= before < 16
+    assert 8 <= before < 40
 
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
-    assert '16 deployments' in resumed.stdout
+    assert '40 deployments' in resumed.stdout
     history = read_history(log)
     options = SearchOptions(max_steps=6)
-    _, expected = mission_of(16, Grid(4, 4), 0.3, 7, options, learning=learning(7))
+    _, expected = mission_of(40, Grid(4, 4), 0.3, 7, options, learning=learning(7))
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]

@@ -2,7 +2,7 @@
 """
 A recorder that is killed again and again loses no deployment.
 
-With KBNITP_TESTS=full in the environment it is killed while recording 50 times instead of 3, in
+With KBNITP_TESTS=full in the environment it is killed while recording 50 times instead of 2, in
 three minutes.
 """
 

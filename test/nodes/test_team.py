@@ -124,9 +124,9 @@ def test_eight_agents_in_eight_processes_make_the_mission_of_core(field):
 @pytest.mark.full
 def test_sixty_four_agents_in_one_process(field):
     size = {'grid.width': 9, 'grid.height': 9, 'allocation': 'independent'}
-    team = Team(field, 64, {**size, 'robots': 70})
+    team = Team(field, 64, {**size, 'robots': 100})
     team.until_done()
-    assert len({key for key, _ in team.told}) == 70
+    assert len({key for key, _ in team.told}) == 100
     team.assert_is_the_fold_of_its_reports()
 
 

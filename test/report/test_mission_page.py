@@ -508,7 +508,6 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
     assert page.evaluate('document.getElementById("hazard").layout.font.color') == '#1b1b1b'
 
 
-# The pages share their colours.
 @pytest.mark.full
 @pytest.mark.parametrize('scheme', ['light', 'dark'])
 def test_everybody_can_use_it(opened, scheme):
@@ -612,6 +611,6 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('scheme', ['dark', 'light'])
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
 def test_everybody_can_use_the_page_of_two(opened, two, scheme):
     assert serious_violations(opened(scheme=scheme, file=two[1])) == []

@@ -130,8 +130,9 @@ def find_stretch(problem: LabelProblem, gap: Gap, room: Room, least: float) -> t
         How many there are; -1 if there are none.
 
     """
-    reach, _, gains, objective = problem
-    visits, closing, products, _, length, cell, _, column, best = room
+    reach, gains, objective = problem.reach, problem.gains, problem.objective
+    visits, closing, products = room.visits, room.closing, room.products
+    length, cell, column, best = room.length, room.cell, room.column, room.best
     max_visits, ways = gains.factor.shape[1], gap.ways
     value, found, depth = least, -1, 0
     cell[0], column[0], length[0] = gap.start, 0, gap.length
@@ -183,7 +184,7 @@ def find_long_stretch(
     Parameters and results as of `find_stretch`, with 1 + most * cells rows: the first is for what
     stays, and each next `cells` for labels of one cell more.
     """
-    reach, _, gains, objective = problem
+    reach, gains, objective = problem.reach, problem.gains, problem.objective
     cells, max_visits, ways = room.visits.size, gains.factor.shape[1], gap.ways
     value, found = least, -1
     for row in range(1, room.value.size):
