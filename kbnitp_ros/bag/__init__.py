@@ -11,15 +11,15 @@ from kbnitp_ros.bag.reader import (
     metadata_of_part,
     read_log,
     read_metadata,
+    Recorded,
 )
-from kbnitp_ros.bag.records import LARGEST_MESSAGE, Recorded
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.schema import check_installed, qos_profiles_yaml
 from kbnitp_ros.bag.text_check import check_texts
-from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.bag.writer import LogWriter, MAX_MESSAGE
 
 __all__ = [
-    'LARGEST_MESSAGE',
+    'MAX_MESSAGE',
     'LogError',
     'LogLock',
     'LogWriter',

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from kbnitp_ros.bag.lock import check_in_place
 from kbnitp_ros.bag.metadata import BagFile, BagTopic, information, sync_folder
-from kbnitp_ros.bag.records import QOS, TYPE_HASH
+from kbnitp_ros.bag.schema import QOS, TYPE_HASH
 from kbnitp_ros.files import naming, parse_yaml
 from mcap.well_known import Profile
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
@@ -38,16 +38,7 @@ class Definition(NamedTuple):
 
 
 class FileWriter:
-    """
-    Writes an MCAP file.
-
-    Raises
-    ------
-    OSError
-        If there is such a file already, its folder is missing, or the disk refuses: then none is
-        made. Also from all methods that write: then the file must be abandoned.
-
-    """
+    """An MCAP file being written, to be abandoned after an OSError."""
 
     def __init__(self, path: Path, compression: str) -> None:
         self.path = path
@@ -147,15 +138,7 @@ class FileWriter:
         self._pending = 0
 
     def sync(self) -> None:
-        """
-        Put everything written so far onto the disk.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the file has been removed or replaced: then nobody will read it.
-
-        """
+        """Put everything written so far onto the disk; raise FileNotFoundError if it is gone."""
         self.flush()
         # It leaves out the times of the file, and not how long it is.
         with naming(self.path):

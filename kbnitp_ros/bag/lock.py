@@ -12,23 +12,7 @@ from kbnitp_ros.bag.errors import LogError
 
 
 class LogLock:
-    """
-    Keeps all other processes from writing a log.
-
-    The system ends the lock with the process that holds it, however that ends, and on a network
-    file system with the connection to it. Reading needs no lock.
-
-    Parameters
-    ----------
-    first : Path
-        The log's first file, which all its writers must agree on. It must be there.
-
-    Raises
-    ------
-    LogError
-        If another process writes the log, or the file cannot be locked.
-
-    """
+    """Keeps all other processes from writing a log."""
 
     def __init__(self, first: Path) -> None:
         self.path = first
@@ -60,15 +44,7 @@ class LogLock:
 
 
 def locked(path: Path) -> IO[bytes]:
-    """
-    Return a file opened for reading and writing that no other process can lock.
-
-    Raises
-    ------
-    LogError
-        If another process has locked it, or it cannot be opened or locked.
-
-    """
+    """Return a file opened for reading and writing that no other process can lock."""
     try:
         # Of a network file system only what is open for writing can be locked.
         file = path.open('r+b')
@@ -91,15 +67,7 @@ def locked(path: Path) -> IO[bytes]:
 
 
 def check_in_place(file: IO[bytes], path: Path) -> None:
-    """
-    Check that an open file is still the one that goes by its name.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it was removed, renamed or replaced.
-
-    """
+    """Check that an open file is still the one that goes by its name."""
     try:
         is_in_place = os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:

@@ -26,25 +26,7 @@ NUMBER = r'_([1-9]\d{0,4})'
 
 
 def parts_of(path: str | Path) -> list[Path]:
-    """
-    Return the files of a log in order.
-
-    The folder's metadata.yaml may be missing or older than the files: it only adds to what their
-    names say.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log's first file, or the folder if that holds no other log; or a later file, which
-        names itself alone.
-
-    Raises
-    ------
-    LogError
-        If a part is missing, the folder cannot be read or holds no log or several, or the files
-        are compressed.
-
-    """
+    """Return the files of a log, by its first file or folder, in order."""
     path = Path(path)
     try:
         if not path.is_dir():
@@ -66,7 +48,7 @@ def parts_of(path: str | Path) -> list[Path]:
 
 
 def with_later_parts(first: Path) -> list[Path]:
-    """Return the first file of a log and those that come after it."""
+    """Return the first file of a log and later parts."""
     listed = listed_parts(first.parent)
     names = listed if first.name in listed[:1] else [first.name]
     numbers = [number for number, file in numbered(first).items() if file.name not in names]
@@ -80,24 +62,24 @@ def with_later_parts(first: Path) -> list[Path]:
 
 
 def numbered(first: Path) -> dict[int, Path]:
-    """Return the files whose names say that they come after the first one, by number."""
+    """Return the later parts of a log by number, by their names."""
     pattern = re.compile(re.escape(base(first)) + NUMBER + re.escape(first.suffix))
     matches = ((file, pattern.fullmatch(file.name)) for file in first.parent.iterdir())
     return {int(match[1]): file for file, match in matches if match}
 
 
 def part_path(first: Path, number: int) -> Path:
-    """Return where a later part of a log goes, number 1 coming after the first file."""
+    """Return the path of a later part, from number 1."""
     return first.with_name(f'{base(first)}_{number}{first.suffix}')
 
 
 def base(first: Path) -> str:
-    """Return what the names of all parts begin with."""
+    """Return the common start of the names of all parts."""
     return first.stem.removesuffix('_0')
 
 
 def is_later_part(path: Path) -> bool:
-    """Return whether the file comes after the first one of a log that is there as well."""
+    """Return whether the file is a later part of a log beside it."""
     match = re.fullmatch(f'(.+){NUMBER}', path.stem)
     return match is not None and any(
         path.with_name(f'{match[1]}{zero}{path.suffix}').exists() for zero in ('', '_0')
@@ -105,15 +87,7 @@ def is_later_part(path: Path) -> bool:
 
 
 def listed_parts(folder: Path) -> list[str]:
-    """
-    Return the names of the files that metadata.yaml lists; none if there is no such whole file.
-
-    Raises
-    ------
-    LogError
-        If it says that rosbag2 compressed them.
-
-    """
+    """Return the names of the files that metadata.yaml lists, if it can be read."""
     information = read_information(folder)
     mode = str(information.get('compression_mode') or 'none')
     if mode.lower() != 'none':
@@ -123,17 +97,7 @@ def listed_parts(folder: Path) -> list[str]:
 
 
 def read_information(folder: Path) -> Mapping[str, Any]:
-    """
-    Return what metadata.yaml says of the bag in a folder; nothing if it is not all there.
-
-    Raises
-    ------
-    OSError
-        If it is there and cannot be read.
-    LogError
-        If it has a key twice or stands for too much.
-
-    """
+    """Return the description of a bag in metadata.yaml; {} if it is missing or cut."""
     path = folder / METADATA
     try:
         content = read_yaml(path)
@@ -146,18 +110,7 @@ def read_information(folder: Path) -> Mapping[str, Any]:
 
 
 def check_is_new(first: Path) -> None:
-    """
-    Check that the first file of a new log has a name that tells it from other logs.
-
-    Raises
-    ------
-    LogError
-        If it is not named as an MCAP file, or not in UTF-8.
-    FileExistsError
-        If it is there, would be taken for a part of another log, or there are files for parts of
-        this one.
-
-    """
+    """Check that the name of a new log cannot be taken for another one or a part of one."""
     if first.suffix != '.mcap':
         raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
     try:

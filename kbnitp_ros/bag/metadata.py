@@ -101,17 +101,7 @@ def file_of(bag: Mapping[str, Any]) -> BagFile:
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
-    """
-    Write metadata.yaml, which makes the folder a bag; it is the old or the new one at any time.
-
-    Return False if the folder has that of another bag, which is left alone.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-
-    """
+    """Replace metadata.yaml, and return True, unless it is that of another bag."""
     if is_of_another_bag(folder, files[0].name):
         return False
     target = folder / METADATA

@@ -1,103 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read the mission log, or a bag of rosbag2 with the same topics."""
+"""Read a mission log, or an MCAP bag of rosbag2 with the same topics."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
-import logging
+from itertools import accumulate
+import os
 from pathlib import Path
-import re
-from typing import Any
+import struct
+from typing import Any, BinaryIO, NamedTuple
 
-from kbnitp_ros.bag import mcap_file, sqlite_file
 from kbnitp_ros.bag.errors import LogError
 from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.records import (
-    OnCorruption,
-    Recorded,
-    RecordedMessage,
-    RecordedMetadata,
-    refuse,
-    SkippedMessage,
-)
-from kbnitp_ros.files import open_file
+from kbnitp_ros.files import in_words
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import breakup_chunk, StreamReader
+from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 
-__all__ = [
-    'LogError',
-    'LoggedMessage',
-    'is_finished',
-    'log_size',
-    'metadata_of_part',
-    'read_log',
-    'read_metadata',
-]
+# Bytes of a record.
+MAX_RECORD = 2**30
+
+# What other files than MCAP start with, and what to do with them.
+SQLITE_MAGIC = b'SQLite format 3\0'
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+REMEDIES = {
+    SQLITE_MAGIC: 'is a SQLite bag: convert it to MCAP with ros2 bag convert, or with '
+    'rosbags-convert --dst-storage mcap',
+    ZSTD_MAGIC: 'is compressed: decompress it with zstd -d',
+}
+
+# Kind and length of a record.
+HEAD = struct.Struct('<BQ')
+
+# Bytes of a chunk before the name of its compression.
+CHUNK_HEAD = 28
+
+KINDS = {value for name, value in vars(Opcode).items() if name.isupper()}
+
+NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
 
 
-# Bytes of a type and all that it refers to. The type of a whole planning scene has 30,000.
-LONGEST_DEFINITION = 2**16
+class RecordedMessage(NamedTuple):
+    """A message with its channel and schema."""
+
+    channel: Channel
+    schema: Schema
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+    # Where its record ends, bytes.
+    position: int
+
+
+class RecordedMetadata(NamedTuple):
+    """A record of named values."""
+
+    name: str
+    values: dict[str, str]
+    position: int
+
+
+Recorded = RecordedMessage | RecordedMetadata
 
 
 @dataclass(frozen=True)
 class LoggedMessage:
-    """
-    A message as it was recorded.
+    """A decoded message; times in nanoseconds."""
 
-    Attributes
-    ----------
-    topic : str
-        Full name.
-    type_name : str
-        Such as 'nav_msgs/msg/Path'.
-    log_time, publish_time : int
-        When it was received and when it was sent, in nanoseconds.
-    position : int
-        How far into the log it was found, in bytes, earlier parts counted.
-    data : bytes
-        As it came off the wire.
-    message : object
-        Has the fields of its type, as defined in the file itself.
-
-    """
-
+    # Full name.
     topic: str
+    # As 'nav_msgs/msg/Path'.
     type_name: str
+    # Times of receiving and sending.
     log_time: int
     publish_time: int
+    # Where its record ends in the log, bytes, earlier parts counted.
     position: int
+    # The CDR bytes.
     data: bytes
+    # Has the fields of its type, as the file defines it.
     message: Any
 
 
-def read_log(path: str | Path, types: Collection[str] | None = None) -> Iterator[LoggedMessage]:
+def read_log(
+    path: str | Path,
+    types: Collection[str] | None = None,
+    corrupt: list[LogError] | None = None,
+) -> Iterator[LoggedMessage]:
     """
-    Yield the messages of a log in the order they were written, part after part.
+    Yield the messages of these types in the order in which they were written, part after part.
 
-    A message that is larger than any that is read is skipped, and a logger says so once. A file
-    that ends early yields all that is whole; `is_finished` tells it from a finished one.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log's first file or its folder, as `parts.parts_of` takes them. Parts are MCAP files
-        or SQLite databases of rosbag2.
-    types : collection of str, optional
-        The message types to yield; without it all.
-
-    Raises
-    ------
-    LogError
-        If a file cannot be read or is no log; also, after all that comes before, where it is
-        corrupt or holds a message that cannot be decoded. There is no other error.
-
+    A cut part yields what is before the cut, a corrupt one what is before its first error. That is
+    raised as a LogError, or added to `corrupt` if that is given.
     """
     decode = Decoders(path)
-    for item in read_recorded(path):
-        if isinstance(item, SkippedMessage):
-            tell_skipped(str(item))
+    for item in read_recorded(path, corrupt):
         if isinstance(item, RecordedMessage) and (types is None or item.schema.name in types):
             yield LoggedMessage(
                 item.channel.topic,
@@ -110,25 +114,8 @@ def read_log(path: str | Path, types: Collection[str] | None = None) -> Iterator
             )
 
 
-@cache
-def tell_skipped(words: str) -> None:
-    """Say once, however often a log is read, that a message of it is skipped."""
-    logging.getLogger(__name__).warning(words)
-
-
 def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
-    """
-    Return the records of named values that a log has, by their names.
-
-    Of several of one name in a file each changes what those before it say. Of several files the
-    last one that has it counts: each has all that it needs.
-
-    Raises
-    ------
-    LogError
-        As for `read_log`.
-
-    """
+    """Return the values of metadata records by name; later files replace, later records add."""
     records: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
         own: dict[str, dict[str, str]] = {}
@@ -139,87 +126,155 @@ def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
 
 
 def metadata_of_part(part: Path) -> Iterator[RecordedMetadata]:
-    """Yield the records of named values that a file has, as they were written."""
-    return (item for item in read_part(part) if isinstance(item, RecordedMetadata))
+    """Yield the metadata records of a file, of a corrupt one those before the error."""
+    return (item for item in read_part(part, []) if isinstance(item, RecordedMetadata))
 
 
 def is_finished(path: str | Path) -> bool:
-    """
-    Return whether each part of a log ends as its writer ends it.
-
-    None does if that was killed, or if its end is cut off.
-
-    Raises
-    ------
-    LogError
-        If a file cannot be read or is no log.
-
-    """
+    """Return whether each part of a log ends as its writer ends it."""
     return all(map(is_finished_part, parts_of(path)))
 
 
 def is_finished_part(part: Path) -> bool:
-    """Return `is_finished` for a file alone."""
-    with readable(part):
-        if is_sqlite(part):
-            return sqlite_file.is_finished(part)
-        return mcap_file.is_finished(part)
+    """Return whether a file ends as its writer ends it."""
+    with readable(part), part.open('rb') as file:
+        return ends_finished(file, check_start(file, part))
+
+
+def ends_finished(file: BinaryIO, size: int) -> bool:
+    """Return whether an open file of this size ends as its writer ends it."""
+    file.seek(max(len(MCAP0_MAGIC), size - len(MCAP0_MAGIC)))
+    return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
 def log_size(path: str | Path) -> int:
-    """Return how many bytes a log has, all parts together; errors are as for `read_log`."""
+    """Return the bytes of all parts of a log."""
     return sum(map(size_of, parts_of(path)))
 
 
 def size_of(part: Path) -> int:
-    """Return how many bytes a file has; raises LogError if it cannot be read."""
+    """Return the bytes of a file."""
     with readable(part):
         return part.stat().st_size
 
 
-def read_recorded(path: str | Path, on_corruption: OnCorruption = refuse) -> Iterator[Recorded]:
-    """
-    Return what is in all parts of a log, not decoded, with positions in the whole.
-
-    The parts are those there are now, whatever is written beside them while they are read.
-    Parameters and errors are as for `read_part`, the path as for `read_log`.
-    """
-    return read_parts(parts_of(path), on_corruption)
-
-
-def read_parts(parts: Sequence[Path], on_corruption: OnCorruption) -> Iterator[Recorded]:
-    """Yield what is in some files, as `read_recorded`."""
-    before = 0
-    for part in parts:
-        for item in read_part(part, on_corruption):
-            yield item._replace(position=before + item.position)
-        before += size_of(part)
+def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+    """Return the messages, not decoded, and metadata of all parts, with positions in the log."""
+    parts = parts_of(path)
+    starts = accumulate(map(size_of, parts), initial=0)
+    return (
+        item._replace(position=start + item.position)
+        for part, start in zip(parts, starts)
+        for item in read_part(part, corrupt)
+    )
 
 
-def read_part(part: Path, on_corruption: OnCorruption = refuse) -> Iterator[Recorded]:
-    """
-    Yield what is in a file of a log.
+def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+    """Yield the messages and metadata of a file as `read_log` does."""
+    schemas = {0: NO_SCHEMA}
+    channels: dict[int, Channel] = {}
+    messages = 0
+    position = 0
+    with readable(part), part.open('rb') as file:
+        size = check_start(file, part)
+        try:
+            for record, position in read_records(file, size):
+                if isinstance(record, Message):
+                    messages += 1
+                    channel = channels[record.channel_id]
+                    yield RecordedMessage(
+                        channel,
+                        schemas[channel.schema_id],
+                        record.sequence,
+                        record.log_time,
+                        record.publish_time,
+                        record.data,
+                        position,
+                    )
+                elif isinstance(record, Metadata):
+                    yield RecordedMetadata(record.name, record.metadata, position)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Statistics) and record.message_count != messages:
+                    raise ValueError(f'{messages} of {record.message_count} messages are there')
+        except Exception as error:
+            # The parser raises many types of them.
+            found = LogError(
+                f'{part} is corrupt after byte {position} ({in_words(error)}): replay --repair '
+                'saves what is before, mcap recover may save more'
+            )
+            if corrupt is None:
+                raise found from error
+            corrupt.append(found)
 
-    `on_corruption` takes a LogError wherever the file is corrupt; what can be read after it is
-    yielded too.
 
-    Raises
-    ------
-    LogError
-        If it cannot be read or is no log, and what `on_corruption` raises.
-
-    """
-    with readable(part):
-        if is_sqlite(part):
-            yield from sqlite_file.read_sqlite(part, on_corruption)
+def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
+    """Yield the records of the first bytes of a file, and where they end; raise any Exception."""
+    ends = list(record_ends(file, size))
+    file.seek(0)
+    records = StreamReader(
+        file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD
+    ).records
+    for end in ends:
+        record = next(records)
+        if file.tell() != end:
+            raise ValueError(f'a record ends at byte {file.tell()}, not at {end}')
+        if isinstance(record, Chunk):
+            yield from ((each, end) for each in breakup_chunk(record, validate_crc=True))
         else:
-            yield from mcap_file.read_mcap(part, on_corruption)
+            yield record, end
+    check_cut(file, ends[-1] if ends else len(MCAP0_MAGIC), size)
 
 
-def is_sqlite(part: Path) -> bool:
-    """Return whether a file starts like a SQLite database."""
-    with open_file(part) as file:
-        return file.read(len(sqlite_file.MAGIC)) == sqlite_file.MAGIC
+def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
+    """Yield where each whole record of a file ends, by kinds and lengths."""
+    end = len(MCAP0_MAGIC)
+    while end + HEAD.size <= size:
+        file.seek(end)
+        kind, length = HEAD.unpack(file.read(HEAD.size))
+        end += HEAD.size + length
+        if kind not in KINDS or end > size:
+            return
+        yield end
+
+
+def check_cut(file: BinaryIO, end: int, size: int) -> None:
+    """Check that no record follows the last whole one: the file ends there or was cut."""
+    if size <= end + len(MCAP0_MAGIC) and ends_finished(file, size):
+        return
+    file.seek(end)
+    rest = ReadDataStream(file)
+    with suppress(EndOfFile, struct.error):
+        kind, length = rest.read1(), rest.read8()
+        if kind == 0:
+            # Space that the file system reserved.
+            while block := file.read(2**20):
+                if block.strip(b'\0'):
+                    raise ValueError('a record has no kind')
+            return
+        if kind not in KINDS or ends_finished(file, size):
+            raise ValueError(f'a record has kind {kind} and {length} bytes')
+        if kind == Opcode.CHUNK:
+            file.seek(end + HEAD.size)
+            chunk = ReadDataStream(file)
+            chunk.read(CHUNK_HEAD)
+            chunk.read_prefixed_string()
+            if chunk.read8() + chunk.count != length:
+                raise ValueError(f'a chunk of {length} bytes has another length')
+
+
+def check_start(file: BinaryIO, part: Path) -> int:
+    """Return the size of an open file; raise a LogError if it is no MCAP file."""
+    start = file.read(len(SQLITE_MAGIC))
+    for magic, remedy in REMEDIES.items():
+        if start.startswith(magic):
+            raise LogError(f'{part} {remedy}')
+    # A killed writer may have left a part of them.
+    if not MCAP0_MAGIC.startswith(start[: len(MCAP0_MAGIC)]):
+        raise LogError(f'{part} is no MCAP file')
+    return os.fstat(file.fileno()).st_size
 
 
 @contextmanager
@@ -232,29 +287,19 @@ def readable(part: Path) -> Iterator[None]:
 
 
 class Decoders:
-    """What makes messages of bytes, for each type as the file defines it."""
+    """Decoders of messages, by type as the file defines it."""
 
     def __init__(self, path: str | Path) -> None:
         self._path = path
         self._decoders: dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None] = {}
 
     def __call__(self, recorded: RecordedMessage) -> Any:
-        """
-        Return a message's fields.
-
-        Raises
-        ------
-        LogError
-            If the message is not in CDR, its type is not defined in ROS's own language, or the
-            bytes do not fit the type.
-
-        """
+        """Return a message's fields."""
         channel, schema = recorded.channel, recorded.schema
         encoding = channel.message_encoding
         key = encoding, schema.encoding, schema.name, schema.data
         try:
             if key not in self._decoders:
-                check_definition(schema.data)
                 self._decoders[key] = DecoderFactory().decoder_for(encoding, schema)
             decoder = self._decoders[key]
             if decoder is not None:
@@ -267,21 +312,3 @@ class Decoders:
             f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
             f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
         )
-
-
-def check_definition(definition: bytes) -> None:
-    """
-    Check that a type is of a usual size.
-
-    Raises
-    ------
-    ValueError
-        If it is defined at too great length, or has an array of no elements: any number of
-        messages that take no bytes fit into a message.
-
-    """
-    if len(definition) > LONGEST_DEFINITION:
-        raise ValueError(f'it is defined in {len(definition)} bytes')
-    # Comments may speak of an array's first element.
-    if re.search(rb'^[^#\n]*\[0+\]', definition, re.MULTILINE):
-        raise ValueError('it has an array of no elements')

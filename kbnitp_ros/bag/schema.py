@@ -12,6 +12,11 @@ from typing import Any
 import yaml
 
 ENCODING = 'ros2msg'
+
+# Metadata of a channel.
+QOS = 'offered_qos_profiles'
+TYPE_HASH = 'topic_type_hash'
+
 SEPARATOR = '=' * 80
 
 # The resource of the ament index in which a package lists its interfaces, one a line.
@@ -29,19 +34,7 @@ class TypeDescription:
 
 
 def check_installed(type_name: str) -> None:
-    """
-    Check that the ament index lists a message type.
-
-    Type names come from the network and from files: nothing is imported or opened by one that is
-    not listed.
-
-    Raises
-    ------
-    LookupError
-        If no installed package lists it; so it is for services, actions and their parts, and for
-        types that are defined in IDL alone.
-
-    """
+    """Check that the ament index lists a message type."""
     package, _, interface = type_name.partition('/')
     # Only who writes a log needs to know what is installed.
     from ament_index_python.resources import get_resource, get_resources
@@ -57,15 +50,7 @@ def check_installed(type_name: str) -> None:
 
 
 def describe(type_name: str) -> TypeDescription:
-    """
-    Return the description of an installed message type.
-
-    Raises
-    ------
-    LookupError
-        If it is not installed.
-
-    """
+    """Return the description of an installed message type."""
     check_installed(type_name)
     description = json.loads(installed_text(type_name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
@@ -79,15 +64,7 @@ def describe(type_name: str) -> TypeDescription:
 
 
 def installed_text(type_name: str, suffix: str) -> str:
-    """
-    Return what is installed of a message type, as 'msg' or as 'json'.
-
-    Raises
-    ------
-    LookupError
-        If it is not there: a type may be defined in IDL alone.
-
-    """
+    """Return what is installed of a message type, as 'msg' or as 'json'."""
     from ament_index_python.packages import get_package_share_directory
 
     package, kind, name = type_name.split('/')

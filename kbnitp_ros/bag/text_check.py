@@ -17,26 +17,7 @@ MANY = re.compile(r'(?:float64|int8)\[\] |\s*(?:#|$)')
 
 
 def check_texts(type_name: str, data: bytes) -> None:
-    """
-    Check that the texts of a message are UTF-8 to their ends.
-
-    rclpy puts another sign in place of one that is none, and ends a text at its first zero. Other
-    readers do neither: they read no such message.
-
-    Parameters
-    ----------
-    type_name : str
-        Of an installed type.
-    data : bytes
-        What rclpy read a message of.
-
-    Raises
-    ------
-    ValueError
-        If one is not, or the message ends before its last field, such as one of an earlier
-        version of its type.
-
-    """
+    """Check that the texts of a message are UTF-8 to their ends."""
     try:
         decoder(type_name)(data)
     except UnicodeDecodeError as error:

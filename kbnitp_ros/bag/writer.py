@@ -12,10 +12,12 @@ from kbnitp_ros.bag.file_writer import COMPRESSIONS, Definition, FileWriter
 from kbnitp_ros.bag.lock import LogLock
 from kbnitp_ros.bag.log_files import check_is_new, is_later_part, part_path, parts_of
 from kbnitp_ros.bag.metadata import BagFile, is_of_another_bag, write_metadata
-from kbnitp_ros.bag.records import LARGEST_MESSAGE, QOS, TYPE_HASH
 from kbnitp_ros.bag.repair import finished
-from kbnitp_ros.bag.schema import describe
+from kbnitp_ros.bag.schema import describe, QOS, TYPE_HASH
 from mcap.well_known import MessageEncoding, SchemaEncoding
+
+# Bytes of a message. A belief over 1000x1000 cells has 56 million.
+MAX_MESSAGE = 63 * 2**20
 
 
 @dataclass
@@ -33,54 +35,10 @@ class Topic:
 
 class LogWriter:
     """
-    Writes messages, as the bytes that came off the wire, to a new log or on to an old one.
+    Writer of CDR messages to a new log, or with `resume` to a new file of an old one.
 
-    No other process can write the log until this one closes it or ends.
-
-    Messages are collected in chunks. After `sync` all that was written is on the disk and stays
-    readable whatever happens to the process or the machine; `close` makes the last file a finished
-    one, with indexes, as was done with those before, and the folder a bag. Used in a ``with``
-    statement it closes itself.
-
-    Once the disk has refused anything the log is as it was after the last thing that reached it,
-    and closed.
-
-    Attributes
-    ----------
-    path : Path
-        The log's first file.
-    current_path : Path
-        The file being written.
-    shares_folder : bool
-        Whether the folder has the metadata.yaml of another bag, which is left alone: others then
-        know the log by its files only.
-
-    Parameters
-    ----------
-    path : str or Path
-        The first file to make; or with `resume` the first file, or the folder, of a log to go on
-        with, in a new file beside it.
-    resume : bool
-        Whether the log is there already. Where it is unfinished it is finished first.
-    compression : str
-        'none' or 'zstd'.
-    max_file_size : int
-        Bytes, beside those that each file begins with, after which the log goes on in another
-        file; 0 for never.
-    max_file_duration : float
-        Seconds after which it does so, by the times of the messages; 0 for never.
-
-    Raises
-    ------
-    OSError
-        If there is such a file already, its folder is missing, or the disk refuses; also from all
-        methods that write.
-    LogError
-        If there is no log to go on with, a corrupt one or one that another process writes, or a
-        new one is not named as an MCAP file.
-    ValueError
-        If the compression is unknown.
-
+    What was written is on the disk after `sync`. After an OSError the log is closed as it was last
+    written.
     """
 
     def __init__(
@@ -130,24 +88,7 @@ class LogWriter:
         self._part: FileWriter | None = part
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
-        """
-        Put a topic on record: before its first message, and again whenever its QoS changes.
-
-        Parameters
-        ----------
-        topic : str
-            Its full name.
-        type_name : str
-            Its message type, such as 'nav_msgs/msg/Path'. It must be installed.
-        qos_profiles_yaml : str
-            What its publishers offer, as `schema.qos_profiles_yaml` puts it.
-
-        Raises
-        ------
-        LookupError
-            If the type is not installed.
-
-        """
+        """Put a topic on record: before its first message, and again whenever its QoS changes."""
         description = describe(type_name)
         definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
         metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
@@ -163,12 +104,7 @@ class LogWriter:
         )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """
-        Put a record of named values into this file and all later ones, or change it there.
-
-        Of a record that is in the file already, only what is new or another value now is written:
-        some tools warn of each name that stands in two records.
-        """
+        """Put a record of named values into this file and all later ones, or change it there."""
         known = self._metadata.get(name, {})
         new = {key: value for key, value in values.items() if known.get(key) != value}
         if name in self._metadata and not new:
@@ -181,28 +117,10 @@ class LogWriter:
             raise
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """
-        Write a message.
-
-        Parameters
-        ----------
-        topic : str
-            One that was added.
-        data : bytes
-            The message in CDR, with its encapsulation header, of at most `LARGEST_MESSAGE` bytes.
-        log_time, publish_time : int
-            When it was received and when it was sent, in nanoseconds; a negative time, which the
-            file cannot hold, becomes 0.
-
-        Raises
-        ------
-        ValueError
-            If the message is too large to be read again.
-
-        """
-        if len(data) > LARGEST_MESSAGE:
+        """Write a message."""
+        if len(data) > MAX_MESSAGE:
             raise ValueError(
-                f'a message of topic {topic} has {len(data)} bytes: at most {LARGEST_MESSAGE} are '
+                f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
                 'written'
             )
         part = self._open_part()
@@ -221,15 +139,7 @@ class LogWriter:
             raise
 
     def sync(self) -> None:
-        """
-        Put everything written so far onto the disk.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the log has been removed or replaced.
-
-        """
+        """Put everything written so far onto the disk."""
         try:
             self._open_part().sync()
             self._lock.check_in_place()
@@ -294,15 +204,7 @@ class LogWriter:
 
 
 def check_goes_on(first: Path) -> None:
-    """
-    Check that a log can be gone on with under the name of this file.
-
-    Raises
-    ------
-    LogError
-        If it is a later part, or no MCAP file.
-
-    """
+    """Check that a log can be gone on with under the name of this file."""
     if is_later_part(first):
         raise LogError(f'{first} is a part of the log beside it: name the first file of that')
     if first.suffix != '.mcap':

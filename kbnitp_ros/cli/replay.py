@@ -25,7 +25,8 @@ DESCRIPTION = """
 Compute the beliefs of a mission's log again from the evidence in it, and say whether they are
 identical, equal to 1e-9 as on another kind of processor, or different.
 
-The exit code is 0 if none is different, 1 if one is, and 2 if the log cannot be used or repaired.
+The exit code is 0 if none is different, 1 if one is, and 2 if the log is corrupt, cannot be used
+or repaired.
 """
 
 EXAMPLES = (
@@ -44,19 +45,15 @@ T = TypeVar('T', LoggedMessage, Recorded)
 
 @command('replay')
 def main(argv: Sequence[str] | None = None) -> int:
-    """
-    Run the command and return its exit code.
-
-    It is 0 if no belief is different, 1 if one is, 2 if the log cannot be used or repaired.
-    """
+    """Run the command and return its exit code."""
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     parser.add_argument(
         '--repair',
         metavar='OUT.mcap',
         type=Path,
-        help='write what is intact of an unfinished or corrupt log to a new file, best in a new '
-        'folder, which is made; and replay that',
+        help='write what comes before the cut or the first error of each file to a new file, best '
+        'in a new folder, which is made; and replay that',
     )
     options = parser.parse_args(argv)
     log = options.log
@@ -74,6 +71,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     say(*lines(report))
     if report.roundings:
         say(*computed_with(log, report))
+    if report.corrupt:
+        complain('replay', report.corrupt[0])
+        return 2
     return 1 if report.grade == Grade.DIFFERENT else 0
 
 

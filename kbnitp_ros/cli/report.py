@@ -45,11 +45,7 @@ EXAMPLES = (
 
 @command('report')
 def main(argv: Sequence[str] | None = None) -> int:
-    """
-    Run the command and return its exit code.
-
-    It is 0 if all is written, 2 if the log cannot be used or nothing can be written.
-    """
+    """Run the command and return its exit code."""
     parser = command_parser('report', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     parser.add_argument(
@@ -70,27 +66,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         check_is_free(options.out)
         if options.other is None:
-            report(options.log, options.out)
+            missions = [report(options.log, options.out)]
         else:
-            compare(options.log, options.other, options.out)
+            missions = compare(options.log, options.other, options.out)
     except (LogError, ValueError, OSError) as error:
         complain('report', error)
         return 2
-    return 0
+    corrupt = [found for mission in missions for found in mission.corrupt]
+    for each in corrupt:
+        complain('report', each)
+    return 2 if corrupt else 0
 
 
 def report(log: Path, folder: Path, note: str = '') -> Mission:
-    """
-    Write the report of a log and say so, with progress bars on a terminal.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be used.
-    OSError, ValueError
-        If the report cannot be written.
-
-    """
+    """Write the report of a log and say so, with progress bars on a terminal."""
     mission = read(log)
     curves = curves_with_progress(mission)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
@@ -102,23 +91,14 @@ def report(log: Path, folder: Path, note: str = '') -> Mission:
     return mission
 
 
-def compare(first: Path, second: Path, folder: Path) -> None:
-    """
-    Write the page of two missions and say so, with progress bars on a terminal.
-
-    Raises
-    ------
-    LogError
-        If a log cannot be used.
-    OSError, ValueError
-        If the page cannot be written, or the fields are different.
-
-    """
-    missions = read(first), read(second)
+def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
+    """Write the page of two missions and say so, with progress bars on a terminal."""
+    missions = [read(first), read(second)]
     check_one_field(*missions)
     page = comparison_of(*(Pair(each, curves_with_progress(each)) for each in missions))
     write_comparison(folder, page)
     say(f'wrote {folder / "comparison.html"}')
+    return missions
 
 
 def read(log: Path) -> Mission:

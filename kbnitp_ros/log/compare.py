@@ -39,13 +39,7 @@ class Difference:
 def differences(
     recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
 ) -> Iterator[Difference]:
-    """
-    Yield where a recorded message differs in the fields that were computed.
-
-    Numbers are called rounded if they are no further apart than `tolerance`, or that times their
-    size if above 1: those of arrays, and of the fields in `rounded`. None are if it is 0, not even
-    a zero of the other sign.
-    """
+    """Yield where a recorded message differs in the fields that were computed."""
     for name, ours in vars(computed).items():
         theirs = getattr(recorded, name)
         if name in rounded:

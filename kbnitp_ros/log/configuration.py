@@ -37,15 +37,7 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
 
 
 def recorded_environment(path: str | Path) -> dict[str, str]:
-    """
-    Return what a log was made with: the same, and the version of kbnitp_ros.
-
-    Raises
-    ------
-    LogError
-        If it is no log.
-
-    """
+    """Return what a log was made with: the same, and the version of kbnitp_ros."""
     run = read_metadata(path).get(RUN, {})
     names = ('kbnitp_ros', *numerical_environment())
     return {name: run.get(name, 'not on record') for name in names}
@@ -58,15 +50,7 @@ def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def read_changes(path: str | Path) -> Iterator[str]:
-    """
-    Yield in words which parameters of nodes changed in a run, and from what to what.
-
-    Raises
-    ------
-    LogError
-        If it is no log.
-
-    """
+    """Yield in words which parameters of nodes changed in a run, and from what to what."""
     known: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
         for record in metadata_of_part(part):
@@ -81,21 +65,7 @@ def read_changes(path: str | Path) -> Iterator[str]:
 
 
 def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
-    """
-    Return the parameters that the nodes of a run had at its end.
-
-    Returns
-    -------
-    dict
-        Values by parameter name, by the node's full name. Lists are lists; a value is None where
-        a parameter was declared but not set.
-
-    Raises
-    ------
-    LogError
-        If it is no log, or a record of parameters in it is not as `parameters_record` makes it.
-
-    """
+    """Return the parameters that the nodes of a run had at its end."""
     parameters = {}
     for name, record in read_metadata(path).items():
         if name.startswith(f'{PARAMETERS}/'):

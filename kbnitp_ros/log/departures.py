@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from kbnitp_ros.bag import read_log, same_types
+from kbnitp_ros.bag import LogError, read_log, same_types
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.messages.status import AgentStatus, OrderState, read_status
@@ -16,12 +16,7 @@ STATUS = 'kbnitp_msgs/msg/AgentStatus'
 
 
 class Departures:
-    """
-    What became of orders: a fold of the statuses and the reports of all agents.
-
-    Both come on topics of their own, so that a report may be heard before the status that it
-    follows. A robot has departed if it said so, or if its agent reported how that ended.
-    """
+    """What became of orders: a fold of the statuses and the reports of all agents."""
 
     def __init__(self) -> None:
         # The robots that have departed and were not reported.
@@ -31,15 +26,7 @@ class Departures:
         self._reported: dict[DeploymentKey, int | None] = {}
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """
-        Take note of a status, and return whether it says something new; a refusal changes nothing.
-
-        Raises
-        ------
-        ValueError
-            If it contradicts what was said before, or comes after that or after the report.
-
-        """
+        """Record a status; return whether it is news. Raise ValueError for a contradiction."""
         known = self._statuses.get(key)
         if known is not None and not self._follows(key, status, known):
             return False
@@ -94,15 +81,7 @@ class Departures:
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """
-        Check that a robot can have been lost.
-
-        Raises
-        ------
-        ValueError
-            If it stays at the base.
-
-        """
+        """Check that a robot can have been lost."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, and its robot stays at the base: '
@@ -110,26 +89,20 @@ class Departures:
             )
 
 
-def read_statuses(log: str | Path) -> Iterator[tuple[DeploymentKey, AgentStatus]]:
-    """
-    Yield what is on record that agents said of their orders, as far as it can be read.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read or is corrupt.
-
-    """
+def read_statuses(
+    log: str | Path, corrupt: list[LogError] | None = None
+) -> Iterator[tuple[DeploymentKey, AgentStatus]]:
+    """Yield what is on record that agents said of their orders, as far as it can be read."""
     with same_types(log):
-        for logged in read_log(log, (STATUS,)):
+        for logged in read_log(log, (STATUS,), corrupt):
             with suppress(ValueError):
                 yield read_status(logged.message, agent_of(logged.topic))
 
 
-def read_departures(log: str | Path) -> Departures:
-    """Return what became of the orders on record, as `Departures.take` judges it."""
+def read_departures(log: str | Path, corrupt: list[LogError] | None = None) -> Departures:
+    """Fold the statuses on record; `corrupt` as for `read_log`."""
     departures = Departures()
-    for key, status in read_statuses(log):
+    for key, status in read_statuses(log, corrupt):
         # What was refused when it came is refused again.
         with suppress(ValueError):
             departures.take(key, status)

@@ -58,20 +58,7 @@ def read_deployments(
     max_steps: int,
     robot_types: Mapping[str, RobotType] = MappingProxyType({}),
 ) -> dict[DeploymentKey, RecordedDeployment]:
-    """
-    Return the deployments on record that the estimator takes, in the order they were made.
-
-    `max_steps` and the types of robots are those from now on: paths on record may have as many
-    steps as they had to.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read or is corrupt.
-    ValueError
-        If its beliefs are on another grid.
-
-    """
+    """Return the deployments on record that the estimator takes, in the order they were made."""
     belief, mission = check_same_field(log, grid, robot_types), read_mission(log)
     evidence = Evidence(grid, max_steps, robot_types)
     if belief:
@@ -106,21 +93,7 @@ def read_deployments(
 def read_newest_round(
     log: str | Path, deployments: dict[DeploymentKey, RecordedDeployment]
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
-    """
-    Return the belief that the newest deployments on record were planned on, and which these are.
-
-    A round's first path, which need not be on record, has the stamp of the belief that it was
-    planned on. A belief in some of the round's robots is younger than the round. Return None if it
-    is not on record.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read or is corrupt.
-    ValueError
-        If that belief is not one.
-
-    """
+    """Return the recorded belief that the newest deployments were planned on, and their keys."""
     # Nobody waits for an order that was refused: no belief holds it.
     keys = [key for key, each in deployments.items() if not each.is_refused]
     planned_on = None
@@ -142,19 +115,7 @@ def read_newest_round(
 
 
 def read_mission(log: str | Path) -> int | None:
-    """
-    Return when the mission of a log began, in nanoseconds; None if no belief is on record.
-
-    Beliefs state it. Paths of other missions may be on record from before the first robot left,
-    and priors of estimators that started anew later: the mission is the first of a path that a
-    belief states as well, and before there is such a path that of the last belief.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read or is corrupt.
-
-    """
+    """Return when the mission of a log began, in nanoseconds; None if no belief is on record."""
     stated: dict[int, None] = {}
     sent: dict[int, None] = {}
     with same_types(log):
@@ -173,11 +134,7 @@ def read_mission(log: str | Path) -> int | None:
 
 
 def is_of_mission(logged: LoggedMessage, mission: int | None) -> bool:
-    """
-    Return whether a path or report on record can be of the mission begun at a time.
-
-    A report is of the mission of its path. The time is in nanoseconds; None if none is stated.
-    """
+    """Return whether a path or report on record can be of the mission begun at a time."""
     if mission is None or logged.type_name != PATH:
         return True
     with suppress(ValueError):
@@ -186,15 +143,7 @@ def is_of_mission(logged: LoggedMessage, mission: int | None) -> bool:
 
 
 def read_paths(log: str | Path) -> Iterator[tuple[str, int, int, int]]:
-    """
-    Yield the topic, stamp, mission and content hash of each path on record.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read or is corrupt.
-
-    """
+    """Yield the topic, stamp, mission and content hash of each path on record."""
     with same_types(log):
         for logged in read_log(log, (PATH,)):
             if key := key_of_path(logged.topic, logged.message):

@@ -46,17 +46,7 @@ LONGEST = 500
 
 
 def record(deployments: Deployments, logged: LoggedMessage) -> bool:
-    """
-    Have deployments take note of a path or a report on record, as an estimator does of one heard.
-
-    Return whether an outcome is another one now.
-
-    Raises
-    ------
-    ValueError
-        If it is refused.
-
-    """
+    """Record a path or report as an estimator does; return whether an outcome changed."""
     agent, content = agent_of(logged.topic), content_hash(logged.message)
     if logged.type_name == REPORT:
         key, report = read_report(logged.message, agent)
@@ -67,15 +57,7 @@ def record(deployments: Deployments, logged: LoggedMessage) -> bool:
 
 
 def first_belief(log: str | Path) -> Snapshot | None:
-    """
-    Return the first belief on record; None if there is none that can be read.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read.
-
-    """
+    """Return the first belief on record; None if there is none that can be read."""
     with same_types(log):
         for logged in read_log(log, (BELIEF,)):
             check_version(log, logged.message)
@@ -85,15 +67,7 @@ def first_belief(log: str | Path) -> Snapshot | None:
 
 
 def check_version(log: str | Path, belief: Any) -> None:
-    """
-    Check that the messages of a log are those of this version.
-
-    Raises
-    ------
-    LogError
-        If they are of an earlier or a later one, which it names.
-
-    """
+    """Check that the messages of a log are those of this version."""
     known, fields = belief_field_names(), set(belief.__slots__)
     if lacking := known - fields:
         raise LogError(
@@ -109,15 +83,7 @@ def check_version(log: str | Path, belief: Any) -> None:
 
 
 def begun(prior: Snapshot) -> Ledger:
-    """
-    Return the ledger of a mission on record before its first deployment.
-
-    Raises
-    ------
-    LogError
-        If its method computed otherwise then.
-
-    """
+    """Return the ledger of a mission on record before its first deployment."""
     ledger = prior.ledger()
     if prior.version != ledger.estimator.version:
         raise LogError(
@@ -129,15 +95,7 @@ def begun(prior: Snapshot) -> Ledger:
 
 
 def last_belief(log: str | Path) -> Snapshot | None:
-    """
-    Return the last of the beliefs on record that hold the most deployments; None if there is none.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read.
-
-    """
+    """Return the last of the recorded beliefs that hold the most deployments."""
     last, most = None, -1
     with same_types(log):
         for logged in read_log(log, (BELIEF,)):
@@ -151,17 +109,7 @@ def last_belief(log: str | Path) -> Snapshot | None:
 def check_same_field(
     log: str | Path, grid: Grid, robot_types: Mapping[str, RobotType]
 ) -> Snapshot | None:
-    """
-    Return the first belief on record, after a check that it is on this grid, with these bases.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read.
-    ValueError
-        If it is on another grid, or an agent had another base.
-
-    """
+    """Return the first recorded belief; raise ValueError if its grid or bases are others."""
     belief = first_belief(log)
     if belief and belief.grid != grid:
         raise ValueError(f'{log} is of a mission on {belief.grid}: the parameters say {grid}')
@@ -254,18 +202,7 @@ class Evidence(Deployments):
         return self._by_stamp[key].get(stamp, self.reports[key])
 
     def named(self, evidence: Assimilated, stamp: int) -> tuple[ArrayLike, Report]:
-        """
-        Return the path and the report of a deployment that a belief of a time names.
-
-        Raises
-        ------
-        GapError
-            If the deployment has only later reports on record. The one named was not on disk yet
-            when recorder and agent were killed, and the agent made it again.
-        ValueError
-            If one of them is not on record, or with other contents.
-
-        """
+        """Return the path and the report of a deployment that a belief of a time names."""
         key = evidence.key
         if (key, evidence.path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')

@@ -42,6 +42,8 @@ from kbnitp_ros.messages.models import Known, read_model_belief
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+TYPES = (BELIEF, DECISION, GRID, MODEL, PATH, PROGRESS, REPORT)
+
 # Of all beliefs on record, which are held as joints and as maps.
 MOST_BYTES = 4 * 2**30
 BYTES_PER_CELL = (4 + 3) * 8
@@ -49,70 +51,45 @@ BYTES_PER_CELL = (4 + 3) * 8
 
 @dataclass(frozen=True, eq=False)
 class HeardBelief:
-    """
-    A belief on record.
+    """A belief on record."""
 
-    Attributes
-    ----------
-    snapshot : Snapshot
-        What it says.
-    time : int
-        When it was received, in nanoseconds.
-    position : int
-        How far into the log it stands, in bytes.
-
-    """
-
+    # What it says.
     snapshot: Snapshot
+    # When it was received, in nanoseconds.
     time: int
+    # How far into the log it stands, in bytes.
     position: int
 
 
 @dataclass(eq=False)
 class History:
-    """
-    What a log tells of its mission.
+    """What a log tells of its mission."""
 
-    Attributes
-    ----------
-    grid : Grid
-        The field.
-    evidence : Evidence
-        The deployments on record.
-    topic : str
-        That of the beliefs.
-    heard : list of HeardBelief
-        The beliefs on record, the prior first; what an estimator told again comes again.
-    sent : dict of DeploymentKey to int
-        When the path of a deployment was received, in nanoseconds.
-    reported : dict of (DeploymentKey, int) to int
-        When the report of a deployment with this stamp was received, in nanoseconds.
-    learnt : list of dict of str to Known
-        What was known of the numbers that were learnt, by their names; in the order on
-        record, empty if none were.
-    learnt_stamps : list of int
-        The stamps of the beliefs that these go with, in nanoseconds.
-    bounds : dict of int to float
-        What no path was worth more than given the belief of a stamp, nats, where
-        that was computed.
-    decision : Decision or None
-        The last one on record: what may be relied on of the goal.
-    world : World or None
-        The hidden truth, if the agent published it.
-
-    """
-
+    # The field.
     grid: Grid
+    # The deployments on record.
     evidence: Evidence
+    # That of the beliefs.
     topic: str = ''
+    # The beliefs on record, the prior first; what an estimator told again comes again.
     heard: list[HeardBelief] = field(default_factory=list)
+    # When the path of a deployment was received, in nanoseconds.
     sent: dict[DeploymentKey, int] = field(default_factory=dict)
+    # When the report of a deployment with this stamp was received, in nanoseconds.
     reported: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
+    # What was known of the numbers that were learnt, by their names; in the order on record, empty
+    # if none were.
     learnt: list[dict[str, Known]] = field(default_factory=list)
+    # The stamps of the beliefs that these go with, in nanoseconds.
     learnt_stamps: list[int] = field(default_factory=list)
+    # What no path was worth more than given the belief of a stamp, nats, where that was computed.
     bounds: dict[int, float] = field(default_factory=dict)
+    # The last one on record: what may be relied on of the goal.
     decision: Decision | None = None
+    # The hidden truth, if the agent published it.
     world: World | None = None
+    # Where files are corrupt: what comes after is not read.
+    corrupt: list[LogError] = field(default_factory=list)
 
     @property
     def beliefs(self) -> list[Belief]:
@@ -120,12 +97,7 @@ class History:
         return [each.snapshot.belief for each in self.heard]
 
     def to_dataframe(self) -> DataFrame:
-        """
-        Return one row a deployment that ended, as `kbnitp_ros.core.deployments_table`.
-
-        The entropies and losses are those of the first belief on record that holds so many
-        deployments; a log without late returns has one for each.
-        """
+        """Return one row a deployment that ended, as `kbnitp_ros.core.deployments_table`."""
         first = {each.snapshot.deployments: each.snapshot.belief for each in reversed(self.heard)}
         ended = sorted(self.evidence.reports, key=deployment_order)
         beliefs = [first.get(number) for number in range(1, len(ended) + 1)]
@@ -145,23 +117,7 @@ def read_history(
     path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
-    """
-    Read what happened in a mission.
-
-    Parameters
-    ----------
-    path : str or Path
-        Its log.
-    progress : callable
-        Passes the log's messages on; may show how far the reading has come.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read or has no belief on record, a belief on record is none, or what
-        was learnt, beliefs are of several missions, or they take more than `MOST_BYTES`.
-
-    """
+    """Read what happened in a mission."""
     first = first_belief(path)
     if first is None:
         raise LogError(
@@ -171,9 +127,7 @@ def read_history(
     history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
     with same_types(path):
-        for logged in progress(
-            read_log(path, (BELIEF, DECISION, GRID, MODEL, PATH, PROGRESS, REPORT))
-        ):
+        for logged in progress(read_log(path, TYPES, history.corrupt)):
             with named(path, logged, history):
                 if logged.type_name in (PATH, REPORT):
                     take_evidence(history, logged)
@@ -208,15 +162,7 @@ def named(path: str | Path, logged: LoggedMessage, history: History) -> Iterator
 
 
 def take_belief(history: History, logged: LoggedMessage) -> None:
-    """
-    Add a belief to the history.
-
-    Raises
-    ------
-    ValueError
-        If it is none, is of another mission, or there is no room for it.
-
-    """
+    """Add a belief to the history."""
     snapshot = read_belief_maps(logged.message)
     history.topic = history.topic or logged.topic
     if logged.topic != history.topic:

@@ -10,15 +10,7 @@ NAME = 'mission.mcap'
 
 
 def new_log(folder: Path | None = None) -> Path:
-    """
-    Return where the log of a mission that begins now goes, in a folder of its own: runs/TIME.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be made.
-
-    """
+    """Return the path of a new log, in a folder of its own: runs/TIME."""
     folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
     make_folder(folder)
     return folder / NAME

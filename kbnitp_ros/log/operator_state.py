@@ -55,17 +55,7 @@ class OperatorState:
         return True
 
     def check_times(self, what: Action) -> None:
-        """
-        Check that an action was not taken too often.
-
-        To pause and to end the mission is always possible.
-
-        Raises
-        ------
-        ValueError
-            If it was.
-
-        """
+        """Check that an action was not taken too often."""
         times = sum(each.action == what for each in self.actions.values())
         if what in REPEATED and times >= MOST_TIMES:
             raise ValueError(
@@ -82,11 +72,7 @@ class OperatorState:
         ]
 
     def is_approved(self, robots_left: int, paths: Paths) -> bool:
-        """
-        Return whether paths were approved since the last robot left.
-
-        The times that name them may be others: an estimator that is restarted has another prior.
-        """
+        """Return whether paths were approved since the last robot left."""
         return any(
             each.action == Action.APPROVE
             and each.robots_left == robots_left
@@ -107,15 +93,7 @@ def is_operator_action(logged: LoggedMessage) -> bool:
 
 
 def read_operator_actions(log: str | Path, grid: Grid) -> Iterator[tuple[OperatorAction, bytes]]:
-    """
-    Yield the actions of the operator, each with the message as it came off the wire.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read or is corrupt.
-
-    """
+    """Yield the actions of the operator, each with the message as it came off the wire."""
     with same_types(log):
         for logged in read_log(log, (OPERATOR,)):
             if is_operator_action(logged):

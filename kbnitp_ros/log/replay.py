@@ -67,34 +67,14 @@ def replay(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     asked: RecordedGoal | None = None,
 ) -> ReplayReport:
-    """
-    Compute a log's beliefs again, and decisions, and compare them with those on record.
-
-    The log is read twice: for its evidence and its views, then for its beliefs.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log of one mission, from its own recorder or from ``ros2 bag record``.
-    progress : callable
-        Passes the log's messages on, twice; may show how far the reading has come.
-    asked : RecordedGoal, optional
-        What the mission was to make sure of, without which decisions are not compared.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is no log or a corrupt one, is of another version, or does not
-        hold the beliefs of one mission.
-
-    """
+    """Compute a log's beliefs again, and decisions, and compare them with those on record."""
     first = first_belief(path)
     evidence = Evidence(*((first.grid, first.max_steps, first.robot_types) if first else NO_RULES))
     fold = Fold(ReplayReport(evidence, finished=is_finished(path)), asked)
     operator = OperatorState()
     departures = fold.report.departures
     with same_types(path):
-        for logged in progress(read_log(path, TYPES)):
+        for logged in progress(read_log(path, TYPES, fold.report.corrupt)):
             if logged.type_name == BELIEF:
                 evidence.pass_belief(logged.message)
             elif logged.type_name == PROGRESS:
@@ -115,7 +95,7 @@ def replay(
                     operator.apply(read_operator_action(evidence.grid, logged.message))
         fold.report.actions = list(operator.actions.values())
         fold.report.changes = list(read_changes(path))
-        for logged in progress(read_log(path, (BELIEF,))):
+        for logged in progress(read_log(path, (BELIEF,), [])):
             fold.take(logged)
     if not fold.topic:
         raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
@@ -198,12 +178,7 @@ class Fold:
     def _assimilate(
         self, newest: DeploymentKey, named: list[Assimilated], is_complete: bool, stamp: int
     ) -> bool:
-        """
-        Assimilate what a belief names; raises ValueError if that cannot be.
-
-        Return whether the belief can be that of the ledger then: not if what it adds is nothing
-        new to the ledger, since to its estimator it was.
-        """
+        """Assimilate what a belief names; raises ValueError if that cannot be."""
         of = {each.key: each for each in named}
         if newest not in of:
             raise ValueError(f'taken_in does not name {newest}, which it assimilated last')

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from math import isnan
 
+from kbnitp_ros.bag import LogError
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.compare import Difference
 from kbnitp_ros.log.departures import Departures
@@ -80,6 +81,8 @@ class ReplayReport:
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
     # Whether the log ends as its writer ends it.
     finished: bool = False
+    # Where files are corrupt: what comes after is not read.
+    corrupt: list[LogError] = field(default_factory=list)
 
     def add(self, finding: BeliefFinding) -> None:
         """Note a message that is not identical."""

@@ -29,12 +29,7 @@ class RecordedGoal:
 
 
 class ReplayedDecisions:
-    """
-    The decisions on record that were not compared yet.
-
-    Whether a decision is reached depends on the confidence, which an operator may change: that is
-    not compared.
-    """
+    """The decisions on record that were not compared yet."""
 
     def __init__(self, asked: RecordedGoal | None) -> None:
         self._asked = asked

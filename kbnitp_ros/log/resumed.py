@@ -13,16 +13,7 @@ from kbnitp_ros.log.evidence import begun, BELIEF, first_belief, PATH, record, R
 
 
 def read_ledger(log: str | Path) -> Ledger:
-    """
-    Return the ledger of a mission on record, with all its evidence.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read, the prior is not on record, or the method computed otherwise
-        then.
-
-    """
+    """Return the ledger of a mission on record, with all its evidence."""
     prior = first_belief(log)
     if prior is None:
         raise LogError(

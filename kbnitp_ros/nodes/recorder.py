@@ -15,7 +15,7 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.bag import check_texts, LARGEST_MESSAGE, LogWriter, qos_profiles_yaml
+from kbnitp_ros.bag import check_texts, LogWriter, MAX_MESSAGE, qos_profiles_yaml
 from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
 from kbnitp_ros.configuration import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.core import DeploymentKey
@@ -388,7 +388,7 @@ class RecorderNode(MissionNode):
         """Write a message that is sound; keep a belief until a time that is ahead of its paths."""
         topic, data, info = message
         try:
-            check_size(data, min(LARGEST.get(topic.type_name, LARGEST_MESSAGE), LARGEST_MESSAGE))
+            check_size(data, min(LARGEST.get(topic.type_name, MAX_MESSAGE), MAX_MESSAGE))
             if not self._is_of_this_mission(topic, data):
                 return
             self._check(topic, data)

@@ -108,6 +108,8 @@ class Mission:
     parameters: dict[str, dict[str, Any]]
     # What else is to be known of the log.
     notes: list[str]
+    # Where its files are corrupt: what comes after is not read.
+    corrupt: list[LogError]
     # How many robots have left and are not reported.
     in_flight: int
     # What may be relied on of the goal in the end.
@@ -163,20 +165,7 @@ def read_mission(
     log: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> Mission:
-    """
-    Return what a log tells of its mission.
-
-    `progress` passes the log's messages on; it may show how far the reading has come.
-
-    Raises
-    ------
-    LogError
-        If it cannot be read, no robot had left, or beliefs are missing although neither estimator
-        nor recorder was restarted.
-    ValueError
-        If its datum is no place on the earth.
-
-    """
+    """Return what a log tells of its mission."""
     history = read_history(log, progress)
     evidence = history.evidence
     if not evidence.paths:
@@ -185,7 +174,7 @@ def read_mission(
     keys = sorted(evidence.paths, key=deployment_order)
     moments, notes = moments_of(log, history, keys)
     first = history.heard[0].snapshot
-    departures = read_departures(log)
+    departures = read_departures(log, [])
     in_flight = sum(not departures.is_at_base(key) for key in evidence.without_report)
     parameters = read_parameters(log)
     site, unseen = site_of(parameters, history.grid)
@@ -203,7 +192,8 @@ def read_mission(
         world=history.world,
         run=read_metadata(log).get(RUN, {}),
         parameters=parameters,
-        notes=[*notes, *notes_of(log, evidence, in_flight), *filter(None, [unseen])],
+        notes=[*notes, *notes_of(log, history, in_flight), *filter(None, [unseen])],
+        corrupt=history.corrupt,
         in_flight=in_flight,
         decision=history.decision,
         datum=datum_of(parameters),
@@ -214,17 +204,7 @@ def read_mission(
 def moments_of(
     log: str | Path, history: History, keys: Sequence[DeploymentKey]
 ) -> tuple[list[Moment], list[str]]:
-    """
-    Return the beliefs on record as moments, and what is to be known of those that are missing.
-
-    An estimator that is restarted tells its prior and what it held again, which is left out.
-
-    Raises
-    ------
-    LogError
-        If beliefs are missing although neither estimator nor recorder was restarted.
-
-    """
+    """Return the recorded beliefs as moments, and remarks on missing ones."""
     place = {key: number for number, key in enumerate(keys)}
     learnt = dict(zip(history.learnt_stamps, history.learnt))
     ends = list(accumulate(part.stat().st_size for part in parts_of(log)))
@@ -317,8 +297,11 @@ def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
     return next((place for place, each in enumerate(moments) if each.time >= time), None)
 
 
-def notes_of(log: str | Path, evidence: Evidence, in_flight: int) -> Iterator[str]:
-    """Yield what is to be known of a log besides."""
+def notes_of(log: str | Path, history: History, in_flight: int) -> Iterator[str]:
+    """Yield remarks on a log."""
+    evidence = history.evidence
+    if history.corrupt:
+        yield f'Only the part before an error was read: {history.corrupt[0]}'
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
     if in_flight:

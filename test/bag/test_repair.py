@@ -3,10 +3,13 @@
 
 from disk import room_for
 from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.mcap_file import read_mcap
 from kbnitp_ros.bag.metadata import BagFile, write_metadata
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata
-from kbnitp_ros.bag.records import RecordedMessage
+from kbnitp_ros.bag.reader import (
+    is_finished,
+    read_metadata,
+    read_part,
+    RecordedMessage,
+)
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import main
@@ -37,7 +40,7 @@ def folder(whole_mission, tmp_path):
 
 def content(*files):
     """Return all that is said of the messages of some files, but where they stand."""
-    recorded = (each for file in files for each in read_mcap(file))
+    recorded = (each for file in files for each in read_part(file))
     messages = [each for each in recorded if isinstance(each, RecordedMessage)]
     return [
         (each.channel.topic, each.channel.metadata, each.schema.name, each.schema.data, *each[2:6])
@@ -122,26 +125,19 @@ def test_a_target_that_would_become_a_part_is_refused(folder):
         repair(folder, folder / 'mission_3.mcap')
 
 
-def test_a_corrupt_chunk_costs_its_messages_only(whole_mission, tmp_path):
-    """Even the one that has the definitions: they are in the file once more."""
-    sent = whole_mission.sent
-    path = tmp_path / 'mission.mcap'
-    with LogWriter(path) as log:
-        record_to(log, sent, synced=True)
-    corrupt = bytearray(path.read_bytes())
-    for lost in (0, 20):
-        corrupt[corrupt.index(sent[lost].data) + 20] ^= 1
-    path.write_bytes(corrupt)
-    with pytest.raises(LogError, match='is corrupt near byte .*replay --repair'):
-        list(read_log(path))
-    target = tmp_path / 'repaired.mcap'
-    repaired = repair(path, target)
-    left = [each for number, each in enumerate(sent) if number not in (0, 20)]
-    assert repaired.messages == len(left)
-    assert [each.data for each in read_log(target)] == [each.data for each in left]
-    assert is_finished(target)
-    assert len(repaired.lost) == 2
-    assert all(loss.startswith(f'{path} is corrupt near byte') for loss in repaired.lost)
+def test_what_comes_before_an_error_is_saved_of_each_part(folder, whole_mission, tmp_path):
+    path = folder / 'mission.mcap'
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(whole_mission.sent[10].data) + 20] ^= 1
+    path.write_bytes(damaged)
+    kept = len([each for each in read_part(path, []) if isinstance(each, RecordedMessage)])
+    assert kept == 10
+    later = len(content(*parts_of(folder)[1:]))
+    repaired = repair(folder, tmp_path / 'repaired.mcap')
+    assert repaired.messages == kept + later
+    assert repaired.lost[0] == f'{folder / "mission_1.mcap"} is unfinished'
+    assert repaired.lost[1].startswith(f'{path} is corrupt after byte')
+    assert is_finished(tmp_path / 'repaired.mcap')
 
 
 @for_each('cut', [0, 5, 8, 100])

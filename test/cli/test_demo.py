@@ -12,8 +12,13 @@ import sys
 import time
 
 from demo_mission import demo_mission
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_recorded
-from kbnitp_ros.bag.records import RecordedMetadata
+from kbnitp_ros.bag.reader import (
+    is_finished,
+    LogError,
+    read_log,
+    read_recorded,
+    RecordedMetadata,
+)
 from kbnitp_ros.bag.repair import copy
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.demo import (
@@ -196,7 +201,7 @@ def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path, ca
 def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_path):
     begun = [each for each in read_recorded(whole[0]) if isinstance(each, RecordedMetadata)]
     log = tmp_path / 'mission.mcap'
-    copy(begun, log, log.name, 'none', pytest.fail)
+    copy(begun, log, log.name, 'none')
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert '6 deployments' in resumed.stdout
@@ -216,7 +221,7 @@ def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
                 yield each
 
     log = tmp_path / 'mission.mcap'
-    copy(hidden(), log, log.name, 'none', pytest.fail)
+    copy(hidden(), log, log.name, 'none')
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert read_history(log).world is not None

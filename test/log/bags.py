@@ -27,24 +27,8 @@ QOS = Qos(
 )
 
 
-def write_bag(folder, sent, storage, version=9, compression=None):
-    """
-    Write messages to a bag.
-
-    Parameters
-    ----------
-    folder : Path
-        The bag to make.
-    sent : list of Sent
-        The messages.
-    storage : str
-        'mcap' or 'sqlite3'.
-    version : int
-        Of rosbag2's metadata, 8 or 9.
-    compression : tuple, optional
-        rosbags' mode and format.
-
-    """
+def write_bag(folder, sent, storage='mcap', version=9, compression=None):
+    """Write messages to a bag, in a version of rosbag2's metadata, with rosbags' compression."""
     writer = Writer(folder, version=version, storage_plugin=STORAGES[storage])
     if compression:
         writer.set_compression(*compression)

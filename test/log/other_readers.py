@@ -10,9 +10,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.mcap_file import read_mcap
-from kbnitp_ros.bag.reader import read_recorded
-from kbnitp_ros.bag.records import RecordedMessage
+from kbnitp_ros.bag.reader import read_part, read_recorded, RecordedMessage
 from kbnitp_ros.bag.schema import describe
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -171,5 +169,5 @@ def check_all_read(log):
     """
     for part in parts_of(log):
         for library in (with_mcap, with_node, with_rosbags):
-            check_same(library(part), read_mcap(part))
+            check_same(library(part), read_part(part))
     check_same(with_rosbags(log.parent), read_recorded(log))

@@ -1020,7 +1020,7 @@ def test_what_is_no_log_is_refused(whole_mission, tmp_path, capsys):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    assert 'mission.mcap is corrupt near byte' in refused(path, capsys)
+    assert 'mission.mcap is corrupt after byte' in refused(path, capsys)
 
 
 def rewritten(path, sent, type_name, edit):
