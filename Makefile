@@ -33,7 +33,7 @@ demo: build
 results: build
 	. ./env.sh && for scenario in paper calibrated mismatched unknown_lethality \
 	  mismatched_learning paper_learning unknown teams loss_cost behavioral last_contact planners prior_maps bases \
-	  static_hazards changing_hazards used_up_hazards used_up_sampled blobs rows scattered \
+	  static_hazards changing_hazards used_up_hazards blobs rows scattered \
 	  lanes lanes_learning certificates certificates_learning certificates_clustered areas; do \
 	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \
 	done && python3 -m kbnitp_ros.study.page runs/study docs

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make what sampling and smoothing are measured against: the posterior of missions by long chains.
+Make what sampling is measured against: the posterior of missions by long chains.
 
 ``python3 benchmarks/reference.py`` writes test/core/inference/reference.npz. Each posterior is
 the mean of two halves of half a million sweeps, by chains that have nothing in common; how far the
@@ -48,7 +48,7 @@ def mission(lethality: float, number: int) -> list[Observation]:
     world = World.random(GRID, rng, 0.15, 0.8, 0.1)
     model = SensorModel(lethality)
     deployments = run_mission(
-        GRID, PRIOR, model, world, ROBOTS, rng, 'kappa_bnitp_smoothed', SearchOptions('relaxed')
+        GRID, PRIOR, model, world, ROBOTS, rng, options=SearchOptions('relaxed')
     )
     return [deployment.observation for deployment in deployments]
 

@@ -27,11 +27,11 @@ def walk(grid: Grid, rng: np.random.Generator) -> list[int]:
 
 
 @cache
-def times(method: str) -> list[float]:
+def times() -> list[float]:
     """Return the seconds of each update of a mission of random walks."""
     grid, rng, model = Grid(SIDE, SIDE), np.random.default_rng(1), SensorModel(0.5)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), model, method)
+    estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), model)
     taken = []
     for _ in range(DEPLOYMENTS[-1]):
         observation = world.traverse(walk(grid, rng), model, rng)
@@ -41,17 +41,16 @@ def times(method: str) -> list[float]:
     return taken
 
 
-def mean_up_to(method: str, deployments: int) -> Callable[[], float]:
+def mean_up_to(deployments: int) -> Callable[[], float]:
     """Return what gives the mean over the window that ends with a deployment."""
-    return lambda: float(np.mean(times(method)[deployments - WINDOW : deployments]))
+    return lambda: float(np.mean(times()[deployments - WINDOW : deployments]))
 
 
-BENCHMARKS = tuple(
+BENCHMARKS = (
     Benchmark(
-        f'An update of `{method}` by deployments',
+        'An update of `kappa_bnitp` by deployments',
         f'A mission of random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells, of which few '
         f'are equal; means over\nthe {WINDOW} deployments up to each.',
-        {f'deployment {number:,}': mean_up_to(method, number) for number in DEPLOYMENTS},
-    )
-    for method in ('kappa_bnitp', 'kappa_bnitp_smoothed')
+        {f'deployment {number:,}': mean_up_to(number) for number in DEPLOYMENTS},
+    ),
 )

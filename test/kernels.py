@@ -37,9 +37,7 @@ def missions():
     """Return the beliefs that missions come to, planned without most kernels."""
     beliefs = []
     for method, unknowns, effect in (
-        ('kappa_bnitp_smoothed', Unknowns(), 'static'),
         ('kappa_bnitp_sampled', Unknowns(lethality=(0.0, 1.0)), 'static'),
-        ('kappa_bnitp_sampled', Unknowns(), 'used_up'),
     ):
         rng = np.random.default_rng(1)
         world = World.random(GRID, rng, 0.15, 0.8, 0.1)

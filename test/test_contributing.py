@@ -40,10 +40,10 @@ assert last.table(section).markdown().splitlines()[-1] == '| 0.5 | 3 |'
 """
 
 LATE = """
-from kbnitp_ros.core.inference.smoothing import Smoother
+from kbnitp_ros.core.inference.sampling import Sampler
 
 
-class Late(Smoother):
+class Late(Sampler):
     version = 1
 """
 

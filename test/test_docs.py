@@ -11,7 +11,6 @@ from kbnitp_ros.configuration import TABLE
 from kbnitp_ros.core import log_loss
 from kbnitp_ros.core.field import unknowns
 from kbnitp_ros.core.inference.sampling import chain_state, chains, sampler
-from kbnitp_ros.core.inference.smoothing import smoother
 from kbnitp_ros.core.planning.objective import joint_outcomes, moments
 from kbnitp_ros.core.planning.search import labels
 from kbnitp_ros.core.planning.teams import greedy, voronoi
@@ -40,15 +39,6 @@ def says(page, *parts):
     """See that a page has a text, each number in it in words or in digits as it has them."""
     text = ''.join(IN_WORDS.get(part, str(part)) for part in parts)
     assert text in words(page), text
-
-
-def test_what_the_method_is_said_to_take():
-    page = 'docs/mathematics.md'
-    cells = smoother.CONDITIONED_CELLS
-    says(page, 'the ', cells, ' undecided cells with the largest product of message and variance')
-    says(page, f'to each of their {2**cells} joint values $v$ in turn')
-    says(page, f'has changed by more than a part in {1 / smoother.TOLERANCE:,.0f}.')
-    says(page, 'or for ', smoother.ROUNDS, ' rounds')
 
 
 def test_what_sampling_is_said_to_take():

@@ -17,12 +17,10 @@ BELOW = {
     'plugins': set(),
     'core.field': set(),
     'core.inference.filtering': {'core.field'},
-    'core.inference.smoothing': {'core.field', 'core.inference.filtering'},
     'core.inference.sampling': {'core.field', 'core.inference.filtering'},
     'core.inference': {
         'core.field',
         'core.inference.filtering',
-        'core.inference.smoothing',
         'core.inference.sampling',
         'plugins',
     },

@@ -113,7 +113,7 @@ def test_the_example_of_the_readme_runs(run):
 
 def test_logs_and_studies_need_no_ros(run, tmp_path):
     log = tmp_path / 'mission.mcap'
-    golden = ROOT / 'test/log/recorded/kappa_bnitp_smoothed.mcap.gz'
+    golden = ROOT / 'test/log/recorded/kappa_bnitp.mcap.gz'
     log.write_bytes(gzip.decompress(golden.read_bytes()))
     for command, *arguments in (
         ('replay', log),

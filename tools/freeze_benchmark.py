@@ -29,9 +29,7 @@ def freeze(path: Path) -> None:
     for number, (lethality, robots) in enumerate(product(LETHALITIES, ROBOTS)):
         model = SensorModel(lethality)
         world = World.random(grid, [1, number], 0.15, 0.8, 0.1)
-        mission = run_mission(
-            grid, prior, model, world, robots, number, 'kappa_bnitp_smoothed', options
-        )
+        mission = run_mission(grid, prior, model, world, robots, number, options=options)
         belief = mission[-1].belief if mission else prior
         proven = plan(grid, belief, model, STEPS, 'exact', branches=BRANCHES)
         joints.append(belief.joint)

@@ -84,7 +84,10 @@ def check_version(log: str | Path, belief: Any) -> None:
 
 def begun(prior: Snapshot) -> Ledger:
     """Return the ledger of a mission on record before its first deployment."""
-    ledger = prior.ledger()
+    try:
+        ledger = prior.ledger()
+    except ValueError as error:
+        raise LogError(f'the beliefs on record cannot be computed: {error}') from error
     if prior.version != ledger.estimator.version:
         raise LogError(
             f'beliefs are on record by version {prior.version} of {prior.method}: this '

@@ -33,17 +33,22 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     for when a name is asked for that is not the package's own, or when all are listed. One that
     cannot be had is refused with a RuntimeWarning, and everything else works. `kind` says in one
     word what each entry is. `check` takes what is to be added, the package's own too, and returns
-    it as an entry; a TypeError or ValueError says what it lacks.
+    it as an entry; a TypeError or ValueError says what it lacks. `gone` says of each removed name
+    what to use.
     """
 
     def __init__(
-        self, kind: str, check: Callable[[object], Entry], own: Mapping[str, object]
+        self,
+        kind: str,
+        check: Callable[[object], Entry],
+        own: Mapping[str, object],
+        gone: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.kind = kind
         self.check = check
         self._entries: dict[str, Entry] = {}
         self._sources: dict[str, str] = {}
-        self._refused: dict[str, str] = {}
+        self._refused = dict(gone)
         self._is_searched = False
         for name, given in own.items():
             self._add(name, given, PACKAGE)

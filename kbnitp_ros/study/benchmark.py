@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 # Of what is frozen: another one whenever a belief, a world or a number of the missions changes.
-VERSION = 1
+VERSION = 2
 NAME = 'benchmark'
 
 # Of the planner 'exact'.
@@ -59,7 +59,7 @@ HEADS = (
 )
 
 # What every planner is tried with, and every method; with both the two tables meet.
-PLANNER, METHOD = 'beam', 'kappa_bnitp_smoothed'
+PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
 class Frozen(NamedTuple):

@@ -39,7 +39,7 @@ SCENARIO = {
     'seed': 3,
     'trials': 10,
     'robots': 12,
-    'methods': ['kappa_bnitp_published', 'kappa_bnitp_smoothed'],
+    'methods': ['kappa_bnitp_published', 'kappa_bnitp'],
     'lethalities': [0.1, 0.9],
     'grid': {'width': 5, 'height': 5, 'base': 0},
     'planning': {'planner': 'relaxed', 'max_steps': 10, 'width': 1, 'max_visits': 3},
@@ -214,7 +214,7 @@ def test_a_finished_study_runs_nothing_again(scenario, whole):
 def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, tmp_path):
     out = tmp_path / 'out'
     shutil.copytree(whole, out)
-    for file in sorted(out.glob('trials/*-kappa_bnitp_smoothed-*')):
+    for file in sorted(out.glob('trials/*-kappa_bnitp-*')):
         file.unlink()
     terminal, screen = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('4H', 24, 99, 0, 0))

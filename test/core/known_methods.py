@@ -11,6 +11,5 @@ LEARN_FROM_LOSSES = (
     'relaxed_bnitp',
     'kappa_bnitp_published',
     'kappa_bnitp',
-    'kappa_bnitp_smoothed',
     'kappa_bnitp_sampled',
 )

@@ -124,7 +124,7 @@ def test_the_order_in_which_missions_are_run_changes_nothing(goal):
 
 def test_what_is_foreseen_is_what_a_mission_in_that_world_does():
     goal, stop = Lane(to=15, confidence=0.9), Stop(losses=2)
-    estimator = Estimator(PRIOR, MODEL, 'kappa_bnitp_smoothed')
+    estimator = Estimator(PRIOR, MODEL)
     kept = []
 
     def keep(fly, worlds):
@@ -144,8 +144,7 @@ def test_what_is_foreseen_is_what_a_mission_in_that_world_does():
             world,
             9,
             fresh(8, 4, number),
-            'kappa_bnitp_smoothed',
-            OPTIONS,
+            options=OPTIONS,
             truth=Truth(model),
             goal=goal,
             stop=stop,

@@ -138,21 +138,21 @@ def test_no_robots_no_deployments():
 
 
 @pytest.mark.slow
-@for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
-def test_teams_of_one_are_robots_one_by_one(method, allocation):
-    alone = fly(9, method=method)[1]
-    teams = fly(9, method=method, agents=1, allocation=allocation, loss_cost=0.0)[1]
+@for_each('allocation', ALLOCATIONS)
+def test_teams_of_one_are_robots_one_by_one(allocation):
+    alone = fly(9)[1]
+    teams = fly(9, agents=1, allocation=allocation, loss_cost=0.0)[1]
     assert trace(teams) == trace(alone)
 
 
 @pytest.mark.slow
-@for_each('allocation, method', product(ALLOCATIONS, ['kappa_bnitp', 'kappa_bnitp_smoothed']))
-def test_a_round_is_planned_at_once_and_taken_in_in_order(method, allocation):
+@for_each('allocation', ALLOCATIONS)
+def test_a_round_is_planned_at_once_and_taken_in_in_order(allocation):
     options = {'allocation': allocation, 'loss_cost': 0.2}
-    world, deployments = fly(10, robots=8, method=method, agents=3, **options)
+    world, deployments = fly(10, robots=8, agents=3, **options)
     rng = np.random.default_rng(10)
     World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
-    estimator, held = Estimator(PRIOR, MODEL, method), iter(deployments)
+    estimator, held = Estimator(PRIOR, MODEL), iter(deployments)
     for agents in (3, 3, 2):
         team = plan_round(GRID, estimator.belief, MODEL, 8, agents, **options)
         for planned in team.plans:

@@ -29,7 +29,7 @@ SILENT = {
     'max_steps': 8,
     'grid.width': 5,
     'grid.height': 5,
-    'method': 'kappa_bnitp_smoothed',
+    'method': 'kappa_bnitp',
 }
 
 

@@ -41,13 +41,12 @@ def relay(seed, source, target):
         process.wait()
 
 
-# Methods that depend on the order of the deployments, and the one that does not.
 @pytest.mark.full
 @pytest.mark.parametrize(
     'method, learn',
     [
         ('kappa_bnitp_published', []),
-        ('kappa_bnitp_smoothed', []),
+        ('kappa_bnitp', []),
         ('kappa_bnitp_sampled', ['lethality', 'malfunction']),
     ],
 )

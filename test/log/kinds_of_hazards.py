@@ -11,22 +11,17 @@ from mission_log import GRID, mission, record_to
 
 # How often each step survived is heard of.
 HEARD = Execution(contact=0.5)
-CHANGING = Dynamics('changing', appear=0.02, vanish=0.1)
-USED_UP = Dynamics('used_up')
-SAMPLED = {'method': 'kappa_bnitp_sampled', 'method_seed': 5}
 
 KINDS = {
     'lost_at': {'conduct': HEARD},
-    'lost_at_smoothed': {'conduct': HEARD, 'method': 'kappa_bnitp_smoothed'},
-    'changing': {'conduct': HEARD, 'dynamics': CHANGING},
-    'changing_sampled': {'conduct': HEARD, 'dynamics': CHANGING, **SAMPLED},
-    'used_up': {'seed': 2, 'conduct': HEARD, 'dynamics': USED_UP},
-    'used_up_sampled': {'seed': 2, 'conduct': HEARD, 'dynamics': USED_UP, **SAMPLED},
+    'changing': {'conduct': HEARD, 'dynamics': Dynamics('changing', appear=0.02, vanish=0.1)},
+    'used_up': {'seed': 2, 'conduct': HEARD, 'dynamics': Dynamics('used_up')},
     'clustered': {
         'clustering': Clustering(GRID, 'learn'),
         'unknowns': Unknowns(hazard_density=(0.05, 0.6)),
         'conduct': HEARD,
-        **SAMPLED,
+        'method': 'kappa_bnitp_sampled',
+        'method_seed': 5,
     },
 }
 

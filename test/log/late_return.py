@@ -11,7 +11,7 @@ from mission_log import Mission, record_to
 
 
 def main():
-    whole = Mission('kappa_bnitp_smoothed')
+    whole = Mission('kappa_bnitp')
     orders = [2, 7, 12, 7, 2]
     late = whole.deploy(Observation(orders, False), 'scout_1')
     whole.deploy(Observation([2, 7, 6, 2], False), 'scout_2')

@@ -52,7 +52,7 @@ def replayed(folder, sent, goal=LANE):
 
 @for_each(
     'goal, method',
-    [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp_smoothed')],
+    [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp')],
 )
 def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     report = replayed(tmp_path_factory.mktemp('log'), decided(goal, method), goal)

@@ -18,7 +18,7 @@ LANE = {
     'grid.width': 5,
     'grid.height': 4,
     'max_steps': 10,
-    'method': 'kappa_bnitp_smoothed',
+    'method': 'kappa_bnitp',
     'planner': 'relaxed',
     'sensor.lethality': 0.6,
     'prior.hazard': 0.3,

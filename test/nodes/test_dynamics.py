@@ -27,17 +27,12 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 @pytest.mark.parametrize(
     'hazards',
     [
-        {'contact_probability': 0.5, 'method': 'kappa_bnitp_smoothed'},
+        {'contact_probability': 0.5},
         {'hazards.dynamics': 'used_up'},
-        {
-            'hazards.dynamics': 'used_up',
-            'method': 'kappa_bnitp_sampled',
-            'contact_probability': 0.5,
-        },
         {'hazards.dynamics': 'changing', 'hazards.appear': 0.05, 'hazards.vanish': 0.2},
         {'prior.clustering': 'learn', 'method': 'kappa_bnitp_sampled', 'learn': ['lethality']},
     ],
-    ids=['heard', 'used_up', 'used_up_sampled', 'changing', 'clustered'],
+    ids=['heard', 'used_up', 'changing', 'clustered'],
 )
 def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     log = field.folder / 'mission.mcap'

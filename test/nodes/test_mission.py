@@ -68,7 +68,7 @@ LEARNING = {
 # Robots that depart from their orders in every way there is.
 WILFUL = {
     **SMALL,
-    'method': 'kappa_bnitp_smoothed',
+    'method': 'kappa_bnitp',
     'detour_probability': 0.2,
     'early_return_probability': 0.1,
     'contact_probability': 0.5,

@@ -132,7 +132,7 @@ def test_sixty_four_agents_in_one_process(field):
 
 def test_robots_leave_whenever_their_agent_is_free(field):
     rolling = {'rolling': True, 'step_period': 0.02, 'robots': 30}
-    team = Team(field, 3, {**rolling, 'method': 'kappa_bnitp_smoothed'})
+    team = Team(field, 3, {**rolling, 'method': 'kappa_bnitp'})
     team.until_done()
     assert len(team.told) == len({key for key, _ in team.told}) == 30
     team.assert_is_the_fold_of_its_reports()
@@ -145,7 +145,7 @@ def test_robots_leave_whenever_their_agent_is_free(field):
 SILENT = {
     'silent_loss': True,
     'step_period': 0.001,
-    'method': 'kappa_bnitp_smoothed',
+    'method': 'kappa_bnitp',
     'sensor.lethality': 0.9,
 }
 

@@ -13,7 +13,7 @@ CONTENT = {
     'seed': 7,
     'trials': 3,
     'robots': 4,
-    'methods': ['relaxed_bnitp', 'kappa_bnitp', 'kappa_bnitp_smoothed'],
+    'methods': ['relaxed_bnitp', 'kappa_bnitp_published', 'kappa_bnitp'],
     'lethalities': [0.2, 0.9],
     'grid': {'width': 4, 'height': 3, 'base': 5},
     'planning': {'planner': 'relaxed', 'max_steps': 6, 'width': 1, 'max_visits': 2},

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 GOAL = 11
 LANE = (Strategy(), Strategy(goal='safest_lane'), Strategy(goal='lane'))
-SMOOTHED = 'kappa_bnitp_smoothed'
+METHOD = 'kappa_bnitp'
 
 
 def run(scenario):
@@ -34,7 +34,7 @@ def asked(scenario):
     """Return a scenario that asks for a lane."""
     return replace(
         scenario,
-        methods=(SMOOTHED,),
+        methods=(METHOD,),
         lethalities=(0.5,),
         robots=12,
         teams=LANE,
@@ -54,16 +54,16 @@ def certificates(asked):
 
 
 def series(results, name, team):
-    return results.series(0.5, SMOOTHED, name, team=team)
+    return results.series(0.5, METHOD, name, team=team)
 
 
 def test_every_strategy_is_asked_for_the_same_decision(asked, lanes):
     for number, team in product(range(asked.trials), asked.teams):
-        outcome = lanes.outcomes[Trial(0.5, SMOOTHED, number, team)]
+        outcome = lanes.outcomes[Trial(0.5, METHOD, number, team)]
         measured = dict(zip(measures_of(asked), outcome.measures.T))
         hazard = outcome.truth[0]
         truth = asked.truth(0.5, number)
-        prior = Estimator(asked.belief(truth), asked.model(truth), SMOOTHED, seed=number)
+        prior = Estimator(asked.belief(truth), asked.model(truth), METHOD, seed=number)
         draws = HazardDraws.of(prior, 0)
         first = Lane(GOAL).decide(asked.field(), draws, prior.model, asked.planning.max_steps)
         assert measured['p_free'][0] == first.p_free
@@ -124,8 +124,7 @@ def test_a_mission_that_stops_is_the_beginning_of_one_that_goes_on(asked, lanes,
     [team] = certificates.scenario.teams
     for number in range(asked.trials):
         stopped, whole = (
-            of.outcomes[Trial(0.5, SMOOTHED, number, team)].measures
-            for of in (certificates, lanes)
+            of.outcomes[Trial(0.5, METHOD, number, team)].measures for of in (certificates, lanes)
         )
         place = measures_of(asked).index('sent')
         end = int(stopped[-1, place])

@@ -46,7 +46,12 @@ def test_a_scenario_is_what_its_file_says(tmp_path):
         ('lethalities', [], r'lethalities is \[\].*at least one'),
         ('lethalities', 0.5, 'lethalities is 0.5.*a list'),
         ('lethalities', [0.5, 0.50], 'lethalities.*twice'),
-        ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_smoothed'),
+        ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_sampled'),
+        (
+            'methods',
+            ['kappa_bnitp_smoothed'],
+            'methods is .kappa_bnitp_smoothed.: it is gone.* 0.3.0 .*use kappa_',
+        ),
         ('methods', [['kappa_bnitp']], 'methods is .*known'),
         ('planning.planner', 'magic', 'planning.planner is .magic.*relaxed'),
         ('planning.max_steps', 0, 'planning.max_steps is 0.*from 1'),
@@ -139,7 +144,6 @@ def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
             'relaxed_bnitp',
             'kappa_bnitp_published',
             'kappa_bnitp',
-            'kappa_bnitp_smoothed',
         )
         assert vars(scenario.sensor) == {
             'malfunction': 0.05,

@@ -34,7 +34,6 @@ ALL_METHODS = (
     'relaxed_bnitp',
     'kappa_bnitp_published',
     'kappa_bnitp',
-    'kappa_bnitp_smoothed',
     'kappa_bnitp_sampled',
 )
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)

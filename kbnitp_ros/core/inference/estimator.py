@@ -69,8 +69,8 @@ class Estimator:
     ------
     ValueError
         If the method is unknown, it learns no numbers and there are some to learn, one of these
-        makes no difference, it does not take such hazards, the prior or the dynamics do not go
-        with a clustering, or a method of another package breaks its rules.
+        makes no difference, it does not take such hazards, the prior does not go with a
+        clustering, or a method of another package breaks its rules.
 
     """
 
@@ -105,10 +105,6 @@ class Estimator:
                 lambda each: getattr(each, 'clusters', False),
                 f'{name} does not take clustered hazards',
             )
-            if dynamics.effect != 'static':
-                raise ValueError(
-                    f'hazards are {dynamics.effect} and clustered: only static hazards may cluster'
-                )
         self.prior = belief
         self.method = method
         self.unknowns = unknowns
@@ -221,10 +217,8 @@ class Estimator:
         """
         Draw the hazards of all cells together, as they may be given all deployments so far.
 
-        Only 'kappa_bnitp_sampled' draws from the joint posterior itself. 'kappa_bnitp_smoothed'
-        draws from its approximation of it: the few cells that it conditions on together, and all
-        others independently given these. One-pass methods, and those of other packages that have
-        no `draws` of their own, know of no tie between cells and draw each independently.
+        'kappa_bnitp_sampled' draws from the joint posterior. One-pass methods, and those of other
+        packages without `draws` of their own, draw each cell independently.
 
         Parameters
         ----------

@@ -27,8 +27,7 @@ from kbnitp_ros.core.inference.filtering import (
     OnePass,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.sampling import Sampled
-from kbnitp_ros.core.inference.smoothing import Smoother
+from kbnitp_ros.core.inference.sampling import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
 # What an inference can do, and what it knows.
@@ -177,9 +176,9 @@ METHODS = Registry(
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
         'kappa_bnitp': OnePass(lost_likelihood, correlated=True, dynamics=('changing', 'used_up')),
-        'kappa_bnitp_smoothed': Smoother,
-        'kappa_bnitp_sampled': Sampled(),
+        'kappa_bnitp_sampled': Sampler,
     },
+    gone={'kappa_bnitp_smoothed': 'it is gone: 0.3.0 reads its logs; use kappa_bnitp'},
 )
 
 

@@ -20,7 +20,7 @@ EXAMPLES = {
     'planner': 'robots:=20',
     'agent': 'seed:=3',
     'robot': 'agent:=scout_1',
-    'estimator': 'method:=kappa_bnitp_smoothed',
+    'estimator': 'method:=kappa_bnitp_sampled',
     'recorder': 'file:=mission.mcap',
 }
 

@@ -224,7 +224,7 @@ def test_safest_path_is_the_best_of_all_ways_nearly_always():
 PATHS = ([0, 1, 2, 1, 0], [0, 3, 4, 1, 0], [0, 1, 4, 3, 0], [0, 4, 8, 4, 0])
 
 
-@pytest.mark.parametrize('method', ['kappa_bnitp_sampled', 'kappa_bnitp_smoothed', 'kappa_bnitp'])
+@pytest.mark.parametrize('method', ['kappa_bnitp_sampled', 'kappa_bnitp'])
 def test_draws_are_of_the_belief_and_those_of_sampling_of_the_joint_posterior(method):
     hazard = np.array([0.0, *[0.3] * 8])
     prior = Belief.from_maps(hazard, hazard, np.full(9, 0.5))

@@ -140,7 +140,7 @@ def mission(robots, rng):
 
 
 @pytest.mark.slow
-@for_each('method', ['kappa_bnitp', 'kappa_bnitp_smoothed'], every=5)
+@for_each('method', ['kappa_bnitp', 'kappa_bnitp_published'], every=5)
 @for_each('lateness', [2, 30, 1000])
 def test_a_long_mission_may_come_in_any_disorder(method, lateness):
     rng = np.random.default_rng(lateness)

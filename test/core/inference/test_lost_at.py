@@ -111,16 +111,6 @@ def test_the_published_methods_weigh_each_step_by_it(seed):
         assert found.target[cell] == pytest.approx(target, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.slow
-@for_each('seed', range(300))
-def test_smoothing_takes_a_first_loss_in_exactly(seed):
-    joint, model, path, steps, lost_at = located(seed)
-    estimator = Estimator(Belief(joint), model, 'kappa_bnitp_smoothed')
-    estimator.assimilate(Observation(path, False, None, steps, lost_at))
-    expected = brute_force.posterior(joint, model, (path, None, steps, lost_at))
-    assert estimator.belief.joint == pytest.approx(expected, rel=0, abs=1e-9)
-
-
 def mission(seed):
     """Draw a prior, sensors and three deployments in one small field, the first one lost."""
     rng = np.random.default_rng([seed, 24])
@@ -220,11 +210,12 @@ def test_all_alike_is_nothing_known():
         assert told.belief.joint.tobytes() == plain.belief.joint.tobytes()
 
 
-@for_each('method', ['kappa_bnitp_smoothed', 'kappa_bnitp_sampled'])
-def test_a_loss_in_a_stretch_is_one_on_a_shorter_path(method):
+def test_a_loss_in_a_stretch_is_one_on_a_shorter_path():
     """What comes after the last step that fits says nothing."""
     belief = Belief.from_maps([0.0, 0.3, 0.4, 0.2], [0.4] * 4, [0.8] * 4)
-    longer, shorter = (Estimator(belief, SensorModel(0.5), method) for _ in range(2))
+    longer, shorter = (
+        Estimator(belief, SensorModel(0.5), 'kappa_bnitp_sampled') for _ in range(2)
+    )
     longer.assimilate(Observation([0, 1, 2, 0, 3, 0], False, lost_at=[0, 2, 2, 0, 0]))
     shorter.assimilate(Observation([0, 1, 2, 0], False, steps_survived=1))
     assert longer.belief.joint.tobytes() == shorter.belief.joint.tobytes()
@@ -235,21 +226,6 @@ def test_steps_that_cannot_be_are_survived():
     assert seen.steps_survived == 2
     assert seen.lost_at.tolist() == [0.0, 0.0, 1.0, 0.5]
     assert Observation([0, 1, 2, 3, 0], False, None, 1, [5.0, 3.0, 3.0, 3.0]).lost_at is None
-
-
-def test_only_equal_steps_and_weights_are_copies():
-    belief = Belief.from_maps([0.0, 0.3, 0.4, 0.2], [0.4] * 4, [0.8] * 4)
-    one, other, third = [0, 1, 2, 3, 0], [0, 3, 2, 1, 0], [4.0, 3.0, 2.0, 1.0]
-    deployments = [(one, third), (one, [8.0, 6.0, 4.0, 2.0]), (other, third), (one, [1, 2, 3, 4])]
-    estimator = Estimator(belief, SensorModel(0.5), 'kappa_bnitp_smoothed')
-    for path, lost_at in deployments:
-        estimator.assimilate(Observation(path, False, lost_at=lost_at))
-    assert estimator._inference._losses.graph.copies.tolist() == [2.0, 1.0, 1.0]
-    expected = brute_force.posterior(
-        belief.joint, SensorModel(0.5), *((path, None, 0, each) for path, each in deployments)
-    )
-    # The cells on losses are few enough to be fixed in turn, so smoothing is exact.
-    assert estimator.belief.joint == pytest.approx(expected, abs=1e-4)
 
 
 @for_each(
@@ -272,7 +248,7 @@ def test_what_cannot_be_known_is_refused(arguments, message):
         Observation(**{'path': [0, 1, 2, 0], 'survived': False, **arguments})
 
 
-@for_each('method', ['kappa_bnitp', 'kappa_bnitp_smoothed', 'kappa_bnitp_sampled'])
+@for_each('method', ['kappa_bnitp', 'kappa_bnitp_sampled'])
 def test_an_impossible_loss_is_refused_and_changes_nothing(method):
     """Without malfunctions no robot is lost in the one step that fits, into a cell known safe."""
     belief = Belief.from_maps([0.0, 0.5, 0.0, 0.5], [0.4] * 4, [0.8] * 4)
@@ -285,7 +261,7 @@ def test_an_impossible_loss_is_refused_and_changes_nothing(method):
 def test_a_method_that_does_not_say_so_is_given_no_such_loss(monkeypatch):
     monkeypatch.setattr(OnePass, 'takes_lost_at', False)
     estimator = Estimator(Belief.from_maps([0.0, 0.5], [0.4] * 2, [0.8] * 2), SensorModel(0.5))
-    with pytest.raises(ValueError, match='kappa_bnitp does not .* kappa_bnitp_smoothed or k'):
+    with pytest.raises(ValueError, match='kappa_bnitp does not .*: use kappa_bnitp_sampled'):
         estimator.assimilate(Observation([0, 1, 1, 0], False, lost_at=[1, 2, 3]))
     estimator.assimilate(Observation([0, 1, 1, 0], False, lost_at=[2, 2, 2]))
 

@@ -2,7 +2,16 @@
 """The belief after one deployment, against enumeration and against the paper's equations."""
 
 import brute_force
-from kbnitp_ros.core import Belief, Estimator, METHODS, Observation, SensorModel, update
+from kbnitp_ros.core import (
+    Belief,
+    Dynamics,
+    Estimator,
+    Grid,
+    METHODS,
+    Observation,
+    SensorModel,
+    update,
+)
 from kbnitp_ros.core.inference.filtering.one_pass import OnePass
 from known_methods import LEARN_FROM_LOSSES
 from laws import for_each
@@ -269,3 +278,45 @@ def test_update_leaves_its_arguments_alone():
     belief = Belief(joint)
     update(belief, model, observation)
     assert belief.joint.tobytes() == joint.tobytes()
+
+
+def test_a_deployment_impossible_only_after_an_earlier_one_is_refused():
+    """The loss can only be cell 1's doing, which is deadly: nobody returns from there."""
+    belief = Belief.from_maps([0, 0.5], [0.5] * 2, [0.5] * 2)
+    estimator = Estimator(belief, SensorModel(1.0, malfunction=0.0, false_negative=0.0))
+    estimator.assimilate(Observation([0, 1, 0], False))
+    assert estimator.belief.hazard[1] == pytest.approx(1)
+    before = estimator.belief.joint.tobytes()
+    with pytest.raises(ValueError, match='impossible'):
+        estimator.assimilate(Observation([0, 1, 0], True, [True, False]))
+    assert estimator.belief.joint.tobytes() == before
+
+
+@for_each('method', METHODS)
+def test_a_path_out_of_the_field_is_refused(method):
+    estimator = Estimator(Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8), SensorModel(0.5), method)
+    with pytest.raises(ValueError, match='path has the cell 9: the belief has the cells 0 to 8'):
+        estimator.assimilate(Observation([0, 9, 0], False))
+
+
+def test_versions_are_known():
+    prior = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8)
+    assert {name: Estimator(prior, SensorModel(0.5), name).version for name in METHODS} == {
+        **dict.fromkeys(METHODS, 1),
+        'kappa_bnitp_sampled': 2,
+    }
+
+
+@for_each('dynamics', [Dynamics('changing', 0.1, 0.1), Dynamics('used_up')])
+def test_sampling_takes_static_hazards_alone(dynamics):
+    prior = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8)
+    complaint = f'_sampled does not take hazards that are {dynamics.kind}: use .*kappa_bnitp$'
+    with pytest.raises(ValueError, match=complaint):
+        Estimator(prior, SensorModel(0.5), 'kappa_bnitp_sampled', dynamics=dynamics)
+
+
+def test_a_removed_method_is_refused_with_the_one_to_use():
+    with pytest.raises(
+        ValueError, match="'kappa_bnitp_smoothed': it is gone.* 0.3.0 .*use kappa_bnit"
+    ):
+        METHODS.find('kappa_bnitp_smoothed')

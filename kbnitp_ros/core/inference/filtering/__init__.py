@@ -4,11 +4,6 @@
 from kbnitp_ros.core.inference.filtering.evidence import (
     check_cells,
     condition,
-    IMPOSSIBLE,
-    loss_weights,
-    read_log_likelihood,
-    returned_log_likelihood,
-    survived_log_likelihood,
 )
 from kbnitp_ros.core.inference.filtering.known_model import KnownModel
 from kbnitp_ros.core.inference.filtering.loss_likelihood import (
@@ -17,28 +12,17 @@ from kbnitp_ros.core.inference.filtering.loss_likelihood import (
     multi_universe_likelihood,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.filtering.one_pass import (
-    OnePass,
-    OnePassEstimate,
-    UsedUpEstimate,
-)
+from kbnitp_ros.core.inference.filtering.one_pass import OnePass
 from kbnitp_ros.core.inference.filtering.used_up import hazards_used_up
 
 __all__ = [
-    'IMPOSSIBLE',
     'KnownModel',
     'OnePass',
-    'OnePassEstimate',
-    'UsedUpEstimate',
     'can_be_lost',
     'check_cells',
     'condition',
     'hazards_used_up',
-    'loss_weights',
     'lost_likelihood',
     'multi_universe_likelihood',
     'published_likelihood',
-    'read_log_likelihood',
-    'returned_log_likelihood',
-    'survived_log_likelihood',
 ]

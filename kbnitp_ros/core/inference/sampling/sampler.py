@@ -113,6 +113,7 @@ class Sampler:
     draws_are_exact: ClassVar[bool] = True
     version: ClassVar[int] = 2
     takes_lost_at: ClassVar[bool] = True
+    clusters: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -245,7 +245,7 @@ def test_the_same_seed_gives_the_same_mission():
     'changed, message',
     [
         ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
-        ({'dynamics': Dynamics('used_up')}, 'used_up and clustered: only static'),
+        ({'dynamics': Dynamics('used_up')}, 'does not take hazards that are used_up'),
         ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, and the prior has 12'),
         (
             {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
