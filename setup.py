@@ -25,7 +25,7 @@ executables = [
 if {'bdist_wheel', 'dist_info', 'editable_wheel'} & set(sys.argv):
     executables = []
 
-shown = ['matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
+shown = ['jinja2', 'matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
 studies = ['joblib', 'threadpoolctl']
 logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'pyproj', 'zstandard']
 

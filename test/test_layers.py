@@ -7,6 +7,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 import re
+import subprocess
 import sys
 
 ROOT = Path(__file__).parents[1]
@@ -253,3 +254,13 @@ def test_the_core_reads_and_writes_nothing():
         if getattr(node.func, 'id', getattr(node.func, 'attr', None)) in CALLS.split()
     ]
     assert not calls
+
+
+@pytest.mark.processes
+def test_core_and_replay_run_without_pandas_and_jinja2():
+    code = (
+        'import sys; sys.modules.update(pandas=None, jinja2=None); '
+        'import kbnitp_ros.core, kbnitp_ros.cli.replay'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -28,6 +28,7 @@ PYTHON_PACKAGES = {
     'foxglove': (None, 'foxglove-sdk'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'irsim': (None, 'ir-sim'),
+    'jinja2': ('python3-jinja2', 'jinja2'),
     'joblib': ('python3-joblib', 'joblib'),
     'lz4': ('mcap-ros2-support', 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
@@ -35,6 +36,7 @@ PYTHON_PACKAGES = {
     'mcap_ros2': ('mcap-ros2-support', 'mcap-ros2-support'),
     'numba': ('python3-numba', 'numba'),
     'numpy': ('python3-numpy', 'numpy'),
+    'pandas': ('python3-pandas', 'pandas'),
     'PIL': ('python3-pil', 'pillow'),
     'playwright': (None, 'playwright'),
     'plotly': (None, 'plotly'),
@@ -60,7 +62,7 @@ ACTIONS = {
 COSTMAP_FILTER_INFO = '61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8'
 
 # Imported only by those who ask for them.
-OPTIONAL = {'distributed', 'pandas', 'ray', 'sphinx'}
+OPTIONAL = {'distributed', 'sphinx'}
 
 
 def imported_by(*folders):

@@ -79,7 +79,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--backend',
         choices=tuple(BACKENDS),
         default='loky',
-        help='what runs the trials: processes of this machine (loky, the default), Dask or Ray',
+        help='what runs the trials: processes of this machine (loky, the default) or Dask',
     )
     parser.add_argument(
         '--workers',
