@@ -10,6 +10,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 # What each layer, a folder, may stand on.
