@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from html import escape
 import json
-from string import Template
 from typing import Any
 
 from kbnitp_ros.figures import DARK_MAPS, MAPS
@@ -20,13 +18,10 @@ from kbnitp_ros.report.comparison import (
 )
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import (
-    asset,
-    cell,
     Column,
     field_of,
-    heading,
-    map_place,
-    panel_place,
+    in_json,
+    rendered,
     scales_of,
     summary,
     title_of,
@@ -37,7 +32,6 @@ from kbnitp_ros.report.progress_figure import quantiles_of
 from kbnitp_ros.report.tiles import Tile, tiles_of
 import numpy as np
 from numpy.typing import NDArray
-from plotly.offline import get_plotlyjs
 
 FINDINGS = (
     Column('what', 'kind', is_text=True),
@@ -59,36 +53,26 @@ def comparison_of(first: Pair, second: Pair) -> str:
     panels = dict(panels_of(first, second))
     plots = {name: plot for name, _, _, plot in maps}
     plots |= {f'curve-{number}': plot for number, plot in enumerate(panels.values())}
-    inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
-    compared = zip(*(tiles_of(*each) for each in (first, second)), differences(first, second))
-    return Template(asset('comparison.html')).substitute(
-        title=escape(f'{titles[0]} and {titles[1]}'),
-        summaries='\n'.join(
-            f'<p class="summary"><b>{side}</b> {escape(str(pair.mission.log))}: '
-            f'{escape(summary(*pair))}</p>'
-            for side, pair in zip(SIDES, (first, second))
-        ),
-        notes='\n'.join(f'<p class="note">{escape(each)}</p>' for each in notes_of(*missions)),
-        style=asset('page.css'),
-        tiles='\n'.join(tile(*each) for each in compared),
-        maps='\n'.join(map_place(name, caption) for name, caption, _, _ in maps),
+    return rendered(
+        'comparison',
+        title=f'{titles[0]} and {titles[1]}',
+        summaries=[
+            (side, pair.mission.log, summary(*pair)) for side, pair in zip(SIDES, (first, second))
+        ],
+        notes=list(notes_of(*missions)),
+        tiles=list(compared(first, second)),
+        maps=maps,
         obstacle=OBSTACLE,
-        finding_headings=''.join(map(heading, FINDINGS)),
-        findings='\n'.join(finding_rows(*missions)),
-        panels='\n'.join(panel_place(*each) for each in enumerate(panels)),
-        given='\n'.join(given_row(*each) for each in given_differently(*missions))
-        or '<tr><td class=text colspan=4>nothing</td></tr>',
+        finding_columns=FINDINGS,
+        findings=list(finding_rows(*missions)),
+        panels=list(panels),
+        given=[
+            ['' if each is None else value_text(each) for each in values]
+            for values in given_differently(*missions)
+        ],
         data=json.dumps(data_of(*missions, maps)).replace('<', '\\u003c'),
-        plots=f'{{{inside}}}'.replace('<', '\\u003c'),
-        plotly=get_plotlyjs().replace('</script', '<\\/script'),
-        script=asset('drawing.js') + asset('comparison.js'),
+        plots=in_json(plots),
     )
-
-
-def given_row(*values: object) -> str:
-    """Return a row of what was given differently; None where it was not given."""
-    texts = ('' if each is None else escape(value_text(each)) for each in values)
-    return f'<tr>{"".join(f"<td class=text>{each}</td>" for each in texts)}</tr>'
 
 
 def notes_of(first: Mission, second: Mission) -> Iterator[str]:
@@ -98,17 +82,11 @@ def notes_of(first: Mission, second: Mission) -> Iterator[str]:
         yield from (f'{side}: {note}' for note in mission.notes)
 
 
-def tile(first: Tile, second: Tile, difference: str) -> str:
-    """Return the answers of both missions to a question, and how they differ."""
-    question = first.question if first.question == second.question else 'Is the goal safe?'
-    sides = ''.join(
-        f'<div><p>{side}: {escape(each.answer)}</p><p>{escape(each.detail)}</p></div>'
-        for side, each in zip(SIDES, (first, second))
-    )
-    return (
-        f'<article><h3>{escape(question)}</h3><div class="sides">{sides}</div>'
-        f'<p class="difference">{escape(difference)}</p></article>'
-    )
+def compared(first: Pair, second: Pair) -> Iterator[tuple[str, list[tuple[str, Tile]], str]]:
+    """Yield each question, the answers of both missions, and how they differ."""
+    for a, b, difference in zip(tiles_of(*first), tiles_of(*second), differences(first, second)):
+        question = a.question if a.question == b.question else 'Is the goal safe?'
+        yield question, list(zip(SIDES, (a, b))), difference
 
 
 def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, str]]:
@@ -187,7 +165,7 @@ def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
             yield label, lines_plot(label, drawn)
 
 
-def finding_rows(first: Mission, second: Mission) -> Iterator[str]:
+def finding_rows(first: Mission, second: Mission) -> Iterator[dict[str, Any]]:
     """Yield the rows of what was found in one of two missions, or in both."""
     beliefs = [each.moments[-1].belief for each in (first, second)]
     found = {
@@ -197,5 +175,4 @@ def finding_rows(first: Mission, second: Mission) -> Iterator[str]:
     }
     for (kind, place), each in sorted(found.items()):
         a, b = (float(getattr(belief, kind)[place]) for belief in beliefs)
-        values = {**vars(each), 'a': a, 'b': b, 'change': b - a}
-        yield f'<tr>{"".join(cell(column, values[column.name]) for column in FINDINGS)}</tr>'
+        yield {**vars(each), 'a': a, 'b': b, 'change': b - a}

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
-from html import escape
 from importlib.resources import files
 import json
 from math import pi
 from pathlib import Path
-from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.files import counted
@@ -32,54 +30,48 @@ from kbnitp_ros.report.plots import (
     WALKS,
 )
 from kbnitp_ros.report.tables import rows
-from kbnitp_ros.report.tiles import Tile, tiles_of
+from kbnitp_ros.report.tiles import tiles_of
 import numpy as np
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
 # What can still be mailed.
-MOST_BYTES = 15_000_000
+MAX_BYTES = 15_000_000
 
 SECOND = 10**9
 
 # Steps that fit what was heard this well, the best one as 1, are shown as where a robot was lost.
 LIKELY = 0.5
 
-# Of the curves of missions whose truth is on record.
-SCORED = (
-    ' Log loss tells how far the belief is from the truth: 0 where it is certain and right. Both '
-    'should fall.'
+TEMPLATES = Environment(
+    loader=PackageLoader('kbnitp_ros.report', 'assets'),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
 )
 
 
-# The sign of the lane, where there is one.
-LANE = (
-    '<li><svg width="26" height="10" aria-hidden="true"><path d="M0 5H26" stroke="white" '
-    'stroke-width="5"/><path d="M0 5H26" stroke="black" stroke-width="2"/></svg> safest lane</li>'
-)
-
-
-# The switch of the map that lies under the others, where there is one.
-SITE = (
-    '<p class="hint"><label><input type="checkbox" id="site" checked> Show the image of the map '
-    'under the beliefs</label></p>'
-)
-
-
-@dataclass(frozen=True)
-class Column:
-    """
-    A column of a table.
-
-    Its heading, the value of a row, its decimals, whether it is text, and whether a phone has no
-    room for it.
-    """
+class Column(NamedTuple):
+    """A column of a table."""
 
     heading: str
+    # In a row.
     name: str
     decimals: int = 0
     is_text: bool = False
+    # Whether a phone has no room for it.
     is_minor: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Return its classes for the style sheet."""
+        return ' '.join(['text'] * self.is_text + ['minor'] * self.is_minor)
+
+    def shown(self, value: Any) -> str:
+        """Return a value as a cell shows it."""
+        if value is None:
+            return ''
+        return str(value) if self.is_text else f'{value:.{self.decimals}f}'
 
 
 TABLE = (
@@ -114,18 +106,7 @@ ON_EARTH = (
 
 
 def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
-    """
-    Return the page of a mission, and what it leaves out; empty if nothing.
-
-    All that is in the log is shown as long as the page has no more than `MOST_BYTES`; else every
-    second moment with its deployment, or every third, and so on.
-
-    Raises
-    ------
-    ValueError
-        If two moments alone are too much.
-
-    """
+    """Return the page of a mission, and what it leaves out to have at most `MAX_BYTES`."""
     moments = len(mission.moments)
     frames = quantised([each.belief for each in mission.moments])
     stride = 1
@@ -134,22 +115,22 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
         left_out = '' if stride == 1 else told_left_out(stride, moments, kept.size)
         page = filled(mission, curves, frames[kept], kept, left_out)
         size = len(page.encode())
-        if size <= MOST_BYTES:
+        if size <= MAX_BYTES:
             return page, left_out
         if kept.size == 2:
             raise ValueError(
                 f'a page of {mission.grid.cells} cells has {size / 1e6:.1f} MB with two beliefs: '
-                f'at most {MOST_BYTES / 1e6:.0f} MB can be'
+                f'at most {MAX_BYTES / 1e6:.0f} MB can be'
             )
         fixed = len(get_plotlyjs())
-        stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MOST_BYTES - fixed))))
+        stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MAX_BYTES - fixed))))
 
 
 def told_left_out(stride: int, moments: int, kept: int) -> str:
     """Return what a page says of the moments that it leaves out."""
     return (
         f'The page shows {kept} of {moments} moments, one in {stride}, to stay below '
-        f'{MOST_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
+        f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
     )
 
 
@@ -162,41 +143,52 @@ def filled(
 ) -> str:
     """Return the page with some of the moments."""
     table = rows(mission, curves)
-    columns = columns_of(table)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
-    assets = {name: asset(f'page.{name}') for name in ('html', 'css', 'js')}
-    notes = [*([left_out] if left_out else []), *mission.notes]
-    return Template(assets['html']).substitute(
-        title=escape(f'Mission {title_of(mission.log)}'),
-        summary=escape(summary(mission, curves)),
-        tiles='\n'.join(map(tile, tiles_of(mission, curves))),
-        style=assets['css'],
-        notes='\n'.join(f'<p class="note">{escape(note)}</p>' for note in notes),
-        beside=' and what is there' if mission.world else '',
-        scored=SCORED if mission.world else '',
-        maps='\n'.join(map_figures(mission)),
+    tables = {'Versions': mission.run, **mission.parameters}
+    return rendered(
+        'page',
+        title=f'Mission {title_of(mission.log)}',
+        summary=summary(mission, curves),
+        tiles=list(tiles_of(mission, curves)),
+        notes=[*filter(None, [left_out]), *mission.notes],
+        is_true_known=mission.world is not None,
+        maps=dict(maps_of(mission)),
         returned=RETURNED.colour,
         lost=LOST.colour,
         obstacle=OBSTACLE,
-        lane=LANE if mission.decision is not None and mission.decision.path.size else '',
-        finding_headings=''.join(map(heading, finding_columns(mission))),
-        findings='\n'.join(
-            finding_row(vars(each), finding_columns(mission)) for each in findings_of(mission)
-        ),
-        site=SITE if mission.site else '',
-        panels='\n'.join(panel_place(*each) for each in enumerate(labels)),
-        headings=''.join(heading(column) for column in columns),
-        rows='\n'.join(
-            row(table[each], columns, kept, mission.deployments[each]) for each in shown
-        ),
-        configuration=configuration(mission),
+        lane=mission.decision is not None and mission.decision.path.size > 0,
+        finding_columns=(*FINDINGS, *(ON_EARTH if mission.datum else ())),
+        findings=[vars(each) for each in findings_of(mission)],
+        site=mission.site,
+        panels=labels,
+        columns=columns_of(table),
+        rows=[row(table[each], kept, mission.deployments[each]) for each in shown],
+        configuration={
+            name: {key: value_text(value) for key, value in values.items()}
+            for name, values in tables.items()
+            if values
+        },
         mission=packed_json(data_of(mission, curves, table, kept, shown)),
         frames=packed_frames(frames),
-        plots=plots_of(mission, panels),
-        plotly=get_plotlyjs().replace('</script', '<\\/script'),
-        script=asset('drawing.js') + assets['js'],
+        plots=in_json(plots_of(mission, panels)),
     )
+
+
+def rendered(name: str, **values: object) -> str:
+    """Return a page by its template, with the style, Plotly and the scripts."""
+    return TEMPLATES.get_template(f'{name}.html').render(
+        style=asset('page.css'),
+        plotly=get_plotlyjs().replace('</script', '<\\/script'),
+        script=asset('drawing.js') + asset(f'{name}.js'),
+        **values,
+    )
+
+
+def in_json(plots: Mapping[str, str]) -> str:
+    """Return plots, each in JSON, as one JSON object that can stand in a page."""
+    inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
+    return f'{{{inside}}}'.replace('<', '\\u003c')
 
 
 def title_of(log: Path) -> str:
@@ -234,23 +226,17 @@ def summary(mission: Mission, curves: Curves) -> str:
     return f'{"; ".join(words)}.'
 
 
-def tile(each: Tile) -> str:
-    """Return an answer as the page shows it."""
-    question, answer, detail = map(escape, each)
-    return f'<article><h3>{question}</h3><p>{answer}</p><p>{detail}</p></article>'
-
-
-def map_figures(mission: Mission) -> Iterator[str]:
-    """Yield the places of the maps: what is believed, and then what is true."""
+def maps_of(mission: Mission) -> Iterator[tuple[str, str]]:
+    """Yield the names of the maps and their captions: what is believed, and then what is true."""
     for name in MAPS:
-        yield map_place(name, f'{name}, believed' + ('; dots: free' if name == 'hazard' else ''))
-    yield map_place('losses', 'robots lost, expected')
+        yield name, f'{name}, believed' + ('; dots: free' if name == 'hazard' else '')
+    yield 'losses', 'robots lost, expected'
     if is_used_up(mission):
-        yield map_place('used-up', 'hazards used up, expected')
+        yield 'used-up', 'hazards used up, expected'
     if mission.world:
-        yield map_place('true-hazard', 'hazard, true')
-        yield map_place('true-target', 'target, true')
-        yield map_place('true-kappa', 'target where a hazard is, true')
+        yield 'true-hazard', 'hazard, true'
+        yield 'true-target', 'target, true'
+        yield 'true-kappa', 'target where a hazard is, true'
 
 
 def is_used_up(mission: Mission) -> bool:
@@ -258,34 +244,8 @@ def is_used_up(mission: Mission) -> bool:
     return bool(mission.rules['dynamics'] == 'used_up')
 
 
-def map_place(name: str, caption: str) -> str:
-    """Return the place of a map."""
-    return (
-        f'<figure><figcaption>{caption} {save_button(name, f"map of {caption}")}</figcaption>'
-        f'<div id="{name}" class="plot" role="img" aria-label="Map of {caption}"></div></figure>'
-    )
-
-
-def panel_place(number: int, label: str) -> str:
-    """Return the place of a panel of curves."""
-    said = escape(label)
-    return (
-        f'<figure>{save_button(f"curve-{number}", f"curves of {said}")}'
-        f'<div id="curve-{number}" class="plot" role="img" aria-label="Curves of {said}, report '
-        'after report; the table of deployments has the numbers"></div></figure>'
-    )
-
-
-def save_button(plot: str, what: str) -> str:
-    """Return the button that saves a figure."""
-    return (
-        f'<button type="button" class="save" data-plot="{plot}" '
-        f'aria-label="Save the {what} as PNG">PNG</button>'
-    )
-
-
-def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
-    """Return all plots as one JSON object that can stand in a page."""
+def plots_of(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
+    """Return all plots, each in JSON."""
     lane = None if mission.decision is None else mission.decision.path
     north = None if mission.datum is None else pi / 2 - mission.datum.heading
     free = {'hazard': cells_of(mission).free}
@@ -306,8 +266,7 @@ def plots_of(mission: Mission, panels: tuple[str, ...]) -> str:
         }
     plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     plots['cell'] = cell_plot()
-    inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
-    return f'{{{inside}}}'.replace('<', '\\u003c')
+    return plots
 
 
 def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
@@ -491,76 +450,15 @@ def columns_of(table: list[dict[str, Any]]) -> list[Column]:
     ]
 
 
-def heading(column: Column) -> str:
-    """Return a heading of a table."""
-    return f'<th scope="col"{kind(column)}><button type="button">{column.heading}</button></th>'
-
-
-def kind(column: Column) -> str:
-    """Return what the style of a page is to know of a column."""
-    names = [*(['text'] if column.is_text else []), *(['minor'] if column.is_minor else [])]
-    return f' class="{" ".join(names)}"' if names else ''
-
-
-def finding_columns(mission: Mission) -> tuple[Column, ...]:
-    """Return the columns of the table of findings."""
-    return (*FINDINGS, *(ON_EARTH if mission.datum else ()))
-
-
-def finding_row(values: Mapping[str, Any], columns: Iterable[Column]) -> str:
-    """Return a row of the table of findings, which leads to its cell."""
-    cells = ''.join(cell(column, values[column.name]) for column in columns)
-    return f'<tr data-cell="{values["cell"]}">{cells}</tr>'
-
-
 def row(
-    values: Mapping[str, Any],
-    columns: list[Column],
-    kept: NDArray[np.intp],
-    deployment: DeploymentSummary,
-) -> str:
+    values: Mapping[str, Any], kept: NDArray[np.intp], deployment: DeploymentSummary
+) -> dict[str, Any]:
     """Return a row of the table, which names its moment among those that the page has."""
-    moment = '' if deployment.moment is None else str(np.searchsorted(kept, deployment.moment))
+    moment = '' if deployment.moment is None else int(np.searchsorted(kept, deployment.moment))
     duration = None
     if deployment.sent is not None and deployment.reported is not None:
         duration = (deployment.reported - deployment.sent) / SECOND
-    known = {**values, 'duration': duration}
-    first, *others = columns
-    number = known[first.name]
-    button = f'<button type="button">{number}</button>' if moment else number
-    cells = ''.join(cell(column, known[column.name]) for column in others)
-    return (
-        f'<tr id="deployment-{number - 1}" data-moment="{moment}">'
-        f'<td data-value="{number}">{button}</td>{cells}</tr>'
-    )
-
-
-def cell(column: Column, value: Any) -> str:
-    """Return a cell of a table."""
-    if value is None:
-        return f'<td{kind(column)} data-value=""></td>'
-    text = escape(str(value))
-    shown = text if column.is_text else f'{value:.{column.decimals}f}'
-    return f'<td{kind(column)} data-value="{text}">{shown}</td>'
-
-
-def configuration(mission: Mission) -> str:
-    """Return the tables of what the run runs on and of the parameters of each node."""
-    tables = {'Versions': mission.run, **mission.parameters}
-    sections = [
-        f'<details><summary>{escape(name)}</summary><div class="wide" tabindex="0" role="region" '
-        f'aria-label="{escape(name)}"><table><thead><tr><th scope="col" class="text">name</th>'
-        '<th scope="col" class="text">value</th></tr></thead><tbody>'
-        + ''.join(
-            f'<tr><td class="text">{escape(key)}</td>'
-            f'<td class="text value">{escape(value_text(value))}</td></tr>'
-            for key, value in values.items()
-        )
-        + '</tbody></table></div></details>'
-        for name, values in tables.items()
-        if values
-    ]
-    return '\n'.join(sections) or '<p>The log does not say how the run was configured.</p>'
+    return {**values, 'moment': moment, 'duration': duration}
 
 
 def value_text(value: Any) -> str:

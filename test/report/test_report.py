@@ -226,12 +226,12 @@ def test_a_page_that_would_be_too_large_says_what_it_leaves_out(tmp_path, monkey
     curves = curves_of(mission)
     whole, nothing = page.page_of(mission, curves)
     assert not nothing
-    monkeypatch.setattr(page, 'MOST_BYTES', len(whole.encode()) - 2000)
+    monkeypatch.setattr(page, 'MAX_BYTES', len(whole.encode()) - 2000)
     less, left_out = page.page_of(mission, curves)
-    assert len(less.encode()) <= page.MOST_BYTES
+    assert len(less.encode()) <= page.MAX_BYTES
     assert left_out in less
     assert 'of 13 moments' in left_out
-    monkeypatch.setattr(page, 'MOST_BYTES', 1000)
+    monkeypatch.setattr(page, 'MAX_BYTES', 1000)
     with pytest.raises(ValueError, match='MB with two beliefs'):
         page.page_of(mission, curves)
 
