@@ -14,7 +14,6 @@ import platform
 import sys
 
 from cases import Benchmark, in_words
-import executors
 import kinds
 import nodes
 import numba
@@ -34,7 +33,6 @@ BENCHMARKS = (
     *sampling.BENCHMARKS,
     *kinds.BENCHMARKS,
     *nodes.BENCHMARKS,
-    *executors.BENCHMARKS,
     *study.BENCHMARKS,
     *peers.BENCHMARKS,
 )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from math import ceil, hypot
 import time
@@ -15,12 +16,12 @@ from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import header, shown
 from kbnitp_ros.nodes.lifecycle import Lifecycle, PERIOD
+from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.action.client import ActionClient, ClientGoalHandle
-from rclpy.node import Node
 from rclpy.task import Future
 
 # How far the poses of a path that a controller follows are apart at most, in metres.
@@ -83,14 +84,11 @@ def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
 
 
 class Driver:
-    """
-    Sends a robot along legs, one goal at a time.
+    """Sends a robot along legs, one goal at a time."""
 
-    It takes an action server for dead after `patience` seconds without a word from it. A namespace
-    that is empty is that of the node.
-    """
-
-    def __init__(self, node: Node, name: str, namespace: str, grid: Grid, patience: float) -> None:
+    def __init__(
+        self, node: MissionNode, name: str, namespace: str, grid: Grid, patience: float
+    ) -> None:
         # Whether a goal is under way.
         self.is_busy = False
         # Why the last goal was not reached; empty if it was.
@@ -138,7 +136,9 @@ class Driver:
         if time.monotonic() > self._tried_at + PERIOD:
             self._tried_at = time.monotonic()
             goal = self._goal_along(np.array([place, place]), stamp)
-            self._client.send_goal_async(goal).add_done_callback(self._on_tried)
+            self._client.send_goal_async(goal).add_done_callback(
+                self._node.guarded(self._on_tried)
+            )
         if self._takes_goals is None:
             return f'the action server {self.name} to answer'
         return f'Nav2 to be ready: the action server {self.name} rejects goals'
@@ -162,7 +162,7 @@ class Driver:
         self._heard = time.monotonic()
         goal = self._goal_along(points, stamp)
         answer = self._client.send_goal_async(goal, lambda _: self._hear(number))
-        answer.add_done_callback(lambda answer: self._on_answer(number, answer))
+        answer.add_done_callback(self._node.guarded(partial(self._on_answer, number)))
 
     def look(self) -> None:
         """Notice when the action server is gone or says nothing; to be called again and again."""
@@ -202,7 +202,8 @@ class Driver:
             self._end(number, f'the action server {self.name} rejected the goal')
             return
         self._handle = handle
-        handle.get_result_async().add_done_callback(lambda result: self._on_result(number, result))
+        result = handle.get_result_async()
+        result.add_done_callback(self._node.guarded(partial(self._on_result, number)))
 
     def _on_result(self, number: int, result: Future) -> None:
         ended = result.result()

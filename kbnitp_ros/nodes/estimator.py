@@ -81,7 +81,7 @@ class EstimatorNode(FieldNode):
             BeliefMaps,
             'belief',
             qos.LATCHED,
-            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+            event_callbacks=PublisherEventCallbacks(matched=self.guarded(self._on_matched)),
         )
         for agent in agents:
             sent = RecordedPaths(

@@ -6,9 +6,9 @@ from __future__ import annotations
 import time
 
 from kbnitp_ros.messages.headers import shown
+from kbnitp_ros.nodes.runtime.node import MissionNode
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from rclpy.node import Node
 from rclpy.task import Future
 
 PERIOD = 1.0  # seconds from one question to the next
@@ -17,7 +17,8 @@ PERIOD = 1.0  # seconds from one question to the next
 class Lifecycle:
     """Asks another node, by its full name, for its lifecycle state."""
 
-    def __init__(self, node: Node, name: str) -> None:
+    def __init__(self, node: MissionNode, name: str) -> None:
+        self._node = node
         self._name = name
         self._client = node.create_client(GetState, f'{name}/get_state')
         self._state: State | None = None
@@ -39,7 +40,8 @@ class Lifecycle:
                 # What it said before nobody asked for a while may hold no more.
                 self._state = None
             self._asked_at = now
-            self._client.call_async(GetState.Request()).add_done_callback(self._on_answer)
+            answer = self._client.call_async(GetState.Request())
+            answer.add_done_callback(self._node.guarded(self._on_answer))
         if self._state is None:
             return f'{self._name} to tell its lifecycle state'
         if self._state.id == State.PRIMARY_STATE_ACTIVE:

@@ -53,6 +53,7 @@ from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.topic import HeardTopic, Message, message_class, time_received
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -116,6 +117,9 @@ MOST_EARLY = 20
 
 class RecorderNode(MissionNode):
     """Record all topics of this namespace, each as soon as it is published."""
+
+    # EventsExecutor raises SystemError for raw subscriptions with event callbacks.
+    make_executor = SingleThreadedExecutor
 
     def __init__(self) -> None:
         super().__init__('recorder')

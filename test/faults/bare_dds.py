@@ -6,6 +6,7 @@
 import ctypes
 from dataclasses import dataclass
 from functools import cache
+import gc
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
@@ -86,6 +87,12 @@ class BareParticipant:
         writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
         writer.write(text(data='x'))
         self._writers.append(writer)
+
+    def leave(self):
+        """Leave the graph."""
+        self._writers.clear()
+        self._participant = self._domain = None
+        gc.collect()
 
 
 @cache

@@ -1,30 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executor makes all callbacks of a node, one after another, and raises what they raise."""
+"""Errors of all callbacks of a node are raised where it spins, and no thread is kept waiting."""
 
+import subprocess
+import sys
+from threading import Timer
 import time
 
-from kbnitp_ros.nodes.runtime.executor import frames_of_callback, OneByOne
+from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.nodes.runtime.node import MissionNode, spin_once
+from kbnitp_ros.nodes.runtime.qos import EVIDENCE
 import pytest
 import rclpy
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
-
-PROFILE = QoSProfile(depth=10)
 
 
 @pytest.fixture
 def here(field):
     """Provide a node in the test and how to spin it until something holds."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node, executor = rclpy.create_node('here'), OneByOne()
+    node = MissionNode('estimator')
+    executor = node.make_executor()
     executor.add_node(node)
 
     def until(condition):
         def spun():
-            executor.spin_once(timeout_sec=0.05)
+            spin_once(node, executor, 0.05)
             return condition()
 
         field.until(spun, 'what is spun for')
@@ -35,107 +38,92 @@ def here(field):
     rclpy.try_shutdown()
 
 
-def test_what_is_created_while_it_spins_is_heard(here):
-    node, until = here
-    heard = []
-
-    def listen_too():
-        timer.cancel()
-        node.create_subscription(Int32, 'numbers', lambda m: heard.append(m.data), PROFILE)
-        info = []
-        node.create_subscription(Int32, 'numbers', lambda m, i: info.append((m, i)), PROFILE)
-        heard.append(info)
-
-    timer = node.create_timer(0.01, listen_too)
-    numbers = node.create_publisher(Int32, 'numbers', PROFILE)
-    until(lambda: numbers.get_subscription_count() == 2)
-    for number in range(5):
-        numbers.publish(Int32(data=number))
-    until(lambda: len(heard) == 6 and len(heard[0]) == 5)
-    info, *data = heard
-    assert data == list(range(5))
-    assert [message.data for message, _ in info] == data
-    assert all(each['source_timestamp'] for _, each in info)
+def fail(*_):
+    raise OSError('the disk is full')
 
 
-def test_what_is_destroyed_is_not_called_though_messages_wait(here):
-    node, until = here
-    heard = []
-
-    def hear_once(message):
-        heard.append(message.data)
-        node.destroy_subscription(subscription)
-
-    subscription = node.create_subscription(Int32, 'numbers', hear_once, PROFILE)
-    others = []
-    node.create_subscription(Int32, 'numbers', others.append, PROFILE)
-    numbers = node.create_publisher(Int32, 'numbers', PROFILE)
-    until(lambda: numbers.get_subscription_count() == 2)
-    for number in range(3):
-        numbers.publish(Int32(data=number))
-    until(lambda: len(others) == 3)
-    assert heard == [0]
-    until(lambda: numbers.get_subscription_count() == 1)
+def fail_in_a_timer(node, _):
+    node.create_timer(0.01, fail)
 
 
-def test_services_are_answered_and_answers_are_heard(here):
-    node, until = here
+def fail_in_a_subscription(node, _):
+    node.create_subscription(Int32, 'numbers', fail, EVIDENCE)
+    node.create_publisher(Int32, 'numbers', EVIDENCE).publish(Int32())
 
-    def answer(_, response):
-        response.message = 'well'
-        return response
 
-    node.create_service(Trigger, 'how', answer)
+def fail_in_a_service(node, until):
+    node.create_service(Trigger, 'how', fail)
     client = node.create_client(Trigger, 'how')
     until(client.service_is_ready)
-    heard = []
-    client.call_async(Trigger.Request()).add_done_callback(
-        lambda done: heard.append(done.result())
-    )
-    until(lambda: heard)
-    assert heard[0].message == 'well'
+    client.call_async(Trigger.Request())
 
-    def fail(_):
-        raise OSError('the disk is full')
 
-    client.call_async(Trigger.Request()).add_done_callback(fail)
+def fail_at_an_answer(node, until):
+    node.create_service(Trigger, 'how', lambda _, response: response)
+    client = node.create_client(Trigger, 'how')
+    until(client.service_is_ready)
+    client.call_async(Trigger.Request()).add_done_callback(node.guarded(fail))
+
+
+def fail_for_another_thread(node, _):
+    Timer(0.1, node.call_next, [fail]).start()
+
+
+@pytest.mark.parametrize(
+    'fail_in',
+    [
+        fail_in_a_timer,
+        fail_in_a_subscription,
+        fail_in_a_service,
+        fail_at_an_answer,
+        fail_for_another_thread,
+    ],
+)
+def test_an_error_in_a_callback_is_raised(here, fail_in):
+    node, until = here
+    fail_in(node, until)
     with pytest.raises(OSError, match='the disk is full'):
         until(lambda: False)
 
 
-def test_an_error_in_a_callback_is_raised_and_says_whose_it_is(here):
+def test_another_thread_does_not_wait_for_a_callback(here):
+    node, _ = here
+    called = []
+    Timer(0.3, node.call_next, [lambda: called.append(time.monotonic())]).start()
+    begun = time.monotonic()
+    while not called:
+        spin_once(node, node.executor, 60.0)
+    assert 0.3 <= called[0] - begun < 5.0
+
+
+def test_a_service_may_answer_later(here):
     node, until = here
-
-    def fail():
-        raise ValueError('no')
-
-    timer = node.create_timer(0.01, fail)
-    with pytest.raises(ValueError, match='no') as failed:
-        until(lambda: False)
-    assert [frame.f_code for frame in frames_of_callback(failed.value)] == [fail.__code__]
-    timer.cancel()
-    assert frames_of_callback(ValueError('never raised')) == []
+    answer = Future()
+    node.create_service(Trigger, 'how', lambda *_: answer)
+    client = node.create_client(Trigger, 'how')
+    until(client.service_is_ready)
+    heard = client.call_async(Trigger.Request())
+    node.create_poll(lambda: answer.set_result(Trigger.Response(message='well')), 0.2)
+    until(heard.done)
+    assert heard.result().message == 'well'
 
 
-def test_events_are_told_and_do_not_keep_the_executor_from_waiting(here):
-    node, until = here
-    told = []
-    node.create_subscription(
-        Int32,
-        'numbers',
-        lambda _: None,
-        PROFILE,
-        event_callbacks=SubscriptionEventCallbacks(
-            matched=told.append, incompatible_qos=told.append, use_default_callbacks=False
-        ),
-    )
-    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_publisher(Int32, 'numbers', best_effort)
-    until(lambda: len(told) == 1)
-    node.create_publisher(Int32, 'numbers', PROFILE)
-    until(lambda: len(told) == 2)
-    end, spun = time.monotonic() + 1.0, 0
-    while time.monotonic() < end:
-        until(lambda: True)
-        spun += 1
-    assert spun < 50
+@pytest.mark.processes
+def test_a_node_that_cannot_leave_the_graph_ends_as_it_would_have():
+    program = """
+import ctypes, os, signal
+from kbnitp_ros.nodes import estimator
+from kbnitp_ros.nodes.runtime import process
+process.TEARDOWN = 1
+estimator.EstimatorNode.destroy_node = lambda self: ctypes.PyDLL(None).pause()
+estimator.EstimatorNode.create_poll = lambda self, look: os.kill(os.getpid(), signal.SIGTERM)
+estimator.main()
+"""
+    with free_domain() as domain:
+        ended = subprocess.run(
+            [sys.executable, '-c', program],
+            env=environment(domain),
+            timeout=60,
+            capture_output=True,
+        )
+    assert ended.returncode == 0, ended.stderr

@@ -26,12 +26,7 @@ EXAMPLES = {
 
 
 class Parser(argparse.ArgumentParser):
-    """
-    That of argparse, but for an output that takes no help.
-
-    argparse passes over that. The end of the last line is printed apart, so that it fails as well
-    and whoever flushes the output learns of it.
-    """
+    """That of argparse, but for an output that takes no help."""
 
     def format_help(self) -> str:
         """Return the help without the end of its last line."""

@@ -24,19 +24,7 @@ import rclpy.parameter
 
 
 def declare(node: Node, name: str) -> dict[str, Any]:
-    """
-    Declare the parameters of the node called `name` and return their values.
-
-    The values are kept up to date while the node runs.
-
-    Raises
-    ------
-    ValueError
-        If a value given at start-up has the wrong type, is not allowed, or is for no parameter of
-        any node. Those of other nodes are passed over, since nodes often share a section of a
-        file.
-
-    """
+    """Declare the parameters of the node called `name` and return their values."""
     mine = parameters_of(name)
     values = {parameter.name: parameter.default for parameter in mine.values()}
     # rclpy has no other way to see what was given for names that are not declared.

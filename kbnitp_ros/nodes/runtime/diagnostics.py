@@ -124,11 +124,7 @@ class Diagnostics:
         self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
 
     def _is_heard(self) -> bool:
-        """
-        Say whether anybody but this node listens.
-
-        The recorder listens to everything, and one that could not start may listen as well.
-        """
+        """Say whether anybody but this node listens."""
         name = self._node.get_name(), self._node.get_namespace()
         own = sum(
             (each.node_name, each.node_namespace) == name

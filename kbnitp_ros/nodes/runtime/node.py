@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import wraps
 import os
 import time
+import traceback
 from typing import Any, TypeVar
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
@@ -26,19 +28,20 @@ from kbnitp_ros.messages.sizes import (
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
-from kbnitp_ros.nodes.runtime.executor import frames_of_callback, OneByOne
 from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
-from kbnitp_ros.nodes.runtime.signals import stop_on_signal
+from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
 from kbnitp_ros.nodes.runtime.transport import deaf_to_server
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import Executor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 # In seconds: how long a signal may have to wait, and how often a node looks at the graph.
@@ -67,7 +70,11 @@ PACKAGE = __name__.partition('.')[0]
 class MissionNode(GraphNode):
     """A node of the mission: its parameters and its diagnostics."""
 
+    make_executor: Callable[[], Executor] = staticmethod(EventsExecutor)
+
     def __init__(self, name: str) -> None:
+        # Raised by a callback.
+        self.broken: BaseException | None = None
         super().__init__(name)
         # By name, kept up to date.
         self.values = declare(self, name)
@@ -85,20 +92,11 @@ class MissionNode(GraphNode):
             self.get_logger().warning(warning)
 
     def now(self) -> int:
-        """
-        Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started.
-
-        It is never later than the last time that a message may tell.
-        """
+        """Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started."""
         return min(self.get_clock().now().nanoseconds, LATEST)
 
     def elapsed(self) -> int:
-        """
-        Return the time by which deadlines run, in nanoseconds from any moment on.
-
-        Simulated time is as it is told, and 0 before it has started. Otherwise it is that of a
-        clock which nobody sets: a base that gets the time of day has been on no longer for that.
-        """
+        """Return the time by which deadlines run, in nanoseconds from any moment on."""
         is_simulated = self.get_parameter('use_sim_time').value
         return self.now() if is_simulated else time.monotonic_ns()
 
@@ -110,12 +108,7 @@ class MissionNode(GraphNode):
         profile: QoSProfile,
         largest: int,
     ) -> Subscription:
-        """
-        Subscribe to messages of which anybody may send any.
-
-        One that is too large, or not of the type, is refused here. None that waits to be read is
-        given up for another, however many are sent: publishers are told to send it again.
-        """
+        """Subscribe to messages of which anybody may send any."""
         return self.hear_newest(kind, topic, callback, qos.unread_kept(profile), largest)
 
     def hear_newest(
@@ -126,11 +119,7 @@ class MissionNode(GraphNode):
         profile: QoSProfile,
         largest: int,
     ) -> Subscription:
-        """
-        Subscribe as `hear` does, but to as many unread messages as the profile says.
-
-        Of what comes all the time, such as poses, the newest count.
-        """
+        """Subscribe as `hear` does, but to as many unread messages as the profile says."""
 
         def read(data: bytes) -> None:
             try:
@@ -161,11 +150,7 @@ class MissionNode(GraphNode):
         return self._author_counts[topic]
 
     def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
-        """
-        Return which of the parameter `await_nodes` do not listen yet; empty when all do.
-
-        It names nodes, or the roles that they serve.
-        """
+        """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
         listeners = Listeners(self)
         deaf: dict[str, list[str]] = {}
         for topic in (publisher.topic_name for publisher in publishers):
@@ -206,22 +191,69 @@ class MissionNode(GraphNode):
             yield item
 
     def call_next(self, callback: Callable[[], object]) -> None:
-        """Have a callback made in the thread of all others, as another thread asks for it."""
-        executor = self.executor
-        if isinstance(executor, OneByOne):
-            executor.call_next(callback)
+        """Have a callback called in the thread of all others, as another thread asks for it."""
+        if self.executor is not None:
+            self.executor.create_task(self.guarded(callback))
+
+    def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Have `spin_once` raise what a callback raises, or refuse it if it is of rclpy alone."""
+        # EventsExecutor ends with a segmentation fault where the callback of a future or a task
+        # raises, and logs fatal errors otherwise.
+
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except (Exception, StoppedError) as error:
+                # rclpy itself subscribes to the clock and serves parameters.
+                frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][1:]
+                rooms = [frame.f_globals.get('__name__', '').partition('.')[0] for frame in frames]
+                if rooms[:1] == ['rclpy'] and PACKAGE not in rooms:
+                    self.diagnostics.refuse('what rclpy was sent, a clock or a request,', error)
+                else:
+                    self.broken = self.broken or error
+            # The response of a service.
+            return arguments[-1] if arguments else None
+
+        return call
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any
+    ) -> Subscription:
+        """Subscribe to a topic, with a guarded callback."""
+        guarded = self.guarded(callback)
+        return super().create_subscription(msg_type, topic, guarded, *arguments, **options)
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any
+    ) -> Timer:
+        """Create a timer, with a guarded callback."""
+        guarded = self.guarded(callback)
+        return super().create_timer(timer_period_sec, guarded, *arguments, **options)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Any, *arguments: Any, **options: Any
+    ) -> Any:
+        """Create a service, whose guarded callback returns the response or its future."""
+        guarded = self.guarded(callback)
+        service: Any = super().create_service(srv_type, srv_name, guarded, *arguments, **options)
+        send = service.send_response
+
+        def answer(response: Any, header: Any) -> None:
+            if isinstance(response, Future):
+                response.add_done_callback(lambda done: send(done.result(), header))
+            else:
+                send(response, header)
+
+        service.send_response = answer
+        return service
 
     def create_poll(self, callback: Callable[[], None], period: float = POLL) -> Timer:
         """Call back every so many seconds, also when simulated time stands still."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_look(self, look: Callable[[], None]) -> Timer:
-        """
-        Call back as `create_poll` does, but rarely when it takes long.
-
-        A look at a graph of thousands of topics takes a hundredth of a second and more, and
-        anybody can announce so many: they must not keep the node from its messages.
-        """
+        """Call back as `create_poll` does, but rarely when it takes long."""
         due = 0.0
 
         def look_if_due() -> None:
@@ -236,16 +268,8 @@ class MissionNode(GraphNode):
         return self.create_poll(look_if_due)
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
-        """
-        Take messages until something holds that the node cannot be made without.
-
-        Raises
-        ------
-        StoppedError
-            If a signal comes before.
-
-        """
-        executor = OneByOne()
+        """Take messages until something holds that the node cannot be made without."""
+        executor = self.make_executor()
         executor.add_node(self)
         try:
             while not condition():
@@ -283,12 +307,7 @@ AGENT_TOPICS: dict[type, tuple[str, Callable[[int], int]]] = {
 
 
 class FieldNode(MissionNode):
-    """
-    A node of the mission that knows the field.
-
-    With the parameter `map_topic` it is not made before a map has come: nothing of it can be done
-    without. A map that comes later and is another one changes nothing.
-    """
+    """A node of the mission that knows the field."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -334,23 +353,7 @@ class FieldNode(MissionNode):
 
 
 def spin_once(node: MissionNode, executor: Executor, seconds: float) -> None:
-    """Wait for a callback and make it; what rclpy cannot handle of others is refused."""
-    try:
-        executor.spin_once(timeout_sec=seconds)
-    except Exception as error:
-        if not _is_of_rclpy_alone(error):
-            raise
-        node.diagnostics.refuse('what rclpy was sent, a clock or a request,', error)
-
-
-def _is_of_rclpy_alone(error: Exception) -> bool:
-    """
-    Say whether an error comes of what rclpy itself was sent, and not of this package.
-
-    rclpy reads the clock and what is asked of parameters, and raises what comes of values that it
-    does not know: then a callback was made, and none of this package is on the way to the error.
-    """
-    frames = frames_of_callback(error)
-    return bool(frames) and not any(
-        frame.f_globals.get('__name__', '').startswith(PACKAGE) for frame in frames
-    )
+    """Wait for a callback and call it; raise what it raises."""
+    executor.spin_once(timeout_sec=seconds)
+    if node.broken:
+        raise node.broken

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+import ctypes
+import struct
 import sys
 import time
 import traceback
@@ -14,8 +16,6 @@ from kbnitp_ros.core import while_compiling
 from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
-from kbnitp_ros.nodes.runtime.executor import OneByOne
-from kbnitp_ros.nodes.runtime.exit_timer import exit_at_the_latest
 from kbnitp_ros.nodes.runtime.node import MissionNode, SPIN, spin_once
 from kbnitp_ros.nodes.runtime.signals import (
     ignore_signals,
@@ -32,7 +32,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 # How long a node may take to leave the graph, in seconds.
-TEARDOWN = 3.0
+TEARDOWN = 3
+
+LIBC = ctypes.CDLL(None)
+SIGEV_THREAD = 2
 
 # What a user can cause: rclpy reports bad arguments as RuntimeError.
 START_ERRORS = (
@@ -47,28 +50,7 @@ START_ERRORS = (
 def run(
     name: str, make: Callable[[], MissionNode], args: Sequence[str] | None, linger: float = 0.0
 ) -> int:
-    """
-    Run a node until SIGINT or SIGTERM, or its end, and return the exit code of its process.
-
-    Parameters
-    ----------
-    name : str
-        The executable, which its messages on stderr begin with.
-    make : callable
-        Makes the node, once ROS is up; its docstring is the executable's help.
-    args : sequence of str, optional
-        The command line without the program; that of the process when None.
-    linger : float
-        How long the node still listens after the signal, in seconds: what was sent before is still
-        on its way, and nodes that end one after another do not get in each other's way.
-
-    Returns
-    -------
-    int
-        0 after a signal, that of the node when its work is done; 2 if the node could not start, 1
-        if it could not go on: then one line on stderr says why, and so does diagnostics.
-
-    """
+    """Run a node until SIGINT or SIGTERM, or its end, and return the exit code of its process."""
     note_signals()
     while_compiling(stop_on_signal)
     try:
@@ -94,7 +76,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         _say_why_not_started(name, arguments, error)
         _leave(2)
         return 2
-    executor = OneByOne()
+    executor = node.make_executor()
     executor.add_node(node)
     code = 1
     try:
@@ -150,16 +132,17 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
 
 
 def _leave(code: int, executor: Executor | None = None, node: MissionNode | None = None) -> None:
-    """
-    Leave the graph; should that not end, the process does, with its exit code.
-
-    Everything that matters is closed by now. When several processes leave at once, Fast DDS 2.14
-    may wait here for good, about once in a thousand times: `set_listener` for a callback, and
-    that for its lock.
-    """
-    with exit_at_the_latest(TEARDOWN, code):
-        if executor:
-            executor.shutdown()
-        if node:
-            node.destroy_node()
-        try_shutdown()
+    """Leave the graph; should that not end, the process does, with its exit code."""
+    # When several processes leave at once, about one in a thousand waits for good in Fast DDS 2.14,
+    # with Python's lock held, so the C library ends it.
+    exit_function = ctypes.cast(LIBC._exit, ctypes.c_void_p).value
+    event = struct.pack('QiiQQ32x', code, 0, SIGEV_THREAD, exit_function, 0)
+    timer = ctypes.c_void_p()
+    LIBC.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(timer))
+    LIBC.timer_settime(timer, 0, struct.pack('4q', 0, 0, TEARDOWN, 0), None)
+    if executor:
+        executor.shutdown()
+    if node:
+        node.destroy_node()
+    try_shutdown()
+    LIBC.timer_delete(timer)

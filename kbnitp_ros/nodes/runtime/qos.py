@@ -38,12 +38,8 @@ READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def unread_kept(offered: QoSProfile) -> QoSProfile:
-    """
-    Return the profile of a subscription that gets all that such a publisher can give.
-
-    It asks for what is offered, and what waits to be read is not given up for what comes later:
-    with a history that is kept as a whole a reliable publisher sends again what found no place.
-    """
+    """Return the profile of a subscription that gets all that such a publisher can give."""
+    # With a history that is kept whole a reliable publisher sends again what found no place.
     reliable = offered.reliability == ReliabilityPolicy.RELIABLE
     latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(

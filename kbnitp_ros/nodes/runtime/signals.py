@@ -23,27 +23,14 @@ def note_signals() -> None:
 
 
 def stop_on_signal() -> None:
-    """
-    End what takes long after a signal, such as a compilation of up to a minute.
-
-    Raises
-    ------
-    StoppedError
-        If one has come.
-
-    """
+    """End what takes long after a signal, such as a compilation of up to a minute."""
     if SIGNALS:
         raise StoppedError
 
 
 def ignore_signals() -> None:
-    """
-    Ignore the signals of `ENDING` for what is left of the process.
-
-    Python gives up its handlers before it ends: a second Ctrl-C would kill what ended well. It
-    would complain of one that comes in this very moment, in whatever thread, so the process
-    ignores them before Python does.
-    """
+    """Ignore the signals of `ENDING` for what is left of the process."""
+    # Python gives up its handlers before it ends: a second Ctrl-C would kill it.
     for number in ENDING:
         ctypes.pythonapi.PyOS_setsig(number, ctypes.c_void_p(signal.SIG_IGN))
         signal.signal(number, signal.SIG_IGN)

@@ -10,23 +10,10 @@ PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
-    """
-    Return the variables with which rmw_fastrtps uses UDP and no shared memory.
-
-    A process that is killed leaves its shared memory in ``/dev/shm``, now and then locked, and one
-    that is started after it may then not be discovered. For the discovery range LOCALHOST,
-    rmw_fastrtps adds a shared memory transport to those of the profile, whatever the profile says
-    (rmw_fastrtps_shared_cpp, ``participant.cpp``). So LOCALHOST is replaced by a profile that
-    binds UDP to 127.0.0.1. With ``ROS_STATIC_PEERS`` it is not, since those may be elsewhere.
-
-    Parameters
-    ----------
-    environment : mapping
-        That of the user. If it names a profile nothing is changed.
-    config : Path
-        The folder of ``fastdds.xml`` and ``loopback.xml``.
-
-    """
+    """Return the variables with which rmw_fastrtps uses UDP and no shared memory."""
+    # A killed process leaves locked shared memory behind, and the next one may not be discovered.
+    # For the range LOCALHOST rmw_fastrtps adds shared memory whatever the profile says: a profile
+    # that binds UDP to 127.0.0.1 replaces it, unless ROS_STATIC_PEERS names peers elsewhere.
     if environment.get(PROFILES):
         return {}
     is_local = (
@@ -46,11 +33,7 @@ def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
 
 
 def deaf_to_server(environment: Mapping[str, str]) -> str:
-    """
-    Return why nodes that a discovery server introduces see too little; empty if they do not.
-
-    It tells a client only of those that it talks to; nodes of a mission look at the whole graph.
-    """
+    """Return why nodes that a discovery server introduces see too little; empty if they do not."""
     server = environment.get('ROS_DISCOVERY_SERVER')
     if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):
         return ''
