@@ -133,7 +133,7 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
 
 def _leave(code: int, executor: Executor | None = None, node: MissionNode | None = None) -> None:
     """Leave the graph; should that not end, the process does, with its exit code."""
-    # When several processes leave at once, about one in a thousand waits for good in Fast DDS 2.14,
+    # When several processes leave at once, one in a thousand waits for good in Fast DDS 2.14,
     # with Python's lock held, so the C library ends it.
     exit_function = ctypes.cast(LIBC._exit, ctypes.c_void_p).value
     event = struct.pack('QiiQQ32x', code, 0, SIGEV_THREAD, exit_function, 0)
