@@ -65,12 +65,10 @@ def test_what_the_search_is_said_to_take():
     says(page, f'exponents from 1 to {moments.EXPONENTS[-1]:.0f}')
     says(page, f'an error of at most {1e5 * moments.ERROR:.3g}e-5 nats')
     says(page, 'the error is as large ', moments.WEIGHTS.size + 1, ' times')
-    says(page, f'at most {labels.LASSOS} of these')
-    (first, kept), (second, best), (third, _) = labels.ROUNDS
-    says(page, f'| 1 | all | {first.between} | 1 or {first.in_stem} | | |')
-    says(page, f'| 2 | {kept} | 1 or {second.between} | 1 to {second.in_stem} | | |')
-    long = f'{third.long} | {third.long_in_stem}'
-    says(page, f'| 3 | {best} | 1 to {third.between} | 1 to {third.in_stem} | {long} |')
+    (first, two), (second, three) = labels.ROUNDS
+    says(page, 'The best ', first, ' closed paths')
+    says(page, 'one or ', two, ' cells in a row')
+    says(page, 'best ', second, ' of all are then improved by up to ', three, ' cells in a row')
     most = joint_outcomes.MOST_OUTCOMES
     says(page, f'Of more than {most} joint outcomes the least probable are merged')
     says(page, 'from the sixth robot on, joint outcomes are merged')

@@ -202,4 +202,4 @@ def describe_gap(plan: Plan) -> str:
     worth = plan.upper_bound - plan.gap
     if worth > 0.0:
         words += f' ({plan.gap / worth:.1%})'
-    return f'{words}, ended by {plan.ended_by}' if plan.ended_by else words
+    return words

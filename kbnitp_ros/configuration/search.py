@@ -20,13 +20,6 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 
-# The options whose parameters have other names.
-NAMES = {
-    'width': 'beam_width',
-    'tolerance': 'search.tolerance',
-    'branches': 'search.branches',
-}
-
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:
     """
@@ -38,8 +31,8 @@ def search_options(values: Mapping[str, Any]) -> SearchOptions:
         If they do not go together.
 
     """
-    names = (field.name for field in fields(SearchOptions))
-    return SearchOptions(**{name: values[NAMES.get(name, name)] for name in names})
+    names = {field.name: field.name for field in fields(SearchOptions)} | {'width': 'beam_width'}
+    return SearchOptions(**{option: values[name] for option, name in names.items()})
 
 
 def type_to_plan(
@@ -69,6 +62,6 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])
     check_team(PathFinder(grid, options), types)
-    if values['bound'] or options.planner == 'exact':
+    if values['bound']:
         for each in types:
             check_bounded(grid.at(each.base), options.of_type(each), len(types))

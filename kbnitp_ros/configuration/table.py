@@ -13,7 +13,6 @@ from kbnitp_ros.core import (
     OBJECTIVES,
     PLANNERS,
     STRONGEST,
-    TOLERANCES,
 )
 from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
 
@@ -341,8 +340,8 @@ TABLE = (
     Parameter(
         'planner',
         'beam',
-        'How a path is searched for; exact finds the best for an agent that is alone, random, '
-        'coverage and shortest_unvisited seek no information, and are there to be compared with.',
+        'How a path is searched for; random, coverage and shortest_unvisited seek no information, '
+        'and are there to be compared with.',
         ('planner',),
         choices=PLANNERS,
         read_only=False,
@@ -350,25 +349,9 @@ TABLE = (
     Parameter(
         'beam_width',
         16,
-        'Labels the beam planner keeps for each cell and step.',
+        'Width of the beam planner, which keeps a quarter as many labels for each cell and step.',
         ('planner',),
         limits=(1, 10_000),
-        read_only=False,
-    ),
-    Parameter(
-        'search.tolerance',
-        1e-6,
-        'The planner exact ends when no path is worth so many nats more than the one it found.',
-        ('planner',),
-        limits=TOLERANCES,
-        read_only=False,
-    ),
-    Parameter(
-        'search.branches',
-        100,
-        'The planner exact ends as well when it has divided the paths so often.',
-        ('planner',),
-        limits=(1, 1_000_000),
         read_only=False,
     ),
     Parameter(

@@ -89,7 +89,6 @@ from kbnitp_ros.core.planning import (
     team_information,
     team_size,
     TeamPlan,
-    TOLERANCES,
 )
 from kbnitp_ros.core.table import deployments_table
 
@@ -107,7 +106,6 @@ __all__ = [
     'PLANNERS',
     'STATIC',
     'STRONGEST',
-    'TOLERANCES',
     'Area',
     'Belief',
     'Beta',

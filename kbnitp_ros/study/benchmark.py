@@ -40,12 +40,6 @@ from tqdm import tqdm
 VERSION = 2
 NAME = 'benchmark'
 
-# Of the planner 'exact'.
-BRANCHES = 20
-
-# Its plans take seconds, and it sends no robots.
-PROVES_ONLY = 'exact'
-
 HEADS = (
     'planner',
     'method',
@@ -81,19 +75,18 @@ class PlannerScore(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A row of the table: a planner and a method, and the missions that they made, if any."""
+    """A row of the table: a planner and a method, and the missions that they made."""
 
     planner: str
     method: str
-    results: Results | None
+    results: Results
 
-    def final(self, *measures: str) -> Mean | None:
+    def final(self, *measures: str) -> Mean:
         """Return the sum of measures after the last robot."""
-        return mean_of(self.series(*measures)[:, -1]) if self.results else None
+        return mean_of(self.series(*measures)[:, -1])
 
     def series(self, *measures: str) -> NDArray[np.float64]:
         """Return the sum of measures, shape (trials, robots + 1)."""
-        assert self.results
         scenario = self.results.scenario
         (team,) = (each for each in scenario.teams if each.planner == self.planner)
         return self.results.series(scenario.lethalities[0], self.method, *measures, team=team)
@@ -110,7 +103,7 @@ def frozen() -> list[Frozen]:
 
 def entered() -> tuple[list[str], list[str]]:
     """Return the planners and the methods: some of the package's own, and all of others."""
-    planners = ['random', 'coverage', 'shortest_unvisited', PLANNER, PROVES_ONLY]
+    planners = ['random', 'coverage', 'shortest_unvisited', PLANNER]
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
 
@@ -119,7 +112,7 @@ def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -
 
     def planned(each: Frozen) -> tuple[float, float]:
         begun = process_time()
-        found = plan(field, each.belief, each.model, steps, planner, branches=BRANCHES)
+        found = plan(field, each.belief, each.model, steps, planner)
         return found.information / each.bound, process_time() - begun
 
     # The first one compiles kernels.
@@ -150,12 +143,11 @@ def missions(
     planners: Iterable[str], methods: Iterable[str], workers: int | None, **changes: int
 ) -> Iterator[Entry]:
     """Run the missions of every planner by one method, and of every method by one planner."""
-    sending = [each for each in planners if each != PROVES_ONLY]
     others = [each for each in methods if each != METHOD]
-    by_planner = compare(NAME, planners=sending, methods=[METHOD], workers=workers, **changes)
+    by_planner = compare(NAME, planners=[*planners], methods=[METHOD], workers=workers, **changes)
     by_method = compare(NAME, planners=[PLANNER], methods=others, workers=workers, **changes)
     for planner in planners:
-        yield Entry(planner, METHOD, by_planner if planner in sending else None)
+        yield Entry(planner, METHOD, by_planner)
     for method in others:
         yield Entry(PLANNER, method, by_method)
 
@@ -165,9 +157,7 @@ def table_of(
 ) -> Table:
     """Return the table of the benchmark."""
 
-    def mean(value: Mean | None, decimals: int = 1) -> Cell:
-        if value is None:
-            return Cell(None, '')
+    def mean(value: Mean, decimals: int = 1) -> Cell:
         return Cell(as_json(value), shown(as_json(value), decimals))
 
     def number(value: float, decimals: int) -> Cell:
@@ -205,9 +195,8 @@ def figure_of(entries: Sequence[Entry]) -> Figure:
     with rc_context(LETTERS):
         figure = Figure(figsize=(WIDTH, 0.45 * WIDTH), layout='constrained')
         left, right = figure.subplots(1, 2, sharey=True)
-        sent = [each for each in entries if each.results]
-        draw(left, {each.planner: each for each in sent if each.method == METHOD})
-        draw(right, {each.method: each for each in sent if each.planner == PLANNER})
+        draw(left, {each.planner: each for each in entries if each.method == METHOD})
+        draw(right, {each.method: each for each in entries if each.planner == PLANNER})
         left.set_title(f'planners, by {METHOD}')
         right.set_title(f'methods, by {PLANNER}')
         left.set_ylabel(LOG_LOSS_LABEL)

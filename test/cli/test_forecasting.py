@@ -78,7 +78,6 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
         ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
         ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
         ([*LANE, '--set', 'bound=true'], 'bound is true, which is for the most information'),
-        ([*LANE, '--set', 'planner=exact'], 'planner is exact, which is for the most inform'),
         (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
         (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
         (['--set', 'map_topic=map'], 'map_topic is map: no map reaches the forecast'),

@@ -68,7 +68,6 @@ def test_stops_are_those_of_the_parameters():
         ({'goal': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
         ({'goal': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of them'),
         ({'goal': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
-        ({'goal': 'area', 'goal__cells': [1], 'planner': 'exact'}, 'planner is exact'),
         (
             {'goal': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976},
             'takes 2083 independent draws',

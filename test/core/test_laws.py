@@ -15,8 +15,7 @@ def test_methods_keep_their_laws(method):
 
 
 @pytest.mark.slow
-# The planner exact is for one robot that goes alone.
-@for_each('planner', [each for each in PLANNERS if each != 'exact'])
+@for_each('planner', [*PLANNERS])
 def test_planners_keep_their_laws(planner):
     check_planner(planner, cases=500 if FULL else 15)
 

@@ -33,7 +33,6 @@ OPTIONS = SearchOptions(max_steps=8)
 
 
 # All but the planner that takes seconds.
-SEARCHES = [each for each in PLANNERS if each != 'exact']
 
 
 def fly(seed, robots=12, **options):
@@ -65,7 +64,7 @@ def trace(deployments):
 
 
 @pytest.mark.slow
-@for_each('planner, method', product(SEARCHES, METHODS), every=3)
+@for_each('planner, method', product(PLANNERS, METHODS), every=3)
 def test_the_same_seed_is_the_same_mission(method, planner):
     one, same, other = (trace(fly(s, method=method, planner=planner)[1]) for s in (1, 1, 2))
     assert one == same

@@ -503,7 +503,8 @@ def test_an_objective_that_is_not_sought_is_refused(field):
         ('/a', {'planner': 'coverage', 'objective': 'behavioral'}, 'the planner coverage seeks'),
         ('/b', {'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
         ('/c', {'objective': 'behavioral', 'alpha': 9.0}, 'alpha is 9.0: it must be'),
-        ('/d', {'planner': 'exact', 'agents': ['one', 'two']}, 'there are 2 robots, and a bound'),
+        ('/d', {'bound': True, 'agents': ['one', 'two']}, 'there are 2 robots, and a bound'),
+        ('/f', {'planner': 'exact'}, 'planner'),
         ('/e', {'planner': 'coverage', 'bound': True}, 'planner is coverage, which seeks'),
     ):
         planner = field.start('planner', parameters, namespace)

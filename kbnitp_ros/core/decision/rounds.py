@@ -145,7 +145,7 @@ def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None
     Raises
     ------
     ValueError
-        If the planner is exact or a bound is asked for, which are of information, or paths are of
+        If a bound is asked for, which is of information, or paths are of
         a limited length, which those for a goal do not keep, and there is a goal.
 
     """
@@ -154,10 +154,8 @@ def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None
             f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '
             'do not keep: choose the goal map, or leave max_distance at 0'
         )
-    is_exact = options.planner == 'exact'
-    for name, is_asked in (('planner is exact', is_exact), ('bound is true', bound)):
-        if goal is not None and is_asked:
-            raise ValueError(
-                f'{name}, which is for the most information, and the goal is {goal.name}: '
-                'choose another value, or the goal map'
-            )
+    if goal is not None and bound:
+        raise ValueError(
+            f'bound is true, which is for the most information, and the goal is {goal.name}: '
+            'leave bound at false, or choose the goal map'
+        )

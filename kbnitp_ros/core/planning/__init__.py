@@ -12,7 +12,6 @@ from kbnitp_ros.core.planning.objective import (
     positives,
     SearchOptions,
     team_information,
-    TOLERANCES,
 )
 from kbnitp_ros.core.planning.search import (
     check_bounded,
@@ -41,7 +40,6 @@ __all__ = [
     'ALPHAS',
     'OBJECTIVES',
     'PLANNERS',
-    'TOLERANCES',
     'Camera',
     'Candidate',
     'NoPathError',

@@ -235,7 +235,7 @@ def test_a_loss_cost_is_counted_beside_it(planner):
     assert careful.survival > bold.survival
 
 
-@for_each('planner', [each for each in PLANNERS.own if each not in (*SEEKING, 'exact')])
+@for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])
 def test_planners_that_seek_nothing_refuse_it(planner):
     with pytest.raises(
         ValueError, match=f'{planner} seeks none: choose the planner beam or relax'

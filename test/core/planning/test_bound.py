@@ -11,7 +11,6 @@ from extent import FULL
 from kbnitp_ros.core import (
     Belief,
     Grid,
-    Lane,
     ORDINARY,
     plan,
     plan_team,
@@ -21,7 +20,7 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.planning.search.bound_maximum_kernels import parabola
+from kbnitp_ros.core.planning.search.bound_kernels import parabola
 from laws import for_each
 import numpy as np
 import pytest
@@ -211,14 +210,7 @@ def test_bounds_have_the_same_bits_compiled_and_interpreted():
     'options, message',
     [
         ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),
-        ({'objective': 'behavioral', 'planner': 'exact'}, 'objective is behavioral'),
-        ({'planner': 'exact', 'tolerance': 1e-9}, 'tolerance is 1e-09: .*rounded'),
-        (
-            {'planner': 'exact', 'loss_cost': 1e9},
-            'tolerance is 1e-06: with a loss_cost of 1000000',
-        ),
-        ({'planner': 'exact', 'branches': 0}, 'branches is 0'),
-        ({'planner': 'random'}, 'planner is random.*no bound.*beam, relaxed or exact'),
+        ({'planner': 'random'}, 'planner is random.*no bound.*beam or relaxed'),
         ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
         ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
     ],
@@ -229,80 +221,16 @@ def test_what_has_no_bound_is_refused(options, message):
         plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, bound=True, **options)
 
 
-@pytest.mark.parametrize('planner, bound', [('beam', True), ('exact', False)])
-def test_teams_have_no_bound(planner, bound):
+def test_teams_have_no_bound():
     grid, model = Grid(3, 3), SensorModel(0.5)
-    belief, options = Belief.prior(grid, 0.3, 0.4, 0.8), SearchOptions(planner, 4)
+    belief, options = Belief.prior(grid, 0.3, 0.4, 0.8), SearchOptions('beam', 4)
     with pytest.raises(ValueError, match='there are 2 robots, and a bound'):
-        plan_team(grid, belief, model, Team(2), options, bound=bound)
+        plan_team(grid, belief, model, Team(2), options, bound=True)
     out = [([0, 1, 0], ORDINARY)]
     with pytest.raises(ValueError, match='there are 2 robots, and a bound'):
-        plan_team(grid, belief, model, Team(1), options, in_flight=out, bound=bound)
-    alone = plan_team(grid, belief, model, Team(1), options, bound=bound)
+        plan_team(grid, belief, model, Team(1), options, in_flight=out, bound=True)
+    alone = plan_team(grid, belief, model, Team(1), options, bound=True)
     assert alone.plans[0].gap is not None
-
-
-@for_each('seed', range(40))
-def test_exact_finds_the_best_path(seed):
-    grid, most_steps, max_visits, belief, model, loss_cost = random_problem(seed)
-    loss_cost = min(loss_cost, 100.0)
-    visits = every_path(grid, most_steps, max_visits)
-    worths = values(belief, model, visits, loss_cost)
-    returns = brute_force.survival_of_visits(belief.joint, model, visits)
-    # Of every second problem, only the safer half of the paths may be taken.
-    minimum_survival = float(np.median(returns)) * (1.0 - 1e-9) if seed % 2 else 0.0
-    worths = worths[returns >= minimum_survival]
-    found = plan(
-        grid,
-        belief,
-        model,
-        most_steps,
-        'exact',
-        max_visits=max_visits,
-        loss_cost=loss_cost,
-        minimum_survival=minimum_survival,
-        # A search so narrow often finds another path first.
-        width=1,
-    )
-    value = found.information - loss_cost * (1.0 - found.survival)
-    assert value == pytest.approx(worths.max(), abs=1e-6)
-    assert found.survival >= minimum_survival
-    assert found.upper_bound >= worths.max() - 1e-12 * loss_cost
-    assert found.gap <= 1e-6
-    assert found.ended_by == 'tolerance'
-
-
-@for_each('base', range(0, 25, 1 if FULL else 12))
-def test_exact_proves_plans_of_5x5_cells_and_10_steps(base):
-    grid, rng = Grid(5, 5, base=base), np.random.default_rng(base)
-    model = SensorModel((0.1, 0.3, 0.5, 0.7, 0.9, 1.0)[base % 6])
-    prior = Belief.prior(grid, 0.15, 0.2, 0.8)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    mission = run_mission(grid, prior, model, world, 10, rng, options=SearchOptions('relaxed', 10))
-    for belief in (prior, mission[-1].belief):
-        found = plan(grid, belief, model, 10, 'exact')
-        assert found.gap <= 1e-6
-        assert found.ended_by == 'tolerance'
-        wide = plan(grid, belief, model, 10, width=64)
-        assert found.information >= wide.information - 1e-9
-
-
-def test_goals_refuse_the_planner_exact():
-    grid, model = Grid(3, 3), SensorModel(0.5)
-    belief, world = Belief.prior(grid, 0.3, 0.4, 0.8), World(np.zeros(9, bool), np.zeros(9, bool))
-    options = SearchOptions('exact', 6)
-    with pytest.raises(ValueError, match='planner is exact.*the goal is lane'):
-        run_mission(grid, belief, model, world, 1, 0, options=options, goal=Lane(to=8))
-
-
-def test_branches_that_do_not_suffice_are_said_to_be_spent():
-    grid, model = Grid(9, 9), SensorModel(0.5)
-    prior = Belief.prior(grid, 0.15, 0.2, 0.8)
-    found = plan(grid, prior, model, 18, 'exact', branches=1, tolerance=1e-8)
-    assert found.ended_by == 'branches'
-    assert found.gap > 1e-8
-    again = plan(grid, prior, model, 18, 'exact', branches=1, tolerance=1e-8)
-    assert (found.path.tolist(), found.gap) == (again.path.tolist(), again.gap)
 
 
 @pytest.mark.slow

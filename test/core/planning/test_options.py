@@ -6,12 +6,12 @@ from dataclasses import fields, replace
 
 from documented import ROOT
 from kbnitp_ros.configuration import parameters_of, search_options
-from kbnitp_ros.configuration.search import NAMES
 from kbnitp_ros.core import OBJECTIVES, PLANNERS, RobotType, SearchOptions
 from laws import for_each
 
 OPTIONS = {field.name: field for field in fields(SearchOptions)}
-ROWS = {name: parameters_of('planner')[NAMES.get(name, name)] for name in OPTIONS}
+NAMES = {name: 'beam_width' if name == 'width' else name for name in OPTIONS}
+ROWS = {option: parameters_of('planner')[name] for option, name in NAMES.items()}
 
 
 def restated(source):

@@ -170,7 +170,7 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
         assert max(of_best) <= 1 + 1e-9
         if allocation in page:
             assert figures == page[allocation][place:][:2]
-    assert min(share['greedy'] for share in shares) >= 0.98
+    assert min(share['greedy'] for share in shares) >= 0.96
 
 
 @for_each('allocation, seed', product(ALLOCATIONS, range(8)))
@@ -183,11 +183,7 @@ def test_a_robot_alone_is_planned_as_ever(seed, allocation):
     assert team.plans[0].survival == alone.survival
 
 
-# The planner exact is for one robot that goes alone.
-OF_TEAMS = [each for each in PLANNERS if each != 'exact']
-
-
-@for_each('allocation, planner, agents', product(ALLOCATIONS, OF_TEAMS, [2, 5]))
+@for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))
 def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, allocation):
     belief = random_belief(agents)
     team = plan_round(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)

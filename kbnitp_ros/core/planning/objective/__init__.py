@@ -13,14 +13,12 @@ from kbnitp_ros.core.planning.objective.options import (
     ALPHAS,
     OBJECTIVES,
     SearchOptions,
-    TOLERANCES,
 )
 from kbnitp_ros.core.planning.objective.readings import Camera, positives
 
 __all__ = [
     'ALPHAS',
     'OBJECTIVES',
-    'TOLERANCES',
     'Camera',
     'Candidate',
     'JointOutcomes',

@@ -17,9 +17,6 @@ OBJECTIVES = ('information', 'behavioral')
 SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
 
-# The range of tolerances of the planner 'exact', nats.
-TOLERANCES = (1e-8, 1e3)
-
 
 def beta_of(alpha: float) -> float:
     """
@@ -39,15 +36,15 @@ class SearchOptions:
     ----------
     planner : str or callable
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns closed
-        paths, the best first. 'relaxed' keeps the best label of each cell and step, 'beam' the
-        best `width`. The others seek no information and serve as baselines: 'random' draws a
-        closed walk, 'coverage' ploughs the field where earlier paths left off, and
-        'shortest_unvisited' goes to the nearest cell that was visited least, and on to the next.
-        'exact' finds the best path for one robot that goes alone, if `branches` suffice.
+        paths, the best first. 'relaxed' keeps the best label of each cell and step; 'beam' keeps a
+        quarter of `width`, and improves the best paths by local search. The others seek no
+        information and serve as baselines: 'random' draws a closed walk, 'coverage' ploughs the
+        field where earlier paths left off, and 'shortest_unvisited' goes to the nearest cell that
+        was visited least, and on to the next.
     max_steps : int
         The most steps of a path, at least 1.
     width : int
-        How many labels the beam keeps for each cell and step, at least 1.
+        Of the beam, at least 1.
     max_visits : int
         How often a path may enter a cell, at least 1.
     objective : str
@@ -59,11 +56,6 @@ class SearchOptions:
         The cost of a lost robot, nats of information, at least 0.
     minimum_survival : float
         Paths that a robot survives with less are refused, in [0, 1].
-    tolerance : float
-        The planner 'exact' ends when no path is worth so many nats more than the best one found,
-        at least 1e-8: values are rounded.
-    branches : int
-        It ends as well when it has divided the paths so often, at least 1.
     max_distance : float
         How long a path may be, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
         times as long as a straight one, and a stay has no length. Baselines refuse it.
@@ -83,24 +75,15 @@ class SearchOptions:
     alpha: float = SHANNON
     loss_cost: float = 0.0
     minimum_survival: float = 0.0
-    tolerance: float = 1e-6
-    branches: int = 100
     max_distance: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ('max_steps', 'width', 'max_visits', 'branches'):
+        for name in ('max_steps', 'width', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
         for name in ('max_distance', 'loss_cost'):
             object.__setattr__(self, name, cost(name, getattr(self, name)))
         survival = probability('minimum_survival', self.minimum_survival)
         object.__setattr__(self, 'minimum_survival', survival)
-        least, most = TOLERANCES
-        if not least <= self.tolerance <= most:
-            raise ValueError(
-                f'tolerance is {self.tolerance}: it must be in [{least}, {most}] nats, since '
-                'values are rounded'
-            )
-        object.__setattr__(self, 'tolerance', float(self.tolerance))
         if self.objective not in OBJECTIVES:
             raise ValueError(
                 f'objective is {self.objective!r}: it must be one of {", ".join(OBJECTIVES)}'

@@ -1,162 +1,188 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A bound on the value of every path, by a Lagrangian dual with cuts and branches.
+A bound on the value of every path, by a Lagrangian dual with cuts.
 
 The steps are those of docs/mathematics.md: the value of a path is at most a function of three sums
 over its cells, equation :eq:`bound-path`; Lagrangian multipliers cut off sums that no closed walk
-has, :eq:`bound-cut`; the function is maximised over what the cuts leave, :eq:`bound-maximum`; and
-the paths are divided by a cell that they visit or not, until so few are left that might be better
-than the best one known that they can be gone through, :eq:`bound-walk`.
+has, :eq:`bound-cut`; the function is maximised over what the cuts leave, :eq:`bound-maximum`.
 """
 
 from __future__ import annotations
 
-from math import exp
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from math import exp, inf, log
 
-from kbnitp_ros.core.field import Grid
+from kbnitp_ros.core.field import Belief, Grid, log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.planning.objective.candidate import Candidate
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
-from kbnitp_ros.core.planning.search.label_kernels import Reach
-from kbnitp_ros.core.planning.search.labels import MOST_MEMORY
-from kbnitp_ros.core.planning.search.path_sets import PathSet, Problem, rounding
+from kbnitp_ros.core.planning.objective.readings import new_information, readings_of
+from kbnitp_ros.core.planning.search.bound_kernels import (
+    greatest_sum,
+    maximum,
+    minimise,
+    next_cut,
+    Region,
+    Walks,
+)
+from kbnitp_ros.core.planning.search.label_kernels import Floats, Places, Reach
+from kbnitp_ros.core.planning.search.labels import MAX_MEMORY
+from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
-from numpy.typing import NDArray
 
-# A bound divides the paths so often, over the cells and the square of the steps: in a small field
-# some times, in a large one never.
-DIVISIONS = 300_000
+# Cuts beyond one for each number of steps, and in a row that gain less than the tolerance.
+MAX_CUTS = 60
+MAX_STALLED = 6
 
-# A set of paths is gone through in at most so many steps: for a bound, and for the best path.
-FEW_WALKS = 10_000
-MANY_WALKS = 1_000_000
+# How far the bound may be above the maximum that it stands for: a share of the value, and nats.
+TOLERANCE = 2e-4
+MIN_TOLERANCE = 1e-6
+
+# What rounding may take from a bound: nats, and a share of the loss cost.
+ROUNDING = 1e-9
+ROUNDING_OF_COST = 1e-13
+
+# Paths that are survived less often bring nothing that a float can hold.
+MIN_SURVIVAL = 1e-100
 
 
-class Proof(NamedTuple):
+@dataclass(eq=False)
+class Cuts:
     """
-    How good the best path known is.
+    The cuts of paths of so many steps.
 
     Attributes
     ----------
-    path : ndarray of int, shape (steps + 1,)
-        That one.
-    upper_bound : float
-        On the value of every path, nats.
+    steps : int
+        Of each path.
+    point : tuple of float
+        The survival, the ratio r2 / r and the sum of W to be cut off next.
+    multipliers : ndarray, shape (cells + 2,)
+        Of the last cut.
+    rows : ndarray, shape (cuts, 3)
+        As of `Region`.
+    bound : float
+        On the value of each path, nats.
 
     """
 
-    path: NDArray[np.intp]
-    upper_bound: float
+    steps: int
+    point: tuple[float, float, float]
+    multipliers: Floats
+    rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    bound: float = inf
 
 
-def upper_bound(
-    grid: Grid, objective: Objective, options: SearchOptions, path: NDArray[np.intp]
-) -> float:
-    """Return the bound beside a plan; arguments as of `Problem.of`."""
-    problem = Problem.of(grid, objective, options, path)
-    divisions = DIVISIONS // (problem.reach.cells.size * options.max_steps**2)
-    return prove(problem, problem.tolerance, divisions, FEW_WALKS).upper_bound
+def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: Places) -> float:
+    """Return a bound on the value of every path, nats, from a good path, shape (steps + 1,)."""
+    loss_cost, value = objective.loss_cost, Candidate.along(path, objective).value
+    tolerance = max(MIN_TOLERANCE, TOLERANCE * abs(value))
+    slack = ROUNDING + ROUNDING_OF_COST * loss_cost
+    log_safe = float(objective.model.log_survival[0])
+    if exp(log_safe) == 0.0:
+        return value + slack
+    reach, max_steps = reach_of(grid, options), options.max_steps
+    visits = min(options.max_visits, max_steps)
+    added, survivable = visit_sums(objective.belief, objective.model, reach.cells, visits)
+    counts = np.bincount(path[1:], minlength=grid.cells)[reach.cells]
+    w, r, r2 = added[np.arange(counts.size), counts].sum(axis=0)
+    start = (inside(exp(-r)), r2 / r if r > 0.0 else 1.5, w)
+    none = np.zeros(reach.cells.size + 2)
+    lengths = [Cuts(steps, start, none.copy()) for steps in range(1, max_steps + 1)]
 
+    def cut(paths: Cuts) -> None:
+        """Add the lowest cut at the point, and bound what is left."""
+        steps, (survival, ratio, total) = paths.steps, paths.point
+        longest_stay = (steps - 2 * grid.steps_to_base[reach.cells] + 1).clip(min=0)
+        longest_stay[0] = steps
+        walks = Walks(reach.neighbors, reach.within, added, np.minimum(survivable, longest_stay))
+        # Whoever compares survivals rounds.
+        least = options.minimum_survival * (1.0 - 1e-12)
+        region = Region(exp(steps * log_safe), least, loss_cost, paths.rows)
+        if region.safest < least:
+            paths.bound = -inf
+            return
+        if region.safest < MIN_SURVIVAL:
+            paths.bound = -loss_cost
+            return
+        of_r, of_r2, enough = next_cut(region, survival, ratio, total, value)
+        if not len(paths.rows):
+            paths.multipliers[:-2] = added[:, 1] @ [1.0, -of_r, -of_r2]
+        paths.multipliers[-2:] = of_r, of_r2
+        r = -log(survival)
+        d = minimise(walks, steps, paths.multipliers, r, ratio * r, enough)
+        paths.rows = np.vstack([paths.rows, [d, *paths.multipliers[-2:]]])
+        region = region._replace(cuts=paths.rows)
+        at = np.array([survival, ratio])
+        paths.bound = min(paths.bound, maximum(region, value, tolerance, at))
+        survival, ratio = inside(at[0]), float(at[1])
+        paths.point = survival, ratio, greatest_sum(region, survival, ratio)
 
-def best_path(
-    grid: Grid, objective: Objective, options: SearchOptions, path: NDArray[np.intp]
-) -> Proof:
-    """Return the best path, or the best found by `options.branches`; arguments likewise."""
-    problem = Problem.of(grid, objective, options, path)
-    return prove(problem, options.tolerance, options.branches, MANY_WALKS)
-
-
-def prove(problem: Problem, tolerance: float, branches: int, walks: int) -> Proof:
-    """
-    Divide the paths until none can be worth more than the best by a tolerance.
-
-    Equations :eq:`bound-path` to :eq:`bound-walk`.
-
-    Parameters
-    ----------
-    problem : Problem
-        With a good path: the nearer to the best, the less there is to search.
-    tolerance : float
-        Nats.
-    branches : int
-        How often they are divided at most.
-    walks : int
-        In how many steps a set of them is gone through at most; all of them in as many for each
-        branch.
-
-    Returns
-    -------
-    Proof
-        The same problem has the same proof.
-
-    """
-    open_sets = [PathSet.whole(problem)] if exp(problem.log_safe) > 0.0 else []
-    # First of all paths, in as many steps as those of all branches together.
-    most = walks * max(1, branches)
-    while open_sets:
-        loosest = max(open_sets, key=lambda paths: paths.bound)
-        if loosest.bound <= problem.value + tolerance - 2.0 * problem.slack:
+    stalled = 0
+    for _ in range(MAX_CUTS + max_steps):
+        highest = max(lengths, key=lambda paths: paths.bound)
+        before = highest.bound
+        if before <= value + tolerance or stalled == MAX_STALLED:
             break
-        if loosest.go_through(0.5 * tolerance, most):
-            continue
-        most, cell = walks, loosest.branching_cell()
-        if cell is None or branches == 0:
-            break
-        branches -= 1
-        open_sets.remove(loosest)
-        open_sets += [loosest.without(cell), loosest.through(cell)]
-    bound = max([problem.value, *(paths.bound for paths in open_sets)])
-    return Proof(problem.path, bound + problem.slack)
+        cut(highest)
+        stalled = stalled + 1 if highest.bound > before - tolerance else 0
+    return max([value, *(paths.bound for paths in lengths)]) + slack
+
+
+def inside(survival: float) -> float:
+    """Return a survival away from 0 and 1, where the slopes of the entropy have no end."""
+    return min(max(survival, 1e-9), 1.0 - 1e-9)
+
+
+def visit_sums(
+    belief: Belief, model: SensorModel, cells: Places, max_visits: int
+) -> tuple[Floats, Places]:
+    """
+    Return the sums W, r and r2 of visits to cells, and how many visits can be survived.
+
+    Equation :eq:`bound-terms`; shapes (cells, max_visits + 1, 3), 0 where so many visits cannot be
+    survived, and (cells,).
+    """
+    visits = np.arange(max_visits + 1)
+    hazard = belief.hazard[cells, None]
+    log_mean = log_predicted_survival(hazard, visits, model.log_survival)
+    log_square = log_predicted_survival(hazard, 2 * visits, model.log_survival)
+    alive = log_mean > -np.inf
+    log_power = times_log(visits[:, None], model.log_survival)
+    p_log_p = times_log(np.exp(log_power), log_power)
+    spread = (1.0 - hazard) * p_log_p[:, 0] + hazard * p_log_p[:, 1]
+    w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
+    readings = readings_of(model, max_visits, ())
+    nothing_read = np.ones((cells.size, 1))
+    for n in visits[1:]:
+        count = np.full(cells.size, n)
+        w[:, n] += new_information(readings, belief.joint[cells], nothing_read, count)
+    added = np.stack([w, -log_mean, -log_square], axis=-1)
+    return np.where(alive[..., None], added, 0.0), alive.sum(axis=1) - 1
 
 
 def check_bound(reach: Reach, options: SearchOptions, robots: int) -> None:
-    """
-    Check that there is a bound, and that it can have the memory that it takes.
-
-    Parameters
-    ----------
-    reach : Reach
-        Of the paths.
-    options : SearchOptions
-        Of the search.
-    robots : int
-        How many leave together or are in flight.
-
-    Raises
-    ------
-    ValueError
-        If there are several robots, the objective has none, or the tolerance is below rounding;
-        with an estimate, if it takes more than `MOST_MEMORY`.
-
-    """
+    """Refuse a bound for several robots or another objective, or beyond `MAX_MEMORY`."""
     if robots > 1:
         raise ValueError(
-            f'there are {robots} robots, and a bound and the planner exact are for one that goes '
-            'alone: send one at a time, or choose the planner beam without a bound'
+            f'there are {robots} robots, and a bound is for one that goes alone: send one at a '
+            'time, or plan without a bound'
         )
     if options.objective != 'information':
         raise ValueError(
             f'objective is {options.objective}, for which there is no bound: choose the objective '
-            'information, or the planner beam without a bound'
-        )
-    least = 10.0 * rounding(options.loss_cost)
-    if options.planner == 'exact' and options.tolerance < least:
-        raise ValueError(
-            f'tolerance is {options.tolerance}: with a loss_cost of {options.loss_cost} rounding '
-            f'is above that, and it must be at least {least:.3g}'
+            'information, or plan without a bound'
         )
     number, cells = 8, reach.cells.size
     max_steps, max_visits = options.max_steps, options.max_visits
     visits = 1 + min(max_visits, max_steps)
-    # The best walks, and the prices of the ways home.
-    of_walks = cells * (max_steps + 1) * (1 + number) + number * cells * (9 + 2 + 2)
+    of_walks = cells * (max_steps + 1) + number * cells * (9 + 2)
     of_visits = number * cells * visits * (3 * 3 + 4 + 1)
-    # Of the set of all paths; a set is divided only in a small field.
     of_multipliers = number * (cells + 2) * max_steps
     estimate = of_walks + of_visits + of_multipliers
-    if estimate > MOST_MEMORY:
+    if estimate > MAX_MEMORY:
         raise ValueError(
             f'a bound for max_steps = {max_steps}, max_visits = {max_visits} and {cells} cells '
-            f'within reach takes about {estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB '
-            'are allowed: lower max_steps, or choose the planner beam without a bound'
+            f'within reach takes about {estimate / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB '
+            'are allowed: lower max_steps, or plan without a bound'
         )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Labels of paths: what they carry, how a visit changes it, and what it is worth.
+Loops of the label search: the best partial paths to each cell are extended, step by step.
 
 Cells go by their rank in the order of their distance from the base, which has rank 0, so those
 that a label may end in after some number of steps are the first so many. A label is a path from
@@ -18,7 +18,7 @@ readings :math:`J_\omega`. Its value is that of equation :eq:`label-value`.
 
 from __future__ import annotations
 
-from math import floor, log
+from math import floor, inf, log
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled, inlined
@@ -38,8 +38,6 @@ class Reach(NamedTuple):
     cells : ndarray of int, shape (n,)
         By their distance from the base, which comes first, and then ascending; the place of a
         cell is its rank.
-    position : ndarray of int, shape (n, 2)
-        Row and column of each.
     neighbors : ndarray of int, shape (n, 9)
         Ranks of the cells one step away, -1 where there is none. Columns j and 8 - j lead into
         opposite directions.
@@ -57,7 +55,6 @@ class Reach(NamedTuple):
     """
 
     cells: Places
-    position: Places
     neighbors: Places
     within: Places
     start: Places
@@ -68,7 +65,7 @@ class Reach(NamedTuple):
 
 class Gains(NamedTuple):
     """
-    What the next visit multiplies, and what it adds to, by cell and the number of visits before.
+    Factors and terms of the next visit, by cell and the number of visits before.
 
     Attributes
     ----------
@@ -85,32 +82,9 @@ class Gains(NamedTuple):
     term: Floats
 
 
-class LabelObjective(NamedTuple):
-    """
-    What makes the value of a label of its factors and terms.
-
-    Attributes
-    ----------
-    weight : ndarray, shape (powers,)
-        Of each moment.
-    chance : ndarray, shape (outcomes,)
-        Of each joint outcome of the robots before.
-    loss_cost : float
-        Nats.
-    units : float
-        To the nat; values are compared in these, so that rounding never decides for a path.
-
-    """
-
-    weight: Floats
-    chance: Floats
-    loss_cost: float
-    units: float
-
-
 class LabelProblem(NamedTuple):
     """
-    What labels are searched for.
+    The cells, and the value of labels.
 
     Attributes
     ----------
@@ -120,20 +94,32 @@ class LabelProblem(NamedTuple):
         What a visit adds to the mark of a label; sums tell apart how often each was visited.
     gains : Gains
         Of visits to the cells.
-    objective : LabelObjective
-        Of labels.
+    weight : ndarray, shape (powers,)
+        Of each moment.
+    chance : ndarray, shape (outcomes,)
+        Of each joint outcome of the robots before.
+    loss_cost : float
+        Nats.
+    units : float
+        To the nat; values are compared in these, so that rounding never decides for a path.
+    unread : ndarray, shape (max_steps + 1,)
+        Upper bound of the information of readings of the steps left after so many, nats.
 
     """
 
     reach: Reach
     marks: NDArray[np.int64]
     gains: Gains
-    objective: LabelObjective
+    weight: Floats
+    chance: Floats
+    loss_cost: float
+    units: float
+    unread: Floats
 
 
 class Products(NamedTuple):
     """
-    The factors and the terms of labels.
+    Factors and terms of labels.
 
     Attributes
     ----------
@@ -148,13 +134,92 @@ class Products(NamedTuple):
     term: Floats
 
 
-@inlined
-def steps_apart(reach: Reach, one: int, other: int) -> int:
-    """Return how many steps are between two cells at least, without obstacles."""
-    position = reach.position
-    rows: int = abs(position[one, 0] - position[other, 0])
-    columns: int = abs(position[one, 1] - position[other, 1])
-    return max(rows, columns)
+class Labels(NamedTuple):
+    """
+    The labels of one step; those at a cell have the first `kept` of its `width` rows.
+
+    Attributes
+    ----------
+    products : Products
+        Of each row.
+    mark : ndarray of int, shape (rows,)
+        Equal for equal visits.
+    length : ndarray, shape (rows,)
+        Metres, as of `Reach.length`.
+    seen : ndarray of int, shape (rows, 9)
+        The visits to the cells around.
+    kept : ndarray of int, shape (cells,)
+        How many labels each cell has.
+
+    """
+
+    products: Products
+    mark: NDArray[np.int64]
+    length: Floats
+    seen: NDArray[np.int32]
+    kept: NDArray[np.int64]
+
+
+class Ranking(NamedTuple):
+    """
+    The best extensions of labels to a cell, the best first.
+
+    Attributes
+    ----------
+    score : ndarray, shape (places,)
+        In units; -inf for none.
+    mark : ndarray of int, shape (places,)
+        Of the label.
+    length : ndarray, shape (places,)
+        Of the label, metres; no places where paths may be of any length.
+    origin : ndarray of int, shape (places,)
+        16 * slot + column of `Reach.neighbors`, of the label that is extended.
+
+    """
+
+    score: Floats
+    mark: NDArray[np.int64]
+    length: Floats
+    origin: NDArray[np.int64]
+
+
+class Completions(NamedTuple):
+    """
+    The best completion of so many steps at most from each cell that it may start in.
+
+    Attributes
+    ----------
+    moments : ndarray, shape (sum of within, powers + 5)
+        By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
+        both, and its length.
+    value : ndarray, shape (cells,)
+        Of the label that the last completion of each cell was made of.
+    room : ndarray, shape (powers + 5,)
+        For one of them, where lengths are limited: that which is short enough for a label.
+
+    """
+
+    moments: Floats
+    value: Floats
+    room: Floats
+
+
+class Trail(NamedTuple):
+    """
+    The label that was followed back last.
+
+    Attributes
+    ----------
+    slot, cell : ndarray of int, shape (max_steps + 1,)
+        By steps; a slot of -1 is none.
+    visits : ndarray of int, shape (cells,)
+        To each cell.
+
+    """
+
+    slot: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    visits: NDArray[np.int64]
 
 
 @compiled
@@ -169,19 +234,10 @@ def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: f
     Return the value of a label without the entropy that hazards leave in its own outcome.
 
     The first sum of equation :eq:`label-value`, with the surprisal of a loss averaged as in
-    equation :eq:`loss-surprisal`: with the chance q of a loss in each joint outcome,
+    equation :eq:`loss-surprisal`, from the mean of what readings bring, and those of the chance q
+    of a loss in each joint outcome and of its square:
 
     .. math:: E[-q \ln q] \approx -\bar q \ln \bar q - \operatorname{Var}(q) / (2 \bar q).
-
-    Parameters
-    ----------
-    brought : float
-        The mean of what readings bring, nats.
-    lost, lost_square : float
-        The means of q and of its square.
-    loss_cost : float
-        Nats.
-
     """
     value = brought + surprisal(lost) - loss_cost * lost
     if lost > 0.0:
@@ -189,8 +245,18 @@ def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: f
     return value
 
 
+@inlined
+def hoped_value(
+    brought: float, lost: float, likeliest: float, loss_cost: float, unread: float
+) -> float:
+    """Return a bound on the value of each path that a label begins, by equation :eq:`hopeless`."""
+    if likeliest > 0.5:
+        return inf
+    return brought + surprisal(lost) - loss_cost * lost + (1.0 - lost) * unread
+
+
 @compiled
-def label_value(products: Products, row: int, objective: LabelObjective) -> float:
+def label_value(products: Products, row: int, problem: LabelProblem) -> float:
     r"""
     Return the value of a label, in units.
 
@@ -200,8 +266,8 @@ def label_value(products: Products, row: int, objective: LabelObjective) -> floa
 
     by equations :eq:`entropy-powers` and :eq:`moment-log`.
     """
-    factor, term = products
-    weight, chance, loss_cost, units = objective
+    factor, term = products.factor, products.term
+    weight, chance = problem.weight, problem.chance
     left_open = -factor[row, 0] * term[row, 0]
     for k in range(weight.size):
         left_open += weight[k] * factor[row, k]
@@ -212,23 +278,16 @@ def label_value(products: Products, row: int, objective: LabelObjective) -> floa
         lost += loss
         lost_square += loss * (1.0 - survival)
         brought += chance[outcome] * survival * term[row, 1 + outcome]
-    value: float = averaged_value(brought, lost, lost_square, loss_cost) - left_open
-    return floor(value * units + 0.5)
+    value: float = averaged_value(brought, lost, lost_square, problem.loss_cost) - left_open
+    return floor(value * problem.units + 0.5)
 
 
 @inlined
 def visit(
-    products: Products,
-    row: int,
-    gains: Gains,
-    rank: int,
-    before: int,
-    to: Products,
-    to_row: int,
-    times: int = 1,
+    products: Products, row: int, gains: Gains, rank: int, before: int, to: Products, to_row: int
 ) -> None:
     r"""
-    Write a label after one or two more visits to a cell that it visits so often before.
+    Write a label after one more visit to a cell that it visits so often before.
 
     The moments of equation :eq:`moment-power` are multiplied, the sums of :eq:`moment-log` and of
     the information of readings are added to: after visit n to cell i,
@@ -239,59 +298,386 @@ def visit(
         J_\omega \leftarrow J_\omega + J_{i,n,\omega} - J_{i,n-1,\omega}.
     """
     for k in range(products.factor.shape[1]):
-        factor = products.factor[row, k] * gains.factor[rank, before, k]
-        if times == 2:
-            factor *= gains.factor[rank, before + 1, k]
-        to.factor[to_row, k] = factor
+        to.factor[to_row, k] = products.factor[row, k] * gains.factor[rank, before, k]
     for k in range(products.term.shape[1]):
-        term = products.term[row, k] + gains.term[rank, before, k]
-        if times == 2:
-            term += gains.term[rank, before + 1, k]
-        to.term[to_row, k] = term
-
-
-@inlined
-def value_after(
-    products: Products,
-    row: int,
-    gains: Gains,
-    rank: int,
-    before: int,
-    times: int,
-    objective: LabelObjective,
-) -> float:
-    """Return `label_value` after `visit`, without writing that label."""
-    factor, term = products
-    weight, chance, loss_cost, units = objective
-    powers = weight.size
-    left_open, mean = 0.0, 0.0
-    for k in range(powers):
-        moment = factor[row, k] * gains.factor[rank, before, k]
-        if times == 2:
-            moment *= gains.factor[rank, before + 1, k]
-        left_open += weight[k] * moment
-        if k == 0:
-            mean = moment
-    spread = term[row, 0] + gains.term[rank, before, 0]
-    if times == 2:
-        spread += gains.term[rank, before + 1, 0]
-    lost, lost_square, brought = 0.0, 0.0, 0.0
-    for outcome in range(chance.size):
-        survival = factor[row, powers + outcome] * gains.factor[rank, before, powers + outcome]
-        readings = term[row, 1 + outcome] + gains.term[rank, before, 1 + outcome]
-        if times == 2:
-            survival *= gains.factor[rank, before + 1, powers + outcome]
-            readings += gains.term[rank, before + 1, 1 + outcome]
-        loss = chance[outcome] * (1.0 - survival)
-        lost += loss
-        lost_square += loss * (1.0 - survival)
-        brought += chance[outcome] * survival * readings
-    left_open -= mean * spread
-    value: float = averaged_value(brought, lost, lost_square, loss_cost) - left_open
-    return floor(value * units + 0.5)
+        to.term[to_row, k] = products.term[row, k] + gains.term[rank, before, k]
 
 
 @compiled
 def new_products(rows: int, gains: Gains) -> Products:
     """Return room for the factors and the terms of so many labels."""
     return Products(np.empty((rows, gains.factor.shape[2])), np.empty((rows, gains.term.shape[2])))
+
+
+@compiled
+def new_labels(cells: int, width: int, gains: Gains) -> Labels:
+    """Return room for the labels of one step."""
+    rows = cells * width
+    return Labels(
+        new_products(rows, gains),
+        np.zeros(rows, np.int64),
+        np.zeros(rows),
+        np.zeros((rows, 9), np.int32),
+        np.zeros(cells, np.int64),
+    )
+
+
+@compiled
+def new_ranking(places: int, is_limited: bool) -> Ranking:
+    """Return room for so many extensions."""
+    lengths = np.empty(places if is_limited else 0)
+    return Ranking(
+        np.empty(places), np.empty(places, np.int64), lengths, np.empty(places, np.int64)
+    )
+
+
+@compiled
+def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
+    """
+    Put a candidate among the best, the best first, unless one of them has its mark.
+
+    It must be as good as the last of them; of equal ones the earlier is the better. Those of
+    equal marks have equal scores, and of these the shorter is kept: what may follow it is all that
+    may follow the longer one.
+    """
+    scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
+    low, high = 0, scores.size
+    while low < high:
+        middle = (low + high) // 2
+        if scores[middle] >= score:
+            low = middle + 1
+        else:
+            high = middle
+    twin = low - 1
+    while twin >= 0 and scores[twin] == score:
+        if marks[twin] == mark:
+            if lengths.size and length < lengths[twin]:
+                lengths[twin], origins[twin] = length, origin
+            return
+        twin -= 1
+    if low == scores.size:
+        return
+    for slot in range(scores.size - 1, low, -1):
+        scores[slot] = scores[slot - 1]
+        marks[slot] = marks[slot - 1]
+        origins[slot] = origins[slot - 1]
+    scores[low], marks[low], origins[low] = score, mark, origin
+    if lengths.size:
+        for slot in range(lengths.size - 1, low, -1):
+            lengths[slot] = lengths[slot - 1]
+        lengths[low] = length
+
+
+@compiled
+def copy_fitting(
+    length: float, rank: int, left: int, reach: Reach, completions: Completions
+) -> bool:
+    """Copy the longest completion of `left` steps or fewer within a length, if there is one."""
+    while left >= 0 and rank < reach.within[left]:
+        place = reach.start[left] + rank
+        if completions.moments[place, -1] <= length:
+            completions.room[:] = completions.moments[place]
+            return True
+        left -= 1
+    return False
+
+
+@inlined
+def find_best(
+    problem: LabelProblem,
+    labels: Labels,
+    step: int,
+    rank: int,
+    least: float,
+    completions: Completions,
+    by_value: Ranking,
+    by_heuristic: Ranking,
+) -> None:
+    """
+    Find the best extensions of labels to a cell.
+
+    They are ranked by `label_value`, and by the same with a completion, whose moments multiply
+    (equation :eq:`heuristic`). Extensions on which the robot could not come home within the length
+    allowed are left out, and those that no path is worth `least` units with, by equation
+    :eq:`hopeless`.
+    """
+    reach, marks, gains = problem.reach, problem.marks, problem.gains
+    gain_factor, gain_term = gains.factor, gains.term
+    weight, chance = problem.weight, problem.chance
+    loss_cost, units, unread = problem.loss_cost, problem.units, problem.unread[step]
+    factor, term = labels.products.factor, labels.products.term
+    mark, seen, kept = labels.mark, labels.seen, labels.kept
+    score, heuristic = by_value.score, by_heuristic.score
+    powers, max_visits = weight.size, gain_factor.shape[1]
+    width = mark.size // kept.size
+    for slot in range(score.size):
+        score[slot] = -inf
+    for slot in range(heuristic.size):
+        heuristic[slot] = -inf
+    is_limited = reach.longest > 0.0
+    length, fits = 0.0, True
+    left = reach.within.size - 1 - step
+    completion = completions.room
+    if heuristic.size and not is_limited:
+        completion = completions.moments[reach.start[left] + rank]
+    for column in range(9):
+        origin = reach.neighbors[rank, column]
+        if origin < 0 or origin >= reach.within[step - 1]:
+            continue
+        for slot in range(kept[origin]):
+            row = origin * width + slot
+            before = seen[row, 8 - column]
+            if before >= max_visits:
+                continue
+            if is_limited:
+                length = labels.length[row] + reach.length[column]
+                allowed = reach.longest - length
+                if reach.home[rank] > allowed:
+                    continue
+                if heuristic.size:
+                    fits = copy_fitting(allowed, rank, left, reach, completions)
+            lost, lost_square, brought, likeliest = 0.0, 0.0, 0.0, 0.0
+            for outcome in range(chance.size):
+                survival = (
+                    factor[row, powers + outcome] * gain_factor[rank, before, powers + outcome]
+                )
+                loss = chance[outcome] * (1.0 - survival)
+                lost += loss
+                lost_square += loss * (1.0 - survival)
+                brought += (
+                    chance[outcome]
+                    * survival
+                    * (term[row, 1 + outcome] + gain_term[rank, before, 1 + outcome])
+                )
+                likeliest = max(likeliest, survival)
+            if hoped_value(brought, lost, likeliest, loss_cost, unread) * units < least:
+                continue
+            left_open, left_open_completed = 0.0, 0.0
+            for k in range(powers):
+                moment = factor[row, k] * gain_factor[rank, before, k]
+                left_open += weight[k] * moment
+                left_open_completed += completion[k] * moment
+            next_mark = mark[row] + marks[rank]
+            mean = factor[row, 0] * gain_factor[rank, before, 0]
+            spread = term[row, 0] + gain_term[rank, before, 0]
+
+            value = averaged_value(brought, lost, lost_square, loss_cost)
+            value = floor((value - (left_open - mean * spread)) * units + 0.5)
+            # A twin of the last may be shorter.
+            if value > score[-1] or (is_limited and value == score[-1]):
+                insert(value, next_mark, length, 16 * slot + column, by_value)
+            if not heuristic.size or not fits:
+                continue
+            completed_survival = completion[powers + 1]
+            completed_term = completion[powers + 3]
+            brought = completed_survival * (brought + (1.0 - lost) * completed_term)
+            lost = 1.0 - (1.0 - lost) * completed_survival
+            value = brought + surprisal(lost) - left_open_completed - loss_cost * lost
+            mean *= completion[powers]
+            spread += completion[powers + 2]
+            value = floor((value + mean * spread) * units + 0.5)
+            if value > heuristic[-1] or (is_limited and value == heuristic[-1]):
+                insert(value, next_mark, length, 16 * slot + column, by_heuristic)
+
+
+@compiled
+def merge(
+    by_value: Ranking,
+    by_heuristic: Ranking,
+    found: NDArray[np.int64],
+    found_mark: NDArray[np.int64],
+) -> int:
+    """Write the origins and marks of the best, those that are both once; return how many."""
+    kept = 0
+    for slot in range(by_value.score.size):
+        if by_value.score[slot] > -inf:
+            found[kept], found_mark[kept] = by_value.origin[slot], by_value.mark[slot]
+            kept += 1
+    by_value_only = kept
+    for slot in range(by_heuristic.score.size):
+        if by_heuristic.score[slot] == -inf or kept == found.size:
+            break
+        is_new = True
+        for other in range(by_value_only):
+            is_new = is_new and found_mark[other] != by_heuristic.mark[slot]
+        if is_new:
+            found[kept], found_mark[kept] = by_heuristic.origin[slot], by_heuristic.mark[slot]
+            kept += 1
+    return kept
+
+
+@compiled
+def write_completion(
+    labels: Labels, row: int, length: float, problem: LabelProblem, completion: Floats
+) -> None:
+    """Write the completion along a label, and by one step, as in `find_best`; its length."""
+    factor, term = labels.products.factor, labels.products.term
+    gain_factor, gain_term = problem.gains.factor, problem.gains.term
+    weight, chance = problem.weight, problem.chance
+    powers = weight.size
+    for k in range(powers):
+        completion[k] = weight[k] * factor[row, k] * gain_factor[0, 0, k]
+    completion[powers] = factor[row, 0] * gain_factor[0, 0, 0]
+    completion[powers + 2] = term[row, 0] + gain_term[0, 0, 0]
+    completion[powers + 4] = length
+    completion[powers + 1], completion[powers + 3] = 0.0, 0.0
+    for outcome in range(chance.size):
+        survival = factor[row, powers + outcome] * gain_factor[0, 0, powers + outcome]
+        completion[powers + 1] += chance[outcome] * survival
+        completion[powers + 3] += chance[outcome] * (
+            term[row, 1 + outcome] + gain_term[0, 0, 1 + outcome]
+        )
+
+
+@compiled
+def write_completions(
+    problem: LabelProblem,
+    labels: Labels,
+    step: int,
+    best_value: Floats,
+    completions: Completions,
+) -> None:
+    """
+    Write the best completion of so many steps at most from each cell that it may start in.
+
+    A path has the same value in both directions, so a completion is a label at a neighbour, walked
+    backwards, and the step into the base. `best_value`, (cells,), has that of the best label.
+    """
+    reach, moments, value = problem.reach, completions.moments, completions.value
+    start = reach.start[step]
+    for rank in range(reach.within[step]):
+        via, length = -1, 0.0
+        for column in range(9):
+            origin = reach.neighbors[rank, column]
+            if 0 <= origin < reach.within[step - 1] and best_value[origin] > value[rank]:
+                via, value[rank] = origin, best_value[origin]
+                length = labels.length[origin] + reach.length[column]
+        if via >= 0:
+            write_completion(labels, via, length, problem, moments[start + rank])
+        else:
+            # One of fewer steps is as good.
+            moments[start + rank] = moments[reach.start[step - 1] + rank]
+
+
+@compiled
+def follow(
+    reach: Reach, trail: Trail, origins: NDArray[np.int32], step: int, rank: int, slot: int
+) -> None:
+    """Follow a label back to where it left the last one that was followed; count its visits."""
+    while step > 0 and (trail.slot[step] != slot or trail.cell[step] != rank):
+        if trail.slot[step] >= 0:
+            trail.visits[trail.cell[step]] -= 1
+        trail.visits[rank] += 1
+        trail.slot[step], trail.cell[step] = slot, rank
+        origin = origins[reach.start[step] + rank, slot]
+        rank, slot = reach.neighbors[rank, origin & 15], origin >> 4
+        step -= 1
+
+
+@compiled
+def search(
+    problem: LabelProblem, width: int, by_heuristic_rows: int, least: float, moments: Floats
+) -> tuple[NDArray[np.int32], Floats]:
+    r"""
+    Extend the best labels of each cell, step by step.
+
+    Labels at the same cell after the same number of steps compete by their value, and
+    `by_heuristic_rows` of their rows are for those that compete by their heuristic value: that of
+    their path and a good completion together, taken as if no cell were on both. Labels of equal
+    visits count once. With the value V of equation :eq:`label-value` and its heuristic H of
+    :eq:`heuristic`, the labels at cell i after t steps are
+
+    .. math::
+
+        L_t(i) = \operatorname{best}_{V, H} \bigl\{ \ell \oplus i :
+            \ell \in L_{t-1}(j), \; j \sim i \bigr\}, \qquad L_0 = \{ \text{base} \},
+
+    where :math:`\ell \oplus i` is label :math:`\ell` after one more visit, to cell i (`visit`).
+
+    Parameters
+    ----------
+    problem : LabelProblem
+        The cells, and the value of labels.
+    width : int
+        How many labels each cell may have.
+    by_heuristic_rows : int
+        See above, less than `width`.
+    least : float
+        The value of a known path, in units: labels that no better path begins with are dropped.
+        -inf to drop none.
+    moments : ndarray, shape (sum of within, powers + 5)
+        Those of `Completions`. They are read if there are rows by heuristic, and otherwise
+        written; no rows if there is none to be known.
+
+    Returns
+    -------
+    origins : ndarray of int, shape (sum of within, width)
+        By steps and then cells, and by rows: where each label comes from, as in `Ranking`; -1 for
+        no label.
+    values : ndarray, shape (max_steps + 1, width)
+        Of the labels at the base, in units; -inf for none.
+
+    """
+    reach, gains = problem.reach, problem.gains
+    within, neighbors = reach.within, reach.neighbors
+    max_steps, cells, powers = within.size - 1, neighbors.shape[0], problem.weight.size
+    origins = np.full((reach.start[-1], width), -1, np.int32)
+    values = np.full((max_steps + 1, width), -inf)
+    labels, after = new_labels(within.max(), width, gains), new_labels(within.max(), width, gains)
+    # The label of a robot that stands at the base.
+    labels.products.factor[0], labels.products.term[0], labels.kept[0] = 1.0, 0.0, 1
+    is_limited = reach.longest > 0.0
+    by_value = new_ranking(width - by_heuristic_rows, is_limited)
+    by_heuristic = new_ranking(width if by_heuristic_rows else 0, is_limited)
+    found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
+    steps = max_steps + 1
+    trail = Trail(np.full(steps, -1), np.full(steps, -1), np.zeros(cells, np.int64))
+    best_value = np.zeros(cells)
+    completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
+    writes_completions = moments.shape[0] > 0 and by_heuristic_rows == 0
+    if writes_completions:
+        # No steps left, and there.
+        moments[0, :powers] = problem.weight
+        moments[0, powers:] = 0.0
+        moments[0, powers] = moments[0, powers + 1] = 1.0
+        completions.value[0] = 0.0
+
+    for step in range(1, max_steps + 1):
+        if writes_completions:
+            write_completions(problem, labels, step, best_value, completions)
+        for rank in range(within[step]):
+            find_best(problem, labels, step, rank, least, completions, by_value, by_heuristic)
+            after.kept[rank] = merge(by_value, by_heuristic, found, found_mark)
+            best_value[rank] = by_value.score[0]
+            for slot in range(after.kept[rank]):
+                column = found[slot] & 15
+                row, to = neighbors[rank, column] * width + (found[slot] >> 4), rank * width + slot
+                before = labels.seen[row, 8 - column]
+                visit(labels.products, row, gains, rank, before, after.products, to)
+                after.mark[to] = found_mark[slot]
+                after.length[to] = labels.length[row] + reach.length[column]
+                origins[reach.start[step] + rank, slot] = found[slot]
+                follow(reach, trail, origins, step, rank, slot)
+                for column in range(9):
+                    if neighbors[rank, column] >= 0:
+                        after.seen[to, column] = trail.visits[neighbors[rank, column]]
+        labels, after = after, labels
+        for slot in range(labels.kept[0]):
+            values[step, slot] = label_value(labels.products, slot, problem)
+            if writes_completions:
+                least = max(least, values[step, slot] - 1.0)
+    return origins, values
+
+
+@compiled
+def trace_closed(
+    reach: Reach, origins: NDArray[np.int32], steps: Places, slots: Places, paths: Places
+) -> None:
+    """Write the paths of labels at the base: row k of `paths` has steps[k] + 1 ranks."""
+    for k in range(steps.size):
+        cell, slot = 0, slots[k]
+        for step in range(steps[k], 0, -1):
+            paths[k, step] = cell
+            origin = origins[reach.start[step] + cell, slot]
+            cell, slot = reach.neighbors[cell, origin & 15], origin >> 4
+        paths[k, 0] = cell

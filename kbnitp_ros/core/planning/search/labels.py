@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Label search: extend the best few partial paths of every cell, step by step."""
+"""Label search and local search: extend the best partial paths, then improve the best paths."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import inf
 
 from kbnitp_ros.core.field import Grid
@@ -12,34 +11,29 @@ from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
 from kbnitp_ros.core.planning.search.gains import gains_of
-from kbnitp_ros.core.planning.search.improvement_kernels import (
-    exact_values,
-    improve_all,
-    Moves,
-)
 from kbnitp_ros.core.planning.search.label_kernels import (
-    LabelObjective,
+    Floats,
+    Gains,
     LabelProblem,
+    Places,
     Reach,
+    search,
+    trace_closed,
 )
-from kbnitp_ros.core.planning.search.lasso_kernels import search_lassos
+from kbnitp_ros.core.planning.search.local_search_kernels import exact_values, improve_all
 from kbnitp_ros.core.planning.search.reach import reach_of
-from kbnitp_ros.core.planning.search.search_kernels import search, trace_closed
 import numpy as np
 from numpy.typing import NDArray
 
-# As many closed paths are ranked by their exact value, or twice `width` if that is more.
-RANKED = 8
+# Closed paths that are ranked by their exact value: twice `width`, or these if that is less.
+MIN_RANKED = 8
 
-# Of lassos, so many stems are kept for each cell and step, and so many lassos are improved.
-STEMS = 4
-LASSOS = 96
+# The rounds of the local search: how many of the best paths are improved, and how many cells in a
+# row are replaced.
+ROUNDS = ((16, 2), (4, 3))
 
-# The rounds of the local search: what is replaced, and how many of the best paths are kept.
-ROUNDS = ((Moves(1, 2, 0, 0), 48), (Moves(2, 3, 0, 0), 8), (Moves(3, 3, 6, 4), 8))
-
-# The most bytes that a search may take.
-MOST_MEMORY = 1 << 30
+# Bytes of one search.
+MAX_MEMORY = 1 << 30
 
 
 def best_paths(
@@ -50,11 +44,9 @@ def best_paths(
 
     Labels at the same cell after the same number of steps compete by the objective of their
     partial path, and every second one is kept for its heuristic value: the objective of that path
-    and a good completion together. Paths that differ only in the order of their visits have the
-    same value and count once. A second search is for lassos, paths that go out, around a loop, and
-    back the way out. A local search then replaces stretches of cells in the paths of both, on one
-    way and in stems on both ways together: single cells in all, and longer stretches in the best,
-    the longest by label searches of their own.
+    and a good completion together. Labels that no path begins with which is better than the best
+    one of width 1 are dropped. Paths that differ only in the order of their visits have the same
+    value and count once. A local search then replaces cells in a row of the best two paths.
     A search of width 1 does nothing of this: there is one label for each cell and step, as in the
     paper.
 
@@ -67,14 +59,13 @@ def best_paths(
     options : SearchOptions
         Of which the search reads `max_steps`, `max_distance` and `max_visits`.
     width : int
-        How many lassos of each cell and step are kept, and of other paths a quarter as many; or
-        all if `max_visits` is 1, which leaves no lasso.
+        A quarter as many labels of each cell and step are kept.
 
     Returns
     -------
     list of Candidate
-        Ranked by the exact objective, the best first, then the shortest; `RANKED` or twice `width`
-        of those that seemed best, and what became of them. The same belief gives the same paths.
+        Ranked by the exact objective, the best first, then the shortest. The same belief gives the
+        same paths.
 
     Raises
     ------
@@ -83,22 +74,24 @@ def best_paths(
 
     """
     labels = LabelSearch(grid, objective, options, width)
-    closed = labels.closed_paths(max(2 * width, RANKED))
-    if width > 1:
-        paths = [*closed, *labels.lassos()[:LASSOS]]
-        for moves, kept in ROUNDS:
-            improved = labels.improved(paths, moves)
-            paths = [path for _, path in labels.ranked(improved)[:kept]]
-            closed += paths
-    return [Candidate(value, labels.reach.cells[path]) for value, path in labels.ranked(closed)]
+    values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
+    for count, between in ROUNDS if width > 1 else ():
+        improved, improved_steps = paths[:count].copy(), steps[:count].copy()
+        improve_all(labels.problem, improved, improved_steps, between)
+        values, paths, steps = labels.ranked(
+            np.concatenate([paths, improved]), np.concatenate([steps, improved_steps])
+        )
+    return [
+        Candidate(value, labels.reach.cells[path[: count + 1]])
+        for value, path, count in zip(values.tolist(), paths, steps)
+    ]
 
 
 class LabelSearch:
     """
     A label search; arguments as of `best_paths`.
 
-    Its cells are ranks in `reach`. The kernels say what goes in and comes out.
-
+    Paths are rows of ranks of `reach`, shape (paths, max_steps + 1), with the steps of each.
     """
 
     def __init__(
@@ -106,7 +99,7 @@ class LabelSearch:
     ) -> None:
         max_steps = options.max_steps
         max_visits = min(options.max_visits, max_steps)
-        self._sought = objective
+        self._objective, self._width = objective, max(1, width // 4)
         outcomes = objective.outcomes.probability
         self.reach = reach_of(grid, options)
         earlier = objective.outcomes.states
@@ -114,80 +107,90 @@ class LabelSearch:
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size
         check_memory(self.reach, options, width, outcomes.size, earlier, further, powers)
+        gains = gains_of(objective, self.reach.cells, max_visits)
         self.problem = LabelProblem(
             self.reach,
             scattered(self.reach.cells.size, 62 - max_steps.bit_length()),
-            gains_of(objective, self.reach.cells, max_visits),
-            LabelObjective(weights, outcomes, objective.loss_cost, 10.0**DECIMALS),
+            gains,
+            weights,
+            outcomes,
+            objective.loss_cost,
+            10.0**DECIMALS,
+            unread_after(gains, powers, max_steps),
         )
-        self._hazard = objective.belief.hazard[self.reach.cells]
-        self._log_survival = objective.model.log_survival
-        self._width = width
-        # Lassos visit each cell of their stem twice.
-        self._seeks_lassos = width > 1 and max_visits > 1
-        self._kept = max(1, width // 4) if self._seeks_lassos else width
-        # The values of closed paths, by the marks of their visits.
-        self._exact: dict[int, float] = {}
-        by_heuristic = self._kept // 2
-        completions = np.empty((self.reach.start[-1] if by_heuristic else 0, powers + 5))
-        if by_heuristic:
-            search(self.problem, 1, 0, completions)
-        # Where each label comes from, and the values of those at the base.
-        self._origins, self._values = search(self.problem, self._kept, by_heuristic, completions)
 
-    def closed_paths(self, most: int) -> list[NDArray[np.intp]]:
-        """Return the paths of the best labels at the base, then the shortest, as ranks."""
-        best = np.argsort(-self._values, axis=None, kind='stable')[:most]
-        steps, slots = np.divmod(best[self._values.flat[best] > -inf], self._kept)
-        paths = np.empty((steps.size, self.reach.within.size), dtype=np.intp)
-        trace_closed(self.reach, self._origins, steps, slots, paths)
-        return [path[: count + 1] for path, count in zip(paths, steps)]
+    def closed(self, count: int) -> tuple[Places, Places]:
+        """Return closed paths and their steps, the best and then the shortest first."""
+        problem, rows = self.problem, self.reach.start[-1]
+        completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
+        paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)
+        if self._width == 1:
+            return paths, steps
+        # Of behavioral entropies nothing is known of the paths that a label can begin.
+        least = -inf
+        if self._objective.alpha == SHANNON:
+            least = self.exact(paths[:1], steps[:1])[0] * problem.units - 1.0
+        found = search(problem, self._width, self._width // 2, least, completions)
+        more, more_steps = self._traced(*found, count)
+        return np.concatenate([more, paths[:1]]), np.concatenate([more_steps, steps[:1]])
 
-    def lassos(self) -> list[NDArray[np.intp]]:
-        """Return the best lasso for each end of a stem that has one, the best first, as ranks."""
-        if not self._seeks_lassos:
-            return []
-        closed = search_lassos(self.problem, self._width, STEMS)
-        return [
-            closed.path[end, : closed.steps[end] + 1].astype(np.intp)
-            for end in np.argsort(-closed.value, kind='stable')
-            if closed.value[end] > -inf
-        ]
+    def _traced(
+        self, origins: NDArray[np.int32], values: Floats, count: int
+    ) -> tuple[Places, Places]:
+        """Return the paths of so many of the best labels at the base."""
+        best = np.argsort(-values, axis=None, kind='stable')[:count]
+        steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
+        paths = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
+        trace_closed(self.reach, origins, steps, slots, paths)
+        return paths, steps
 
-    def improved(self, paths: Sequence[NDArray[np.intp]], moves: Moves) -> list[NDArray[np.intp]]:
-        """Return closed paths with stretches of cells replaced by better ones."""
-        padded, steps = self._padded(paths)
-        improve_all(self.problem, padded, steps, moves)
-        return [path[: count + 1] for path, count in zip(padded, steps)]
+    def ranked(self, paths: Places, steps: Places) -> tuple[Floats, Places, Places]:
+        """Return the values of closed paths, and these, the best first, of equal visits one."""
+        is_visit = np.arange(paths.shape[1]) <= steps[:, None]
+        is_visit[:, 0] = False
+        _, first = np.unique((self.problem.marks[paths] * is_visit).sum(axis=1), return_index=True)
+        first.sort()
+        paths, steps = paths[first], steps[first]
+        values = self.exact(paths, steps)
+        order = np.lexsort((steps, -values))
+        return values[order], paths[order], steps[order]
 
-    def _padded(
-        self, paths: Sequence[NDArray[np.intp]]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return paths as rows of one array, and their steps."""
-        steps = np.array([path.size - 1 for path in paths], dtype=np.intp)
-        padded = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
-        for row, path in zip(padded, paths):
-            row[: path.size] = path
-        return padded, steps
-
-    def ranked(self, paths: Sequence[NDArray[np.intp]]) -> list[tuple[float, NDArray[np.intp]]]:
-        """Return closed paths and their value, the best first, those of equal visits once."""
-        of_visits: dict[int, NDArray[np.intp]] = {}
-        for path in paths:
-            of_visits.setdefault(int(self.problem.marks[path[1:]].sum()), path)
-        new = {each: path for each, path in of_visits.items() if each not in self._exact}
-        self._exact.update(zip(new, self.exact([*new.values()])))
-        values = [(self._exact[visits], path) for visits, path in of_visits.items()]
-        return sorted(values, key=lambda ranked: (-ranked[0], ranked[1].size))
-
-    def exact(self, paths: Sequence[NDArray[np.intp]]) -> list[float]:
+    def exact(self, paths: Places, steps: Places) -> Floats:
         """Return the values of closed paths, without the error of the moments, rounded."""
-        if self._sought.alpha != SHANNON:
-            return [Candidate.along(self.reach.cells[each], self._sought).value for each in paths]
+        objective, cells = self._objective, self.reach.cells
+        if objective.alpha != SHANNON:
+            each = (cells[path[: count + 1]] for path, count in zip(paths, steps))
+            return np.array([Candidate.along(path, objective).value for path in each])
         values = exact_values(
-            self.problem, *self._padded(paths), self._hazard, *self._log_survival
+            self.problem,
+            paths,
+            steps,
+            objective.belief.hazard[cells],
+            *objective.model.log_survival,
         )
-        return [round(value, DECIMALS) for value in values.tolist()]
+        return values.round(DECIMALS)
+
+
+def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
+    r"""
+    Return a bound on what the steps left can still read, by the steps taken.
+
+    Equation :eq:`unread`: the survival of as many visits as are left times the sum of their
+    readings, nats, shape (max_steps + 1,).
+    """
+    survival = gains.factor[..., powers:]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        risk = -np.log(survival)
+        read = np.where(survival > 0.0, gains.term[..., 1:] - risk, 0.0)
+    read, risk = read.max(axis=-1).ravel(), risk.min(axis=-1).ravel()
+    read, risk = read[read > 0.0], risk[read > 0.0].clip(min=1e-300)
+    order = np.argsort(-read / risk)
+    survived = np.exp(-np.append(0.0, risk[order].cumsum()[:-1]))[: read.size]
+    by_ratio = read[order].cumsum()
+    by_size = np.append(0.0, np.sort(read)[::-1].cumsum())
+    left = np.minimum(np.arange(max_steps, -1, -1), read.size)
+    bounds = [(np.minimum(by_ratio, most) * survived).max(initial=0.0) for most in by_size[left]]
+    return np.array(bounds)
 
 
 def check_memory(
@@ -219,41 +222,29 @@ def check_memory(
     Raises
     ------
     ValueError
-        With an estimate, if it is more than `MOST_MEMORY`.
+        With an estimate, if it is more than `MAX_MEMORY`.
 
     """
     number = 8
     max_steps, max_visits = options.max_steps, options.max_visits
-    visits = min(max_visits, max_steps)
+    visits, rows = min(max_visits, max_steps), max(1, width // 4)
     labels, cells = int(reach.start[-1]), reach.cells.size
     factors_and_terms = powers + 1 + 2 * outcomes
     estimate = (
         # Where each label comes from, and the completions if some are kept for their heuristic.
-        labels * (4 * width + (number * (powers + 5) if width > 1 else 0))
+        labels * (4 * rows + (number * (powers + 5) if rows > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
-        + 2 * int(reach.within.max()) * width * (number * (factors_and_terms + 2) + 4 * 9)
-        # The lassos of two steps, with their paths.
-        + (width > 1)
-        * 2
-        * cells
-        * (width + STEMS)
-        * (number * (factors_and_terms + 3) + 4 * (max_steps + 1))
-        # The labels of a stretch.
-        + (width > 1)
-        * max(moves.long for moves, _ in ROUNDS)
-        * cells
-        * number
-        * (factors_and_terms + 5)
+        + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
         # The gains and the chances of readings, while they are made.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2
         # What the robots before bring.
         + 2 * number * outcomes * cells * (earlier + 4)
     )
-    if estimate > MOST_MEMORY:
+    if estimate > MAX_MEMORY:
         raise ValueError(
             f'planning with max_steps = {max_steps}, a beam width of {width} and max_visits = '
-            f'{max_visits} takes about {estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB '
+            f'{max_visits} takes about {estimate / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB '
             'are allowed: lower one of them'
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import inf
 from typing import Any
 
 from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, Value
@@ -13,7 +12,7 @@ from kbnitp_ros.core.planning.objective.information import path_information, pat
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
 from kbnitp_ros.core.planning.search.bound import check_bound, upper_bound
-from kbnitp_ros.core.planning.search.planners import BASELINES, check_distance, PathFinder, proven
+from kbnitp_ros.core.planning.search.planners import BASELINES, check_distance, PathFinder
 from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,9 +36,6 @@ class Plan(Value):
         nats; None unless a bound was asked for.
     gap : float or None
         How far the plan is below `upper_bound`, nats, at least 0.
-    ended_by : str or None
-        What ended the search of the planner 'exact': its 'tolerance', which the gap is below, or
-        that all 'branches' are spent. None of other planners.
 
     """
 
@@ -48,7 +44,6 @@ class Plan(Value):
     survival: float
     upper_bound: float | None = None
     gap: float | None = None
-    ended_by: str | None = None
 
     def __post_init__(self) -> None:
         frozen(self.path)
@@ -110,27 +105,20 @@ def plan(
     search = SearchOptions(planner, max_steps, **options)
     finder = PathFinder(grid, search, np.asarray(visited))
     check_distance(grid, search)
-    if bound or planner == 'exact':
+    if bound:
         check_bounded(grid, search)
     return plan_alone(finder, Objective.alone(grid, belief, model, search), bound)
 
 
 def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
-    """Return the plan of a robot that goes alone, with a bound if that is asked for or known."""
-    options = finder.options
-    if options.planner == 'exact':
-        path, above = proven(finder, objective)
-    else:
-        path = finder.candidates(objective)[0].path
-        above = upper_bound(finder.grid, objective, options, path) if bound else inf
+    """Return the plan of a robot that goes alone, with a bound if that is asked for."""
+    path = finder.candidates(objective)[0].path
     found = Plan.along(path, objective.belief, objective.model)
-    if above == inf:
+    if not bound:
         return found
-    value = found.information - options.loss_cost * (1.0 - found.survival)
-    gap, ended_by = max(0.0, above - value), None
-    if options.planner == 'exact':
-        ended_by = 'tolerance' if gap <= options.tolerance else 'branches'
-    return replace(found, upper_bound=max(value, above), gap=gap, ended_by=ended_by)
+    above = upper_bound(finder.grid, objective, finder.options, path)
+    value = found.information - finder.options.loss_cost * (1.0 - found.survival)
+    return replace(found, upper_bound=max(value, above), gap=max(0.0, above - value))
 
 
 def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
@@ -156,6 +144,6 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
     if options.planner in BASELINES:
         raise ValueError(
             f'planner is {options.planner}, which seeks no information, so its plans have no '
-            'bound: choose the planner beam, relaxed or exact, or plan without a bound'
+            'bound: choose the planner beam or relaxed, or plan without a bound'
         )
     check_bound(reach_of(grid, options), options, robots)

@@ -21,7 +21,6 @@ from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
 from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
-from kbnitp_ros.core.planning.search.bound import best_path, check_bound, Proof
 from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
 from kbnitp_ros.core.planning.search.random_walk import (
     check_walk_memory,
@@ -76,7 +75,7 @@ class PathFinder(Value):
         if self.options.max_distance and planner in BASELINES:
             raise ValueError(
                 f'max_distance is {self.options.max_distance:.6g} m, which the planner {planner} '
-                'does not keep: choose the planner beam, relaxed or exact, or leave max_distance '
+                'does not keep: choose the planner beam or relaxed, or leave max_distance '
                 'at 0'
             )
         object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
@@ -165,8 +164,6 @@ class PathFinder(Value):
         options = self.options
         if options.planner == 'random':
             check_walk_memory(reach_of(self.grid, options))
-        if options.planner == 'exact':
-            check_bound(reach_of(self.grid, options), options, robots)
         if width := LABELS.get(options.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
@@ -238,22 +235,8 @@ def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Keep the best few labels of each cell and step."""
+    """Keep a quarter of `width` labels of each cell and step, and improve the best paths."""
     return best_paths(finder.grid, objective, finder.options, finder.options.width)
-
-
-def exact(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Find the best path of a robot that goes alone, if the branches suffice."""
-    return [Candidate.along(proven(finder, objective).path, objective)]
-
-
-def proven(finder: PathFinder, objective: Objective) -> Proof:
-    """Return what the planner 'exact' finds, with the bound that it comes to."""
-    robots = 1 if objective.outcomes.probability.size == 1 else 2
-    check_bound(reach_of(finder.grid, finder.options), finder.options, robots)
-    narrow = replace(finder, options=replace(finder.options, planner='beam'))
-    good, *_ = narrow.candidates(objective)
-    return best_path(finder.grid, objective, finder.options, good.path)
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
@@ -303,7 +286,6 @@ PLANNERS = Registry(
     {
         'relaxed': relaxed,
         'beam': beam,
-        'exact': exact,
         'random': random,
         'coverage': coverage,
         'shortest_unvisited': shortest_unvisited,
@@ -318,5 +300,4 @@ BASELINES = ('random', 'coverage', 'shortest_unvisited')
 LABELS: dict[object, Callable[[SearchOptions], int]] = {
     'relaxed': lambda _: 1,
     'beam': lambda options: options.width,
-    'exact': lambda options: options.width,
 }

@@ -21,15 +21,13 @@ def reach_of(grid: Grid, options: SearchOptions) -> Reach:
     step = np.arange(max_steps + 1)
     within = np.searchsorted(distance[order], np.minimum(step, max_steps - step), 'right')
     start = np.append(0, np.cumsum(within))
-    position = np.stack(np.divmod(cells, grid.width), axis=1)
     neighbors = rank[grid.neighbor_table[cells]]
     if not max_distance:
         # Where no length is allowed for, none is counted.
         lengths, home = np.zeros(9), np.zeros(cells.size)
-        return Reach(cells, position, neighbors, within, start, lengths, home, 0.0)
+        return Reach(cells, neighbors, within, start, lengths, home, 0.0)
     return Reach(
         cells,
-        position,
         neighbors,
         within,
         start,

@@ -147,8 +147,7 @@ def plan_team(
     finder = PathFinder(in_use, options, np.asarray(visited))
     for robot_type in dict.fromkeys(team.types):
         check_distance(grid.at(robot_type.base), options.of_type(robot_type))
-    has_bound = bound or options.planner == 'exact'
-    if has_bound:
+    if bound:
         for robot_type in team.types:
             check_bounded(in_use.at(robot_type.base), options, len(team.types) + len(in_flight))
     outcomes = nobody_deployed(belief)
@@ -159,7 +158,7 @@ def plan_team(
         robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
         for robot_type in team.types
     }
-    if has_bound:
+    if bound:
         (robot,) = members.values()
         alone = plan_alone(robot.finder, robot.objective, bound)
         return TeamPlan((alone,), alone.information, None)

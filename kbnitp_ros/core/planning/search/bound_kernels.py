@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Loops of the bound: a Lagrangian dual cuts off sums that no closed walk has, boxes bound the rest.
+
+Cells go by their rank in `Reach`: the base has rank 0, and those within so many steps of it are
+the first so many. The multipliers of equation :eq:`bound-cut` are one array of shape (cells + 2,):
+the price of a visit to each cell, then lambda and mu. A point is a survival P = exp(-r) and the
+ratio r2 / r, which is from 1 to 2.
+"""
+
+from __future__ import annotations
+
+from math import exp, inf, log
+from typing import Any, NamedTuple
+
+from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.planning.search.label_kernels import surprisal
+import numpy as np
+
+# Boxes that are halved: after these the bound holds, and is less close.
+MAX_BOXES = 20_000
+
+
+class Walks(NamedTuple):
+    """
+    Closed walks from the base and the visits that they may make.
+
+    Attributes
+    ----------
+    neighbors : ndarray of int, shape (cells, 9)
+        Ranks of the cells one step away, -1 where there is none.
+    within : ndarray of int, shape (max_steps + 1,)
+        How many cells are within so many steps of the base, up to half of them.
+    added : ndarray, shape (cells, visits + 1, 3)
+        W, r and r2 of so many visits.
+    most : ndarray of int, shape (cells,)
+        Of the visits to each cell.
+
+    """
+
+    neighbors: Any
+    within: Any
+    added: Any
+    most: Any
+
+
+@compiled
+def best_walk(
+    walks: Walks, steps: int, multipliers: Any, value: Any, origin: Any, gradient: Any
+) -> float:
+    r"""
+    Return the greatest sum of prices of a closed walk; its visits become the gradient.
+
+    The first maximum of equation :eq:`bound-cut`, by
+
+    .. math:: v_t(j) = \pi_j + \max_{k \text{ next to } j} v_{t-1}(k) .
+    """
+    before = 1
+    value[0, 0] = 0.0
+    for t in range(1, steps + 1):
+        now = walks.within[min(t, steps - t)]
+        here, there = t % 2, (t - 1) % 2
+        for cell in range(now):
+            best, column = -inf, 0
+            for k in range(9):
+                via = walks.neighbors[cell, k]
+                if 0 <= via < before and value[there, via] > best:
+                    best, column = value[there, via], k
+            value[here, cell] = best + multipliers[cell]
+            origin[t, cell] = column
+        before = now
+    gradient[:] = 0.0
+    cell = 0
+    for t in range(steps, 0, -1):
+        gradient[cell] += 1.0
+        cell = walks.neighbors[cell, origin[t, cell]]
+    greatest: float = value[steps % 2, 0]
+    return greatest
+
+
+@compiled
+def best_visits(walks: Walks, multipliers: Any, gradient: Any) -> float:
+    """Return the second maximum of equation :eq:`bound-cut`; subtract from the gradient."""
+    total, cells = 0.0, walks.most.size
+    for cell in range(cells):
+        best, count = -inf, 0
+        for n in range(walks.most[cell] + 1):
+            gain = walks.added[cell, n, 0] - n * multipliers[cell]
+            gain -= multipliers[cells] * walks.added[cell, n, 1]
+            gain -= multipliers[cells + 1] * walks.added[cell, n, 2]
+            if gain > best:
+                best, count = gain, n
+        total += best
+        gradient[cell] -= count
+        gradient[cells] -= walks.added[cell, count, 1]
+        gradient[cells + 1] -= walks.added[cell, count, 2]
+    return total
+
+
+@compiled
+def minimise(
+    walks: Walks, steps: int, multipliers: Any, r: float, r2: float, enough: float
+) -> Any:
+    """
+    Lower the cut at the point (r, r2) by deflected subgradients; write the multipliers, return D.
+
+    The step is Polyak's towards a level below the best value, by a span that is halved when it is
+    not reached (Camerini, Fratta and Maffioli 1975; Goffin and Kiwiel 1999). A value of `enough`
+    need not be lowered.
+    """
+    cells = walks.most.size
+    tried, direction = multipliers.copy(), np.zeros(cells + 2)
+    walked, origin = np.empty((2, cells)), np.zeros((steps + 1, cells), np.int8)
+    gradient = np.empty(cells + 2)
+    best, reference, span, stalled = inf, inf, 0.0, 0
+    for round_ in range(400):
+        value = best_walk(walks, steps, tried, walked, origin, gradient)
+        value += best_visits(walks, tried, gradient)
+        value += tried[cells] * r + tried[cells + 1] * r2
+        gradient[cells] += r
+        gradient[cells + 1] += r2
+        if round_ == 0:
+            span = max(0.5 * (value - enough), 1e-3)
+        if value < best:
+            best = value
+            multipliers[:] = tried
+        if best <= enough:
+            break
+        stalled += 1
+        if best < reference - 0.5 * span:
+            reference, stalled = best, 0
+        elif stalled > 12:
+            span *= 0.5
+            if span < 1e-5:
+                break
+            reference, stalled = best, 0
+            tried[:] = multipliers
+            direction[:] = 0.0
+            continue
+        along, old = 0.0, 0.0
+        for k in range(cells + 2):
+            along += gradient[k] * direction[k]
+            old += direction[k] * direction[k]
+        deflection = -1.5 * along / old if along < 0.0 else 0.0
+        norm = 0.0
+        for k in range(cells + 2):
+            direction[k] = gradient[k] + deflection * direction[k]
+            norm += direction[k] * direction[k]
+        if norm == 0.0:
+            break
+        step = (value - max(enough, best - span)) / norm
+        for k in range(cells + 2):
+            tried[k] -= step * direction[k]
+    return best - multipliers[cells] * r - multipliers[cells + 1] * r2
+
+
+class Region(NamedTuple):
+    """
+    Bounds of the sums of paths of so many steps.
+
+    Attributes
+    ----------
+    safest, least : float
+        The highest survival of any of them, q = s0^steps, and the lowest allowed.
+    loss_cost : float
+        Nats.
+    cuts : ndarray, shape (cuts, 3)
+        D, lambda and mu of equation :eq:`bound-cut`.
+
+    """
+
+    safest: float
+    least: float
+    loss_cost: float
+    cuts: Any
+
+
+@compiled
+def power(p: float, exponent: float) -> float:
+    """Return p^exponent."""
+    return exp(exponent * log(p)) if p > 0.0 else 0.0
+
+
+@compiled
+def greatest_sum(region: Region, survival: float, ratio: float) -> float:
+    """Return the most that the cuts leave to the sum of W at a point."""
+    r, least = -log(survival), inf
+    for k in range(region.cuts.shape[0]):
+        slope = region.cuts[k, 1] + region.cuts[k, 2] * ratio
+        least = min(least, region.cuts[k, 0] + slope * r)
+    return least
+
+
+@compiled
+def touching_point(region: Region, survival: float, square: float) -> float:
+    """Return p0 of equation :eq:`bound-touching`, away from q; 0 where q is small."""
+    if region.safest < 0.01 or survival >= region.safest:
+        return 0.0
+    p0 = (region.safest * survival - square) / (region.safest - survival)
+    return min(max(p0, 0.0), 0.98 * region.safest)
+
+
+@compiled
+def parabola(q: float, p0: float) -> Any:
+    """Return the coefficients of 1, p and p^2 of equation :eq:`bound-parabola`."""
+    if p0 == 0.0 and q < 0.01:
+        # The series of the curvature.
+        return 0.0, -1.0, 0.5 + q * (1.0 / 6.0 + q * (1.0 / 12.0 + q * (1.0 / 20.0 + q / 29.0)))
+    at, slope = -surprisal(1.0 - p0), -1.0 - log(1.0 - p0)
+    curvature = -surprisal(1.0 - q) - at - slope * (q - p0)
+    curvature /= (q - p0) * (q - p0)
+    return at - (slope - curvature * p0) * p0, slope - 2.0 * curvature * p0, curvature
+
+
+@compiled
+def entropy_of(p: float) -> float:
+    """Return h(p)."""
+    return surprisal(p) + surprisal(1.0 - p)
+
+
+@compiled
+def value_at(region: Region, survival: float, ratio: float) -> float:
+    """Return the right side of equation :eq:`bound-path` for the greatest sum of W at a point."""
+    square = power(survival, ratio)
+    c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
+    linear = greatest_sum(region, survival, ratio) + c1 + region.loss_cost
+    value: float = entropy_of(survival) + survival * linear + c0 + c2 * square
+    return value - region.loss_cost
+
+
+@compiled
+def next_cut(region: Region, survival: float, ratio: float, total: float, value: float) -> Any:
+    """Return lambda and mu of equation :eq:`bound-slopes`, and the sum of W that has a value."""
+    square = power(survival, ratio)
+    c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
+    of_r = log((1.0 - survival) / survival) + total + c1 + region.loss_cost
+    of_r2 = c2 * square / survival
+    rest = entropy_of(survival) + c0 + c2 * square - region.loss_cost
+    return of_r, of_r2, (value - rest) / survival - c1 - region.loss_cost
+
+
+@compiled
+def bound_of_box(
+    region: Region, low: float, high: float, least: float, most: float, enough: float
+) -> float:
+    """
+    Return a bound of `value_at` over a box, for the cut with which it is least.
+
+    Equation :eq:`bound-box`; for any cut with which it is at most `enough`.
+    """
+    middle = 0.5 * (low + high)
+    lost, lost_slope = surprisal(1.0 - middle), log(1.0 - middle) + 1.0
+    kept, kept_slope = surprisal(middle), -log(middle) - 1.0
+    square = power(middle, 0.5 * (least + most))
+    c0, c1, c2 = parabola(region.safest, touching_point(region, middle, square))
+    bound = inf
+    for k in range(region.cuts.shape[0]):
+        of_cut = -inf
+        for ratio in (least, most):
+            factor = 1.0 + region.cuts[k, 1] + region.cuts[k, 2] * ratio
+            for p in (low, high):
+                if factor >= 0.0:
+                    value = factor * (kept + kept_slope * (p - middle))
+                else:
+                    value = factor * surprisal(p)
+                value += lost + lost_slope * (p - middle)
+                value += (region.cuts[k, 0] + c1 + region.loss_cost) * p
+                value += c0 + c2 * power(p, ratio) - region.loss_cost
+                of_cut = max(of_cut, value)
+        bound = min(bound, of_cut)
+        if bound <= enough:
+            break
+    return bound
+
+
+@compiled
+def maximum(region: Region, known: float, tolerance: float, at: Any) -> float:
+    """
+    Return a bound of `value_at` over all points, by halving boxes.
+
+    Equation :eq:`bound-maximum`. It may be above the maximum, or above a `known` value, by the
+    tolerance. The point of the greatest value seen above `known` is written to `at`.
+    """
+    boxes = np.empty((128, 4))
+    boxes[0] = region.least, region.safest, 1.0, 2.0
+    held, opened, found, bound = 1, 0, known, known
+    while held > 0:
+        held -= 1
+        low, high, least, most = boxes[held]
+        # E[p^2] <= q E[p]
+        if 0.0 < low < 1.0 and (most - 1.0) * log(low) > log(region.safest) + 1e-12:
+            continue
+        opened += 1
+        middle, ratio = 0.5 * (low + high), 0.5 * (least + most)
+        value = value_at(region, middle, ratio)
+        if value > found:
+            found = value
+            at[0], at[1] = middle, ratio
+        of_box = bound_of_box(region, low, high, least, most, found + tolerance)
+        small = high - low < 1e-12 * region.safest or held > boxes.shape[0] - 3
+        if of_box <= found + tolerance or small or opened > MAX_BOXES:
+            bound = max(bound, of_box)
+        elif (high - low) / region.safest >= most - least:
+            boxes[held] = low, middle, least, most
+            boxes[held + 1] = middle, high, least, most
+            held += 2
+        else:
+            boxes[held] = low, high, least, ratio
+            boxes[held + 1] = low, high, ratio, most
+            held += 2
+    return bound

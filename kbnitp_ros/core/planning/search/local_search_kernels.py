@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Loops of the local search that improves closed paths, and of their exact values.
+
+All but a gap in the path stays, so the value of a label is that of the whole path with its cells
+in the gap.
+"""
+
+from __future__ import annotations
+
+from math import floor, inf
+from typing import NamedTuple
+
+from kbnitp_ros.core.field import compiled, inlined
+from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
+from kbnitp_ros.core.planning.search.label_kernels import (
+    averaged_value,
+    Floats,
+    Gains,
+    label_value,
+    LabelProblem,
+    new_products,
+    Places,
+    Products,
+    Reach,
+    surprisal,
+    visit,
+)
+import numpy as np
+
+
+class Gap(NamedTuple):
+    """
+    A place for cells in a closed path.
+
+    Attributes
+    ----------
+    most : int
+        How many cells may go there.
+    start, end : int
+        The cells before and after it.
+    old_first, old_last : int
+        The first and the last cell that were there, which need not be tried in their places since
+        a shorter gap keeps them; -1 without any.
+    length : float
+        Metres of the path without the gap.
+
+    """
+
+    most: int
+    start: int
+    end: int
+    old_first: int
+    old_last: int
+    length: float
+
+
+class Room(NamedTuple):
+    """
+    The rest of a path, and room for labels of so many cells in the gap by their rows.
+
+    Attributes
+    ----------
+    visits : ndarray of int, shape (cells,)
+        Of the rest.
+    closing : ndarray, shape (cells,)
+        Metres of the step from each cell to the end of the gap; inf where there is none.
+    products : Products
+        Of labels; row 0 is the label of the rest.
+    length : ndarray, shape (rows,)
+        Metres of the rest and of each label.
+    cell, column : ndarray of int, shape (rows,)
+        The last cell of each label, and where it is extended to next, of `Reach.neighbors`.
+    best : ndarray of int, shape (rows,)
+        The best cells.
+
+    """
+
+    visits: Places
+    closing: Floats
+    products: Products
+    length: Floats
+    cell: Places
+    column: Places
+    best: Places
+
+
+@inlined
+def value_after(
+    products: Products, row: int, problem: LabelProblem, rank: int, before: int
+) -> float:
+    """Return `label_value` after `visit`, without writing that label."""
+    factor, term, gains = products.factor, products.term, problem.gains
+    weight, chance = problem.weight, problem.chance
+    powers = weight.size
+    left_open, mean = 0.0, factor[row, 0] * gains.factor[rank, before, 0]
+    for k in range(powers):
+        left_open += weight[k] * (factor[row, k] * gains.factor[rank, before, k])
+    left_open -= mean * (term[row, 0] + gains.term[rank, before, 0])
+    lost, lost_square, brought = 0.0, 0.0, 0.0
+    for outcome in range(chance.size):
+        survival = factor[row, powers + outcome] * gains.factor[rank, before, powers + outcome]
+        loss = chance[outcome] * (1.0 - survival)
+        lost += loss
+        lost_square += loss * (1.0 - survival)
+        readings = term[row, 1 + outcome] + gains.term[rank, before, 1 + outcome]
+        brought += chance[outcome] * survival * readings
+    value: float = averaged_value(brought, lost, lost_square, problem.loss_cost) - left_open
+    return floor(value * problem.units + 0.5)
+
+
+@inlined
+def visit_all(
+    path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products
+) -> None:
+    """Visit the cells of a path from one place to another: row 0 of `to`, and their counts."""
+    for step in range(first, last + 1):
+        cell = path[step]
+        visit(to, 0, gains, cell, visits[cell], to, 0)
+        visits[cell] += 1
+
+
+@compiled
+def take(path: Places, gains: Gains, visits: Places, to: Products) -> None:
+    """Write the label of a closed path, ranks of cells, into row 0, and count its visits."""
+    visits[:] = 0
+    to.factor[0], to.term[0] = 1.0, 0.0
+    visit_all(path, 1, path.size - 1, gains, visits, to)
+
+
+@compiled
+def exact_values(
+    problem: LabelProblem,
+    paths: Places,
+    steps: Places,
+    hazard: Floats,
+    log_safe: float,
+    log_deadly: float,
+) -> Floats:
+    r"""
+    Return the values of closed paths, nats, without the error of the moments.
+
+    Equation :eq:`objective-value`, with the chances to survive as of `exposed`: over joint
+    outcomes :math:`\omega` with the survival P and the information of readings J,
+
+    .. math::
+
+        \sum_\omega w_\omega \bigl[ h(P_\omega) + P_\omega J_\omega - c (1 - P_\omega) \bigr]
+        - E[h(p)] .
+
+    Row k of `paths` has steps[k] + 1 ranks.
+    """
+    chance, powers = problem.chance, problem.weight.size
+    values = np.empty(steps.size)
+    products, visits = new_products(1, problem.gains), np.empty(hazard.size, np.int64)
+    for k in range(steps.size):
+        path = paths[k, : steps[k] + 1]
+        take(path, problem.gains, visits, products)
+        value = -problem.loss_cost
+        for outcome in range(chance.size):
+            survival = products.factor[0, powers + outcome]
+            readings = products.term[0, 1 + outcome] + problem.loss_cost
+            value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
+        values[k] = value - left_open(exposed(path[1:], hazard, log_safe, log_deadly))
+    return values
+
+
+@compiled
+def length_to(reach: Reach, cell: int, other: int) -> float:
+    """Return the length of the step from a cell to another, metres; inf if there is none."""
+    length = inf
+    for column in range(9):
+        if reach.neighbors[cell, column] == other:
+            length = reach.length[column]
+    return length
+
+
+@compiled
+def measure(path: Places, reach: Reach, walked: Floats) -> None:
+    """Write the length of a path up to each place, metres."""
+    walked[0] = 0.0
+    for step in range(1, path.size):
+        walked[step] = walked[step - 1] + length_to(reach, path[step - 1], path[step])
+
+
+@inlined
+def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[float, int]:
+    """
+    Find the best cells for a gap, depth first through all.
+
+    Return their value, more than `least` units, and how many they are; -1 if there are none.
+    """
+    reach, gains = problem.reach, problem.gains
+    visits, closing, products = room.visits, room.closing, room.products
+    length, cell, column, best = room.length, room.cell, room.column, room.best
+    max_visits = gains.factor.shape[1]
+    value, found, depth = least, -1, 0
+    cell[0], column[0], length[0] = gap.start, 0, gap.length
+    while depth >= 0:
+        if column[depth] == 9 or gap.most == 0:
+            if depth > 0:
+                visits[cell[depth]] -= 1
+            depth -= 1
+            continue
+        there = reach.neighbors[cell[depth], column[depth]]
+        metres = length[depth] + reach.length[column[depth]]
+        column[depth] += 1
+        if there < 0 or visits[there] >= max_visits or (depth == 0 and there == gap.old_first):
+            continue
+        if metres + closing[there] <= reach.longest and there != gap.old_last:
+            closed = value_after(products, depth, problem, there, visits[there])
+            if closed > value:
+                value, found = closed, depth + 1
+                for place in range(depth):
+                    best[place] = cell[place + 1]
+                best[depth] = there
+        if depth + 1 < gap.most:
+            visit(products, depth, gains, there, visits[there], products, depth + 1)
+            visits[there] += 1
+            depth += 1
+            cell[depth], column[depth], length[depth] = there, 0, metres
+    return value, found
+
+
+@compiled
+def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
+    """
+    Replace up to so many cells in a row of a closed path while that makes it better.
+
+    They are replaced by the best of up to so many with which the path keeps to its length.
+
+    Parameters
+    ----------
+    problem : LabelProblem
+        As for `search`.
+    path : ndarray of int, shape (max_steps + 1,)
+        Ranks of the cells, the first steps + 1 of them; it is changed.
+    steps : int
+        Of the path.
+    most_between : int
+        How many cells.
+
+    Returns
+    -------
+    int
+        The steps it has now.
+
+    """
+    reach, gains = problem.reach, problem.gains
+    cells, rows = reach.neighbors.shape[0], 1 + most_between
+    room = Room(
+        np.zeros(cells, np.int64),
+        np.full(cells, inf),
+        new_products(rows, gains),
+        np.empty(rows),
+        np.empty(rows, np.int64),
+        np.empty(rows, np.int64),
+        np.empty(rows, np.int64),
+    )
+    # Metres up to each place.
+    walked = np.zeros(path.size)
+    measure(path[: steps + 1], reach, walked)
+    take(path[: steps + 1], gains, room.visits, room.products)
+    best_value = label_value(room.products, 0, problem)
+    # The label of the first steps, `reached` of them.
+    before, visits_before, reached = new_products(1, gains), np.zeros_like(room.visits), path.size
+    # Places since the last replacement, up to all of them.
+    first, unchanged = 0, 0
+    while unchanged < steps:
+        if reached > first:
+            before.factor[0], before.term[0] = 1.0, 0.0
+            visits_before[:] = 0
+            reached = 0
+        visit_all(path, reached + 1, first, gains, visits_before, before)
+        reached = first
+        found, last = -1, first
+        while found < 0 and last < min(first + most_between + 1, steps):
+            last += 1
+            between = last - first - 1
+            room.visits[:] = visits_before
+            room.products.factor[0], room.products.term[0] = before.factor[0], before.term[0]
+            visit_all(path, last, steps, gains, room.visits, room.products)
+            gap = Gap(
+                min(most_between, path.size - 1 - steps + between),
+                path[first],
+                path[last],
+                path[first + 1] if between > 0 else -1,
+                path[last - 1] if between > 0 else -1,
+                walked[steps] - (walked[last] - walked[first]),
+            )
+            for column in range(9):
+                if reach.neighbors[gap.end, column] >= 0:
+                    room.closing[reach.neighbors[gap.end, column]] = reach.length[column]
+            if between and gap.length + room.closing[gap.start] <= reach.longest:
+                value = label_value(room.products, 0, problem)
+                if value > best_value:
+                    best_value, found = value, 0
+            value, count = fill(problem, gap, room, best_value)
+            if count > 0:
+                best_value, found = value, count
+            for column in range(9):
+                if reach.neighbors[gap.end, column] >= 0:
+                    room.closing[reach.neighbors[gap.end, column]] = inf
+        if found >= 0:
+            rest = path[last : steps + 1].copy()
+            path[first + 1 : first + 1 + found] = room.best[:found]
+            steps = first + found + rest.size
+            path[first + 1 + found : steps + 1] = rest
+            measure(path[: steps + 1], reach, walked)
+            first, unchanged = first % steps, 0
+        else:
+            first, unchanged = (first + 1) % steps, unchanged + 1
+    return steps
+
+
+@compiled
+def improve_all(problem: LabelProblem, paths: Places, steps: Places, most_between: int) -> None:
+    """Improve closed paths, row k of `paths` with steps[k] + 1 ranks: both are changed."""
+    for row in range(steps.size):
+        steps[row] = improve(problem, paths[row], steps[row], most_between)
