@@ -68,7 +68,8 @@ def test_what_the_search_is_said_to_take():
     (first, two), (second, three) = labels.ROUNDS
     says(page, 'The best ', first, ' closed paths')
     says(page, 'one or ', two, ' cells in a row')
-    says(page, 'best ', second, ' of all are then improved by up to ', three, ' cells in a row')
+    says(page, 'The best ', second, ' of all are then improved by up to three')
+    assert three == 3
     most = joint_outcomes.MOST_OUTCOMES
     says(page, f'Of more than {most} joint outcomes the least probable are merged')
     says(page, 'from the sixth robot on, joint outcomes are merged')

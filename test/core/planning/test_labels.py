@@ -172,7 +172,8 @@ def test_no_path_is_worth_more_than_its_first_cells_let_hope(seed):
             best[begun] = max(value, best.get(begun, value))
     problem, rank = search.problem, ranks(search)
     products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
-    survival, term = products.factor[0, problem.weight.size :], products.term[0, 1:]
+    powers = problem.weight.size
+    survival, term = products.factor[0, powers:], products.term[0, 1:]
     for begun, value in best.items():
         take(rank[list(begun)], problem.gains, visits, products)
         lost = problem.chance @ (1.0 - survival)

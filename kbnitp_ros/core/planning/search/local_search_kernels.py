@@ -302,10 +302,12 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
                 if reach.neighbors[gap.end, column] >= 0:
                     room.closing[reach.neighbors[gap.end, column]] = inf
         if found >= 0:
-            rest = path[last : steps + 1].copy()
-            path[first + 1 : first + 1 + found] = room.best[:found]
-            steps = first + found + rest.size
-            path[first + 1 + found : steps + 1] = rest
+            after, end = first + 1 + found, steps + 1
+            rest = path[last:end].copy()
+            start, steps = first + 1, first + found + rest.size
+            path[start:after] = room.best[:found]
+            end = steps + 1
+            path[after:end] = rest
             measure(path[: steps + 1], reach, walked)
             first, unchanged = first % steps, 0
         else:
