@@ -129,12 +129,7 @@ EXAMPLES = (
 
 @command('demo')
 def main(argv: Sequence[str] | None = None) -> int:
-    """
-    Run the command and return its exit code.
-
-    It is 0 if the mission came to its end and the log replays to the same beliefs, else 1; 2 for
-    unusable options, 130 if interrupted.
-    """
+    """Run the command and return its exit code."""
     try:
         options = parse(argv)
         if options.resume:
@@ -176,15 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
-    """
-    Return the options; those that were not given are None.
-
-    Raises
-    ------
-    ValueError
-        If there are others beside --resume, which says everything.
-
-    """
+    """Return the options; those that were not given are None."""
     table = {name: each for node in NODES for name, each in parameters_of(node).items()}
     parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
     for option, name in OPTIONS.items():
@@ -245,15 +232,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """
-    Return the parameters of each node of a new mission.
-
-    Raises
-    ------
-    ValueError
-        If what is given is not allowed, or is for none of the nodes.
-
-    """
+    """Return the parameters of each node of a new mission."""
     sections = read_sections(options.params) if options.params else {}
     if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
         raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
@@ -334,17 +313,7 @@ def how_to_go_on(log: Path) -> str:
 
 
 def free_log(out: Path | None) -> Path:
-    """
-    Return where the log of a new mission goes; its folder is there.
-
-    Raises
-    ------
-    ValueError
-        If there is a log already.
-    OSError
-        If the folder cannot be made.
-
-    """
+    """Return where the log of a new mission goes; its folder is there."""
     log = new_log(out)
     if log.exists():
         raise ValueError(
@@ -355,15 +324,7 @@ def free_log(out: Path | None) -> Path:
 
 
 def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
-    """
-    Return the parameters of each node that goes on with the mission of a log.
-
-    Raises
-    ------
-    ValueError
-        If the log cannot be read, or does not say how each of the nodes was configured.
-
-    """
+    """Return the parameters of each node that goes on with the mission of a log."""
     recorded = read_parameters(log)
     parameters = {}
     for node in NODES:
@@ -385,15 +346,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
 
 
 def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
-    """
-    Start the nodes, watch until the mission is over, and stop the nodes.
-
-    Raises
-    ------
-    RuntimeError
-        If a node ended before that, or badly after it.
-
-    """
+    """Start the nodes, watch until the mission is over, and stop the nodes."""
     say(f'starting {", ".join(NODES)}: this takes some seconds')
     with free_domain() as domain, Processes(domain) as processes:
         for node in NODES:
@@ -453,15 +406,7 @@ class Observer(Node):
         self._survived[key] = report.survived or self._survived.get(key, False)
 
     def watch(self, robots: int, processes: Processes) -> None:
-        """
-        Return when the belief holds all robots, or the mission is over by its goal or a stop.
-
-        Raises
-        ------
-        RuntimeError
-            If a node ends before that.
-
-        """
+        """Wait until the belief holds all robots, or a goal or a stop ended the mission."""
         executor = SingleThreadedExecutor()
         executor.add_node(self)
         with tqdm(total=robots, unit='robot', desc='waiting for the nodes', disable=None) as bar:

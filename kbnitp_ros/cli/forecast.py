@@ -65,11 +65,7 @@ SPREAD = ('5 %', 'median', '95 %')
 
 @command('forecast')
 def main(argv: Sequence[str] | None = None) -> int:
-    """
-    Run the command and return its exit code.
-
-    It is 0 if all missions are done, 1 if one failed, 2 for unusable options, 130 if interrupted.
-    """
+    """Run the command and return its exit code."""
     options = parse(argv)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -147,15 +143,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """
-    Return the forecast of a mission that begins, but for worlds and randomness.
-
-    Raises
-    ------
-    ValueError
-        If the parameters are none that a mission can have.
-
-    """
+    """Return the forecast of a mission that begins, but for worlds and randomness."""
     sections = read_sections(options.params) if options.params else {}
     parameters = values_of(sections, ('planner', 'estimator'))
     for rule in options.set:
@@ -179,16 +167,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
 
 
 def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """
-    Return the forecast of a mission that goes on, but for worlds and randomness.
-
-    Raises
-    ------
-    ValueError
-        If the log cannot be used, the parameters are none that a mission can have, or all robots
-        were sent.
-
-    """
+    """Return the forecast of a mission that goes on, but for worlds and randomness."""
     ledger = read_ledger(options.log)
     parameters = (
         values_of(read_sections(options.params), ('planner',))
@@ -216,15 +195,7 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
 def plan_of(
     planner: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]
 ) -> dict[str, Any]:
-    """
-    Return how a mission is planned by the parameters of its planner, as `forecast` takes it.
-
-    Raises
-    ------
-    ValueError
-        If its paths cannot be searched for or the goal cannot be reached.
-
-    """
+    """Return how a mission is planned by the parameters of its planner, as `forecast` takes it."""
     check_own(planner)
     check_search(planner, grid, believed)
     types = [type_to_plan(planner, agent, grid, believed) for agent in agents_of(planner, grid)]

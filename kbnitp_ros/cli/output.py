@@ -27,15 +27,7 @@ class OutputError(Exception):
 
 
 def say(*lines: str) -> None:
-    """
-    Print lines.
-
-    Raises
-    ------
-    OutputError
-        If that is not possible.
-
-    """
+    """Print lines."""
     with writing():
         print(*lines, sep='\n', flush=True)
 
@@ -50,12 +42,7 @@ def complain(name: str, error: object) -> None:
 
 
 def command(name: str) -> Callable[[Main], Main]:
-    """
-    Return what makes a command of a function: where it cannot print it ends without a traceback.
-
-    It then returns 141, as after SIGPIPE, if nobody reads what it prints, and `os.EX_IOERR` if
-    there is no room for it. Without enough memory it returns 1, after Ctrl-C 130.
-    """
+    """Return a decorator that ends a command without a traceback if it cannot print."""
 
     def decorate(main: Main) -> Main:
         @wraps(main)

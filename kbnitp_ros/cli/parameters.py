@@ -28,15 +28,7 @@ def values_of(
     nodes: Collection[str],
     defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, dict[str, Any]]:
-    """
-    Return the values of each node by the sections of a file, or else by default.
-
-    Raises
-    ------
-    ValueError
-        If a value is not allowed.
-
-    """
+    """Return the values of each node by the sections of a file, or else by default."""
     parameters = {}
     for node in nodes:
         table = parameters_of(node)
@@ -52,17 +44,7 @@ def values_of(
 def set_parameter(
     parameters: Mapping[str, dict[str, Any]], rule: str, command: str, own: Collection[str] = ()
 ) -> None:
-    """
-    Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one.
-
-    The values of each node are changed. Those in `own` the command decides by itself.
-
-    Raises
-    ------
-    ValueError
-        If no such node has such a parameter, or the value is not allowed.
-
-    """
+    """Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one."""
     target, is_rule, text = rule.partition('=')
     node, of_one, name = target.rpartition(':')
     if not is_rule:
@@ -95,15 +77,7 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
 
 
 def recorded_planner(log: Path) -> dict[str, Any]:
-    """
-    Return the values of the planner of a mission on record.
-
-    Raises
-    ------
-    ValueError
-        If the log cannot be read or does not have those of one planner.
-
-    """
+    """Return the values of the planner of a mission on record."""
     recorded = read_parameters(log)
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:

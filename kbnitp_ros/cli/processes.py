@@ -46,15 +46,7 @@ def environment(domain: int) -> dict[str, str]:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """
-    Hold a ROS domain that nothing else on this machine uses.
-
-    Raises
-    ------
-    OSError
-        If all are in use.
-
-    """
+    """Hold a ROS domain that nothing else on this machine uses."""
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         first_port = 7400 + 250 * domain
         # DDS uses UDP, so the TCP port of the same number serves as a lock.
@@ -100,13 +92,7 @@ class Processes:
         levels: Mapping[str, str] | None = None,
         output: IO[Any] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """
-        Start a node.
-
-        The executable is called `node`; `remaps` has the names to use instead of its topics',
-        `levels` from which level on a logger, such as ``planner``, says something. Without
-        `output` it writes to stdout and stderr of this process.
-        """
+        """Start a node."""
         full_name = f'{namespace.rstrip("/")}/{node}'
         arguments = [node, '--ros-args', '--enclave', full_name]
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
@@ -135,11 +121,7 @@ class Processes:
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, patience: float = PATIENCE) -> dict[str, int]:
-        """
-        End all nodes as Ctrl-C does, those that do not listen within some seconds by force.
-
-        Return exit codes by full names; negative for a node that a signal ended.
-        """
+        """End all nodes as Ctrl-C does, those that do not listen within some seconds by force."""
         for process in self.started.values():
             process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + patience

@@ -41,12 +41,7 @@ EXAMPLES = (
 
 @command('study')
 def main(argv: Sequence[str] | None = None) -> int:
-    """
-    Run the command and return its exit code.
-
-    It is 0 if all trials are done, 1 if they could not be finished, 2 if none could be started,
-    130 if interrupted.
-    """
+    """Run the command and return its exit code."""
     options = parse(argv)
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the workers.
     signal.signal(signal.SIGINT, signal.default_int_handler)

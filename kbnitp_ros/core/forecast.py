@@ -26,25 +26,15 @@ DEVIATIONS = 1.96
 
 
 class PossibleWorld(NamedTuple):
-    """
-    A field and robots as they may be.
+    """A field and robots as they may be."""
 
-    Attributes
-    ----------
-    number : int
-        From 0.
-    world : World
-        The field.
-    model : SensorModel
-        What robots like all others are really like.
-    rng : numpy.random.Generator
-        Of what happens to them.
-
-    """
-
+    # From 0.
     number: int
+    # The field.
     world: World
+    # What robots like all others are really like.
     model: SensorModel
+    # Of what happens to them.
     rng: np.random.Generator
 
     def __str__(self) -> str:
@@ -52,33 +42,22 @@ class PossibleWorld(NamedTuple):
 
 
 class Course(NamedTuple):
-    """
-    How a mission went.
+    """How a mission went."""
 
-    Attributes
-    ----------
-    sent : int
-        How many robots it sent.
-    lost : ndarray, shape (robots + 1,)
-        How many were lost by the time so many were sent; after the last one that was sent it
-        stays, as the others do.
-    entropy : ndarray, shape (robots + 1,)
-        Of hazards and targets, nats.
-    p_free : ndarray, shape (robots + 1,)
-        The probability that what is asked for is free of hazards; NaN without a goal.
-    reached : ndarray, shape (robots + 1,)
-        1 if the goal was reached at its confidence, or else 0.
-    free : float
-        1 if what was asked for at the end is free of hazards in truth, or else 0; NaN without a
-        goal.
-
-    """
-
+    # How many robots it sent.
     sent: int
+    # Shape (robots + 1,). How many were lost by the time so many were sent; after the last one
+    # that was sent it stays, as the others do.
     lost: Floats
+    # Shape (robots + 1,). Of hazards and targets, nats.
     entropy: Floats
+    # Shape (robots + 1,). The probability that what is asked for is free of hazards; NaN without a
+    # goal.
     p_free: Floats
+    # Shape (robots + 1,). 1 if the goal was reached at its confidence, or else 0.
     reached: Floats
+    # 1 if what was asked for at the end is free of hazards in truth, or else 0; NaN without a
+    # goal.
     free: float
 
 
@@ -214,23 +193,7 @@ def course(
     begin: Decision | None,
     possible: PossibleWorld,
 ) -> Course:
-    """
-    Return how a mission goes in one field.
-
-    Parameters
-    ----------
-    go_on : callable
-        As `continue_mission` for this mission, but for the field, the robots and the randomness.
-    robots : int
-        How many it may send.
-    belief : Belief
-        Before the first robot.
-    begin : Decision or None
-        What may be relied on then, if there is a goal.
-    possible : PossibleWorld
-        The field.
-
-    """
+    """Return how a mission goes in one field."""
     made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
     decisions = [begin, *(each.decision for each in made)]
     lost = np.cumsum([0, *(not each.observation.survived for each in made)])

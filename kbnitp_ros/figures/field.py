@@ -31,33 +31,7 @@ def plot(
     paths: Iterable[ArrayLike | Observation] = (),
     axes: Sequence[Axes] | None = None,
 ) -> NDArray[Any]:
-    """
-    Draw the hazard, target and kappa maps of a belief.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    belief : Belief
-        What is believed of it.
-    world : World, optional
-        The truth, a cross in each cell with a hazard and a ring in each with a target.
-    paths : iterable of array_like of int or Observation
-        What is drawn over the hazard map: plans, or deployments, of which losses are dashed.
-    axes : sequence of three Axes, optional
-        Where to draw; in a new figure of pyplot when None.
-
-    Returns
-    -------
-    ndarray of Axes, shape (3,)
-        What was drawn on.
-
-    Raises
-    ------
-    ValueError
-        If belief, world or a path does not fit the grid, or there are not three axes.
-
-    """
+    """Draw the hazard, target and kappa maps of a belief."""
     if belief.cells != grid.cells:
         raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
     if world is not None:
@@ -94,25 +68,7 @@ def draw_map(
     title: str,
     prior: float = 0.5,
 ) -> None:
-    """
-    Draw one probability a cell as the field is seen from above, bases as white squares.
-
-    Parameters
-    ----------
-    axes : Axes
-        Where.
-    grid : Grid
-        The field.
-    values : ndarray, shape (cells,)
-        In [0, 1]; cells without a value are white, blocked ones grey.
-    scale : Scale
-        The colours.
-    title : str
-        Above the map.
-    prior : float
-        What was assumed before the mission, in [0, 1]: the colours part there.
-
-    """
+    """Draw one probability a cell as the field is seen from above, bases as white squares."""
     image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
     colours = LinearSegmentedColormap.from_list(title, scale.stops(prior))
     drawn = axes.imshow(
@@ -191,11 +147,7 @@ def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
 
 
 def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], style: Style) -> None:
-    """
-    Draw where robots went, or were sent.
-
-    Of a lost robot a dot marks how far it is known to have come, if that is known.
-    """
+    """Draw where robots went, or were sent."""
     draw_field(axes, grid)
     axes.add_collection(
         LineCollection(

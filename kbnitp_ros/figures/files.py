@@ -40,15 +40,7 @@ METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
 
 
 def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
-    """
-    Write a figure once for each format.
-
-    Raises
-    ------
-    OSError
-        If one cannot be written.
-
-    """
+    """Write a figure once for each format."""
     files = [path.with_suffix(f'.{each}') for each in formats]
     with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):

@@ -109,15 +109,7 @@ def occupancy(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.int8]:
 
 
 def read_map_file(path: Path) -> MapFile:
-    """
-    Return what a map's YAML file says.
-
-    Raises
-    ------
-    MapError
-        As for `read_map`.
-
-    """
+    """Return what a map's YAML file says."""
     try:
         said = read_yaml(path)
     except OSError as error:
@@ -165,15 +157,7 @@ def read_map_file(path: Path) -> MapFile:
 
 
 def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """
-    Return the grey values of an image and which of its pixels are opaque, its bottom row first.
-
-    Raises
-    ------
-    MapError
-        If it cannot be read, is no image of `FORMATS`, or has more than `MOST_PIXELS`.
-
-    """
+    """Return the grey values of an image and its opaque pixels, bottom row first."""
     try:
         with open_file(path) as file, Image.open(file, formats=FORMATS) as image:
             columns, rows = image.size

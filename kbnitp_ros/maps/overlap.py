@@ -14,12 +14,7 @@ ON_THE_EDGE = 1e-6
 def pixels_under(
     cells: int, cell_size: float, first: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """
-    Return the first pixel under each cell and the one after the last, shape (cells,) each.
-
-    Any overlap counts, and they may lie beyond the map. `first` is where the first cell begins,
-    like `cell_size` in pixels.
-    """
+    """Return the first pixel under each cell and the one after the last, shape (cells,) each."""
     edges = first + np.arange(cells + 1) * cell_size
     start = np.floor(edges[:-1] + ON_THE_EDGE).astype(np.intp)
     stop = np.ceil(edges[1:] - ON_THE_EDGE).astype(np.intp)
@@ -27,11 +22,7 @@ def pixels_under(
 
 
 def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[np.float64]:
-    """
-    Return how much of each pixel lies under each cell, in pixels, shape (cells, pixels).
-
-    As of `pixels_under`, on a map of so many pixels along the axis.
-    """
+    """Return how much of each pixel lies under each cell, in pixels, shape (cells, pixels)."""
     start = first + np.arange(cells) * cell_size
     pixel = np.arange(pixels)
     low = np.maximum(start[:, None], pixel)

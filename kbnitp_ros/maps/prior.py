@@ -97,16 +97,7 @@ def read_probabilities(
 
 
 def read_array(path: Path) -> NDArray[np.float64]:
-    """
-    Return the probabilities of a .npy file.
-
-    Raises
-    ------
-    MapError
-        If it is no array of rows and columns, has more than `MOST_PIXELS` values or one outside
-        [0, 1].
-
-    """
+    """Return the probabilities of a .npy file."""
     try:
         with open_file(path) as file:
             check_header(file)
@@ -128,15 +119,7 @@ def read_array(path: Path) -> NDArray[np.float64]:
 
 
 def check_header(file: BinaryIO) -> None:
-    """
-    Check what the header of a .npy file says, before memory is allocated for that.
-
-    Raises
-    ------
-    ValueError
-        If there are no numbers in rows and columns, or too many.
-
-    """
+    """Check what the header of a .npy file says, before memory is allocated for that."""
     version = npy.read_magic(file)  # type: ignore[no-untyped-call]
     # The header of a later version may have any length; arrays of numbers need none.
     if version != (1, 0):

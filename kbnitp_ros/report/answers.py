@@ -89,13 +89,7 @@ def findings_of(mission: Mission) -> list[Finding]:
 
 
 def losses_of(mission: Mission) -> NDArray[np.float64]:
-    """
-    Return how many robots are expected to have been lost in each cell, shape (cells,).
-
-    Each lost robot counts once, shared among the steps of its path by how probably it survived
-    all before and not this one; where it was heard is taken into account. Its hazards are those
-    of the last belief if hazards stay, else those of the belief that took the loss in.
-    """
+    """Return how many robots are expected to have been lost in each cell, shape (cells,)."""
     last = len(mission.moments) - 1
     expected = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
@@ -111,11 +105,7 @@ def losses_of(mission: Mission) -> NDArray[np.float64]:
 
 
 def used_up_of(mission: Mission) -> NDArray[np.float64]:
-    """
-    Return how many hazards are believed to have been used up in each cell, shape (cells,).
-
-    Those of each deployment are added, as `used_up_at` has them.
-    """
+    """Return how many hazards are believed to have been used up in each cell, shape (cells,)."""
     used_up = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
         if deployment.moment:
@@ -124,12 +114,7 @@ def used_up_of(mission: Mission) -> NDArray[np.float64]:
 
 
 def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
-    """
-    Return how many hazards a deployment used up in each cell, by the belief before its report.
-
-    These are expected numbers in [0, 1], shape (cells,), by the moment, from 1, that took the
-    report in; 0 everywhere if that is not on record.
-    """
+    """Return the hazards expected to be used up by a deployment, per cell."""
     moment, before = mission.moments[place], mission.moments[place - 1].belief
     if moment.outcome is None or moment.deployment is None:
         return np.zeros(mission.grid.cells)

@@ -20,15 +20,7 @@ from kbnitp_ros.report.tables import write_beliefs, write_tables
 
 
 def check_is_free(folder: Path) -> None:
-    """
-    Check that a report can be written to a folder.
-
-    Raises
-    ------
-    FileExistsError
-        If it is there and not empty.
-
-    """
+    """Check that a report can be written to a folder."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise FileExistsError(f'{folder} is there already, and no folder: name another with --out')
     if folder.is_dir() and any(folder.iterdir()):
@@ -42,20 +34,7 @@ def write_report(
     note: str = '',
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
-    """
-    Write a report, all of its files or nothing, and return what the page leaves out.
-
-    The folder is made, and may be there if it is empty. `note` says what else is to be known of
-    the mission; `done` is told of each part that is done.
-
-    Raises
-    ------
-    OSError
-        If the folder is not free, or there is no room.
-    ValueError
-        If there is no page small enough.
-
-    """
+    """Write a report, all of its files or nothing, and return what the page leaves out."""
     check_is_free(folder)
     with whole_folder(folder) as new:
         page, left_out = page_of(mission, curves)
@@ -85,15 +64,7 @@ PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'beli
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """
-    Yield a new folder that takes the place of another one in the end; nothing is left on errors.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made, or the other one is not free.
-
-    """
+    """Yield a new folder and move it to its place at the end; remove it on errors."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
     try:

@@ -27,11 +27,7 @@ def quantised(beliefs: Sequence[Belief]) -> NDArray[np.uint8]:
 
 
 def packed_frames(frames: NDArray[np.uint8]) -> str:
-    """
-    Return frames as text: what each adds to the one before, modulo 256, packed by zlib, in base64.
-
-    Most cells stay as they are, so this takes a fraction of what the frames take.
-    """
+    """Pack frames as text: differences modulo 256, zlib, base64."""
     # In uint8 what is less than nothing goes round, as it does in the page.
     changes = np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1]))
     return packed(changes.tobytes())

@@ -11,13 +11,7 @@ import numpy as np
 
 
 def maps_figure(mission: Mission, note: str = '') -> Figure:
-    """
-    Return the picture of the last belief.
-
-    Hazard, target and kappa as believed above, as they are below if that is on record; then where
-    the robots went that returned, and where those were sent that were lost. Cells that nobody was
-    sent into are hatched.
-    """
+    """Return the picture of the last belief."""
     grid, belief, world = mission.grid, mission.moments[-1].belief, mission.world
     visited = mission.visited()
     rows = ('abcd', 'efgh') if world else ('abc', 'dh.')

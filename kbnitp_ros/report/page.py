@@ -374,12 +374,7 @@ def moment_of(
 
 
 def heard_on(seen: Observation | None) -> tuple[int, int] | None:
-    """
-    Return the stretch of its path where a robot was lost by what was heard; None if nothing was.
-
-    Between the steps that lead to it and from it all are that fit at least half as well as the
-    best one.
-    """
+    """Return the likely steps of a loss, first and last; None if nothing was heard."""
     if seen is None or seen.lost_at is None:
         return None
     (likely,) = np.nonzero(seen.lost_at >= LIKELY)

@@ -18,15 +18,7 @@ PART = 1e-3
 
 
 def datum_of(parameters: Parameters) -> Datum | None:
-    """
-    Return the datum of a mission; None if none is on record.
-
-    Raises
-    ------
-    ValueError
-        If it is none, or nodes had different ones.
-
-    """
+    """Return the datum of a mission; None if none is on record."""
     given = {tuple(each['datum']) for each in parameters.values() if each.get('datum')}
     if len(given) > 1:
         raise ValueError(f'nodes had different datums: {sorted(given)}')
@@ -34,11 +26,7 @@ def datum_of(parameters: Parameters) -> Datum | None:
 
 
 def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
-    """
-    Return the image of the map that a mission took its field from, and why there is none.
-
-    There is none, without a reason, if the field is of no map in a file.
-    """
+    """Return the image of the map that a mission took its field from, and why there is none."""
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:
         return None, ''

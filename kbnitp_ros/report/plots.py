@@ -46,13 +46,7 @@ def map_plot(
     north: float | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> str:
-    """
-    Return a map as Plotly's JSON; the page gives it its colours.
-
-    Without values, of which NaN is not drawn, there is room for what the page puts in. `lane` is a
-    way to draw, `north` the angle from the frame's x axis to north, in rad, and `free` says which
-    cells have a dot.
-    """
+    """Return a map as Plotly's JSON; the page gives it its colours."""
     directions = directions_of(grid, north)
     place = (
         'along the rows %{x:.4g} m, across %{y:.4g} m'
@@ -137,12 +131,7 @@ def map_plot(
 
 
 def as_drawn(grid: Grid) -> Grid:
-    """
-    Return a grid as a page draws it.
-
-    Plotly has no maps that are turned: rows of a turned grid go to the right, and metres count
-    from its corner.
-    """
+    """Return a grid as a page draws it."""
     return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
 
 

@@ -112,11 +112,7 @@ def quantiles_of(mission: Mission, name: str) -> NDArray[np.float64]:
 def draw_number(
     axes: Axes, name: str, quantiles: NDArray[np.float64], truth: float | None
 ) -> None:
-    """
-    Draw what was known of a number at each moment, and what it is, from 0 to 1.
-
-    The quantiles are those of 5, 25, 50, 75 and 95 %, shape (moments, 5).
-    """
+    """Draw what was known of a number at each moment, and what it is, from 0 to 1."""
     low, lower, middle, upper, high = quantiles.T
     moments = np.arange(middle.size)
     axes.fill_between(moments, low, high, color='0.85', linewidth=0, label='90 %')

@@ -123,12 +123,7 @@ def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
 
 
 def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
-    """
-    Write belief.npz and the last belief as maps of map_server; raises OSError if impossible.
-
-    The arrays have one entry for each moment: `joint` (moments, cells, 2, 2), bit for bit as on
-    record, `hazard`, `target` and `kappa` of it (moments, cells), `held`, and the curves.
-    """
+    """Write belief.npz and the last belief as maps of map_server; raises OSError if impossible."""
     moments = mission.moments
     arrays: dict[str, Any] = {
         name: np.stack([getattr(each.belief, name) for each in moments])

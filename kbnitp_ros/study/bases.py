@@ -17,12 +17,7 @@ EQUAL = ('log_loss', 'sent_from_one', 'sent', 'lost_from_one', 'lost', 'fewer')
 
 
 def base_rows(results: Results) -> Iterator[Row]:
-    """
-    Yield what each second base is worth.
-
-    A row has by how much lower the log loss is at the end, ``value``, and `EQUAL` of the mean
-    missions at the lowest log loss that both come to.
-    """
+    """Yield what each second base is worth."""
     scenario = results.scenario
     one, *others = sorted(scenario.teams, key=lambda team: team.second_base)
     for lethality, method, two in product(scenario.lethalities, scenario.methods, others):

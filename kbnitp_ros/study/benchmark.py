@@ -213,20 +213,7 @@ def draw(axes: Axes, entries: dict[str, Entry]) -> None:
 
 
 def run_benchmark(folder: Path, workers: int | None = None, **changes: int) -> list[Path]:
-    """
-    Run the benchmark and write its table and its figure.
-
-    What is timed runs in this process, before the `workers`. With `changes`, keys of its scenario
-    with other values, it is another benchmark.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    RuntimeError
-        If a mission fails.
-
-    """
+    """Run the benchmark and write its table and its figure."""
     with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
     planners, methods = entered()

@@ -45,11 +45,7 @@ def means_chart(
     scale: str = 'linear',
     points: Callable[[NDArray[np.float64], Strategy], NDArray[np.float64]] = lambda each, _: each,
 ) -> Figure:
-    """
-    Draw the mean of a sum of measures over trials with its intervals, from the prior on.
-
-    `points` returns what is drawn of a series of a strategy, shape (trials, robots + 1).
-    """
+    """Draw the mean of a sum of measures over trials with its intervals, from the prior on."""
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
@@ -69,12 +65,7 @@ def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str
 
 
 def reliability_chart(results: Results) -> Figure:
-    """
-    Draw how often a thing is there against how likely it was held, after the last robot.
-
-    A panel a contender and map, one line a lethality, over the cells of all trials. On the
-    diagonal a belief means what it says.
-    """
+    """Draw how often a thing is there against how likely it was held, after the last robot."""
     scenario = results.scenario
     contenders, labels = scenario.contenders, labels_of(scenario)
     blocks = -(-len(contenders) // BESIDE)
@@ -123,12 +114,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
 def reliability(
     believed: NDArray[np.float64], truth: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """
-    Return how likely things are held to be, and which part of them is there, by classes.
-
-    There are `CLASSES` of equally many cells from the least to the most likely; fewer if there are
-    fewer cells.
-    """
+    """Return how likely things are held to be, and which part of them is there, by classes."""
     order = np.argsort(believed, axis=None, kind='stable')
     classes = np.array_split(order, min(CLASSES, order.size))
     held = np.array([believed.flat[cells].mean() for cells in classes])

@@ -114,28 +114,7 @@ def with_first(
     order: Callable[[Strategy], Any] | None = None,
     further: Mapping[str, Measured] | None = None,
 ) -> dict[str, Any]:
-    """
-    Return head and rows of a comparison of strategies with a first one, trial by trial.
-
-    Parameters
-    ----------
-    stated : mapping of str to callable
-        What a row has of its strategy, by the names in the summary.
-    difference : str
-        Name of the differences of the log loss in the summary.
-    is_gain : bool
-        Whether they are how much lower the log loss is than that of the first strategy; otherwise
-        how much higher.
-    robots : tuple of int
-        After how many robots, and after the last one.
-    first : (str, callable), optional
-        What the summary has of the first strategy: name, and what it is.
-    order : callable, optional
-        By which the first strategy is the least; without it, it is the scenario's first.
-    further : mapping of str to callable, optional
-        What is measured besides, of results, lethality, method, the first strategy and this one.
-
-    """
+    """Return head and rows of a comparison of strategies with a first one, trial by trial."""
 
     def in_order(scenario: Scenario) -> list[Strategy]:
         return sorted(scenario.teams, key=order) if order else list(scenario.teams)

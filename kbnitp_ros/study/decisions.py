@@ -62,12 +62,7 @@ def lane_rows(results: Results) -> Iterator[Row]:
 
 
 def certificate_rows(results: Results) -> Iterator[Row]:
-    """
-    Yield how often what is asked for is free in missions that stopped, for each confidence.
-
-    A mission that stops at a lower confidence is the beginning of the one that goes on to a
-    higher one, since flights do not depend on it.
-    """
+    """Yield how often what is asked for is free in missions that stopped, for each confidence."""
     scenario, asked = results.scenario, results.scenario.asked
     confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
     for lethality, (method, team), confidence in product(

@@ -23,20 +23,7 @@ HEADERS = 10_000
 
 
 class Folder:
-    """
-    The outcomes of one scenario's trials, as far as they are known.
-
-    A file gets its name once it is on disk, so that a trial is there as a whole or not at all,
-    however the study ends.
-
-    Raises
-    ------
-    ValueError
-        If it holds another scenario's results, or another study is at work in it.
-    OSError
-        If it cannot be made or written to.
-
-    """
+    """The outcomes of one scenario's trials, as far as they are known."""
 
     def __init__(self, path: Path, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -63,15 +50,7 @@ class Folder:
         _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
 
     def outcomes(self) -> dict[Trial, MissionResult]:
-        """
-        Return the outcomes of the trials whose files are there and whole.
-
-        Raises
-        ------
-        OSError
-            If a file is there and cannot be opened.
-
-        """
+        """Return the outcomes of the trials whose files are there and whole."""
         outcomes = {}
         for trial in trials_of(self._scenario):
             try:

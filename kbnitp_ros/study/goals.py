@@ -48,30 +48,14 @@ class Asked:
     confidence: Annotated[float, (0.0, 1.0)] = 0.0
 
     def sought(self) -> Goal:
-        """
-        Return the goal.
-
-        Raises
-        ------
-        ValueError
-            If it is none.
-
-        """
+        """Return the goal."""
         goal = GOALS[self.goal](self.cells, self.confidence or None)
         if goal is None:
             raise ValueError('map is no decision: ask for a goal that has one')
         return goal
 
     def goal_of(self, sent_for: str) -> Goal | None:
-        """
-        Return the goal of missions whose robots are sent for something; None for a map.
-
-        Raises
-        ------
-        ValueError
-            If they are sent for another goal than is asked for.
-
-        """
+        """Return the goal of missions whose robots are sent for something; None for a map."""
         if sent_for == 'map':
             return None
         if sent_for == SAFEST_LANE and self.goal == Lane.name:
@@ -108,12 +92,7 @@ def measured_for(
     beliefs: Sequence[Belief],
     worlds: Sequence[World],
 ) -> dict[str, Iterable[float]]:
-    """
-    Return `OF_GOALS` before the first robot and after each.
-
-    The estimator, as it is before the first robot, takes in what came of a mission whose decisions
-    are not its own.
-    """
+    """Return `OF_GOALS` before the first robot and after each."""
     goal = asked.sought()
 
     def decide(deployments: int) -> Decision:

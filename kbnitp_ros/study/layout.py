@@ -26,11 +26,7 @@ def world_of(
     rng: np.random.Generator,
     trial: int,
 ) -> World:
-    """
-    Draw the world of a trial.
-
-    As many numbers are drawn from `rng` whatever the layout.
-    """
+    """Draw the world of a trial."""
     densities = {name: truth[name] for name in vars(scenario.world)}
     if scenario.hazards.layout == 'independent':
         return World.random(grid, rng, **densities)

@@ -44,13 +44,7 @@ def of_number(
 
 
 def number_rows(results: Results) -> Iterator[Row]:
-    """
-    Yield how well numbers are known at the end, one row for each lethality and number.
-
-    It has the standard deviation before the first robot (``sd_before``) and at the end (``sd``),
-    the distance of the mean from the truth (``error``), and the share of the trials whose truth
-    is within the 5 and 95 % quantiles (``within``).
-    """
+    """Yield how well numbers are known at the end, one row for each lethality and number."""
     for lethality, name in product(results.scenario.lethalities, learnt_numbers(results)):
         known, truth = of_number(results, lethality, name)
         first, last = known[:, 0], known[:, -1]
@@ -66,12 +60,7 @@ def number_rows(results: Results) -> Iterator[Row]:
 
 
 def cost_of_learning(results: Results) -> Iterator[Row]:
-    """
-    Yield what not being told costs, one row for each lethality and other method.
-
-    ``costs`` are the total log losses of the method that learns less those of the other in the
-    same trial.
-    """
+    """Yield what not being told costs, one row for each lethality and other method."""
     scenario = results.scenario
     team, robots = scenario.teams[0], after_robots(ROBOTS, scenario.robots)
     for lethality in scenario.lethalities:
@@ -84,12 +73,7 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
 
 
 def numbers_chart(results: Results) -> Figure:
-    """
-    Draw how well each number is known after each deployment, a panel a number and lethality.
-
-    One line is the root mean square of the mean's distance from the truth, the other that of the
-    standard deviation, which is as large where beliefs mean what they say.
-    """
+    """Draw how well each number is known after each deployment, a panel a number and lethality."""
     scenario, names = results.scenario, learnt_numbers(results)
     shown_in = list(product(names, scenario.lethalities))
     # A row a number, unless there is but one panel of each.
@@ -112,11 +96,7 @@ def numbers_chart(results: Results) -> Figure:
 
 
 def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
-    """
-    Draw how far a number is from what is believed, and how far it is believed to be.
-
-    `known` has shape (trials, robots + 1, learnt), `truth` (trials, 1).
-    """
+    """Draw how far a number is from what is believed, and how far it is believed to be."""
     error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
     spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
     lines = {'error of the mean': error, 'standard deviation believed': spread}

@@ -39,14 +39,7 @@ def trade(
 def at_equal_log_loss(
     least: NDArray[np.float64], this: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """
-    Compare two missions at the lowest log loss that both reach.
-
-    Each counts up to where it first got there, since it could have been ended then; between two
-    robots as the log loss is between theirs. Both have the robots lost and the log loss before the
-    first robot and after each, shape (2, robots + 1), and begin with the same log loss. Return
-    `EQUAL`.
-    """
+    """Compare two missions at the lowest log loss that both reach."""
     lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
     level = max(log_loss[-1] for log_loss in lowest)
     # From the last robot back, so that the first of several with the same log loss is taken.
@@ -90,11 +83,7 @@ def equal_rows(results: Results) -> Iterator[Row]:
 
 
 def loss_cost_chart(results: Results) -> Figure:
-    """
-    Draw the log loss reached against the robots lost, a panel a lethality, from the prior on.
-
-    A marker is where the mission ends, with its intervals in both directions.
-    """
+    """Draw log loss against robots lost, a panel a lethality."""
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str

@@ -29,17 +29,7 @@ class Own(NamedTuple):
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
-    """
-    Return what is to be compared, of a kind told in a word, by the names that tables have.
-
-    Functions and classes have their own names if they are given without any.
-
-    Raises
-    ------
-    ValueError
-        If two have one name, or one has none.
-
-    """
+    """Return what is to be compared, of a kind told in a word, by the names that tables have."""
     if isinstance(given, Mapping):
         return dict(given)
     named: dict[str, str | Callable[..., Any]] = {}

@@ -32,12 +32,7 @@ def _label(contender: Contender, scenario: Scenario, team: str) -> str:
 
 
 def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
-    """
-    Return which contenders share a panel.
-
-    All, if their lines can be told apart; else those of a method, of an allocation, together with
-    the teams of one robot, which have none, or as many as can be, each time with the first.
-    """
+    """Return which contenders share a panel."""
     if len(contenders) <= len(SERIES):
         return [list(contenders)]
     for distinctions in (
@@ -66,12 +61,7 @@ def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
 def panels_figure(
     scenario: Scenario, draw: Draw, across: str, up: str, scale: str = 'linear'
 ) -> Figure:
-    """
-    Return a figure with a panel a lethality, and rows of them for each group of contenders.
-
-    `draw` draws the line of a contender into the panel of a lethality, in a style, with a label.
-    `across` and `up` say what the axes are, which all panels share; `scale` is linear or log.
-    """
+    """Return a figure with a panel a lethality, and rows of them for each group of contenders."""
     labels, groups = labels_of(scenario), groups_of(scenario.contenders)
     lethalities = scenario.lethalities
     columns = columns_for(len(lethalities))

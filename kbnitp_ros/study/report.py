@@ -64,15 +64,7 @@ def tables_of(results: Results) -> dict[str, Table]:
 
 
 def write_report(results: Results, folder: Path) -> list[Path]:
-    """
-    Write the table, the figures and the summary of a study; the same results, the same table.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-
-    """
+    """Write the table, the figures and the summary of a study."""
     (_, summary, first), *others = sections(results)
     summary.update({name: section for name, section, _ in others})
     pictures = []

@@ -22,15 +22,7 @@ MOST_OF_ALL = 1 << 32
 
 
 def check_memory(scenario: Scenario) -> None:
-    """
-    Check that a study can have the memory that it takes.
-
-    Raises
-    ------
-    ValueError
-        With an estimate, if not.
-
-    """
+    """Check that a study can have the memory that it takes."""
     number = 8
     cells, deployments = scenario.field().cells, scenario.robots + 1
     missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials

@@ -229,11 +229,7 @@ INDEPENDENT = Hazards()
 
 @dataclass(frozen=True)
 class Sensor:
-    """
-    The robots and their sensors but for the lethality, as for `SensorModel`.
-
-    None is drawn anew for each world.
-    """
+    """The robots and their sensors but for the lethality, as for `SensorModel`."""
 
     malfunction: Probability | None
     false_negative: Probability
@@ -326,11 +322,7 @@ class Scenario:
         return SearchOptions(**(vars(self.planning) | own))
 
     def field(self) -> Grid:
-        """
-        Return the grid, with cells of 1 m and the bases of all teams.
-
-        Teams are compared in the same worlds, so a second base is free of hazard for all.
-        """
+        """Return the grid, with cells of 1 m and the bases of all teams."""
         others = {team.second_base for team in self.teams} - {-1}
         return Grid(self.grid.width, self.grid.height, self.grid.base, other_bases=others)
 
@@ -386,11 +378,7 @@ class Scenario:
         return {'lethality': lethality, **vars(self.world), **vars(self.sensor)}
 
     def truth(self, lethality: float | None, trial: int) -> dict[str, float]:
-        """
-        Return the numbers of a world and of the robots in it, by name.
-
-        Those that are not given are drawn for each trial, the same at every lethality.
-        """
+        """Return the numbers of a world and of the robots in it, by name."""
         rng = np.random.default_rng([DRAWN, self.seed, trial])
         drawn = {name: prior.draw(rng) for name, prior in self.learn.priors().items()}
         given = self._given(lethality)
@@ -469,18 +457,7 @@ def in_short(lethality: float | None) -> str:
 
 
 def read_scenario(path: Path) -> Scenario:
-    """
-    Return the scenario in a file.
-
-    Raises
-    ------
-    ValueError
-        If the file is not YAML, lacks a key, has an unknown one or one twice, or a value that is
-        not allowed; names the key, the value and what is allowed.
-    OSError
-        If there is no such file.
-
-    """
+    """Return the scenario in a file."""
     try:
         return scenario_of(read_yaml(path))
     except ValueError as error:
@@ -488,15 +465,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def scenario_of(content: Any) -> Scenario:
-    """
-    Return the scenario that YAML, or Python, says.
-
-    Raises
-    ------
-    ValueError
-        As `read_scenario`.
-
-    """
+    """Return the scenario that YAML, or Python, says."""
     scenario: Scenario = _read(Scenario, content, '')
     for key, check in (
         ('grid', scenario.field),

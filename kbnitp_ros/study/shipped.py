@@ -14,15 +14,7 @@ def shipped() -> list[str]:
 
 
 def scenario_file(name: str) -> Path:
-    """
-    Return where a scenario is: a file's path, or the name of one that comes with the package.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-
-    """
+    """Return the path of a scenario: a file, or one shipped with the package."""
     if name in shipped():
         return share('scenarios') / f'{name}.yaml'
     if not Path(name).is_file():

@@ -42,13 +42,7 @@ class Mean(NamedTuple):
 
 
 def mean_of(samples: NDArray[np.float64]) -> Mean:
-    """
-    Return the mean over trials with its 95 % bootstrap interval.
-
-    The trials are resampled with the same random numbers in every call. The interval spans the
-    quantiles 2.5 % and 97.5 % of the resampled means; of a single trial it is NaN. The samples are
-    a value or a series a trial, shape (trials, ...).
-    """
+    """Return the mean over trials with its 95 % bootstrap interval."""
     return interval(samples.mean(axis=0), resampled_means(samples))
 
 
@@ -60,21 +54,12 @@ def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
 def differences(
     one: NDArray[np.float64], other: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
-    """
-    Return one series less another of the same trials after so many robots, for JSON.
-
-    Both have shape (trials, robots + 1).
-    """
+    """Return one series less another of the same trials after so many robots, for JSON."""
     return [as_json(mean_of((one - other)[:, after])) for after in robots]
 
 
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """
-    Return the means over trials that are drawn again and again, with replacement.
-
-    From shape (trials, ...) to (resamples, ...). The trials drawn are the same in every call; a
-    single trial has no resamples.
-    """
+    """Return the means over trials that are drawn again and again, with replacement."""
     trials = len(samples)
     resamples = RESAMPLES if trials > 1 else 0
     drawn = np.random.default_rng(0).multinomial(trials, np.full(trials, 1 / trials), resamples)
@@ -82,11 +67,7 @@ def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
-    """
-    Return a mean of the trials with the 95 % interval of what the resamples give.
-
-    Without resamples the interval is NaN.
-    """
+    """Return a mean of the trials with the 95 % interval of what the resamples give."""
     if not len(resampled):
         return Mean(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
     low, high = np.quantile(resampled, (0.025, 0.975), axis=0)
@@ -94,20 +75,7 @@ def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """
-    Return where every method stands after the last robot, as JSON can hold it.
-
-    Returns
-    -------
-    dict
-        ``trials``, ``robots``, ``reference`` (the scenario's last method) and ``rows``: one for
-        each lethality, method and team, with a ``label`` that tells the team from the others, the
-        mean and interval of each of `SUMMARISED`, of ``false_targets``, how many targets are
-        believed to be in cells with a hazard alone, and of ``difference``, the reference's total
-        log loss less this method's with the same team in the same trial: negative where the
-        reference is nearer to the truth.
-
-    """
+    """Return where every method stands after the last robot, as JSON can hold it."""
     scenario = results.scenario
     reference = scenario.methods[-1]
     labels = team_labels(scenario)

@@ -12,13 +12,7 @@ MAPPED = 0x4D415053
 
 
 def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int) -> Belief:
-    """
-    Return the prior given the map that a team has of a world.
-
-    The map says of each cell whether it has a hazard. In cells drawn at random it is wrong, the
-    same for all teams but for how many they are, and it is taken for right as often as the team
-    trusts it.
-    """
+    """Return the prior given the map that a team has of a world."""
     if not team.survey:
         return prior
     drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)

@@ -23,12 +23,7 @@ def differ_in_size(scenario: Scenario) -> bool:
 
 
 def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
-    """
-    Return what a series is before the first round and after each, shape (trials, rounds + 1).
-
-    Of the agents that leave together there are fewer in the last round if the robots do not come
-    out even.
-    """
+    """Return a series before the first round and after each, shape (trials, rounds + 1)."""
     robots = series.shape[1] - 1
     return series[:, [*range(0, robots, agents), robots]]
 
@@ -39,14 +34,7 @@ def common_rounds(scenario: Scenario) -> int:
 
 
 def team_rows(results: Results) -> Iterator[Row]:
-    """
-    Yield what the teams learn with the same robots and in the same rounds.
-
-    A row of each lethality, method and team has what tells the team from the others (``label``),
-    how many rounds it takes (``rounds``), the information gained a robot and a round, nats, over
-    the whole mission, the total log loss at its end, ``difference``, that less the smallest team's
-    in the same trial, and what is reached after the common rounds.
-    """
+    """Yield what the teams learn with the same robots and in the same rounds."""
     scenario = results.scenario
     labels, common = team_labels(scenario), common_rounds(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)

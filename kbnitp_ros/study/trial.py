@@ -91,18 +91,7 @@ def trials_of(scenario: Scenario) -> list[Trial]:
 
 
 def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
-    """
-    Run one mission; the same arguments give the same bits.
-
-    Trials of one number draw the same world and the same numbers for each robot's steps, so that
-    methods, teams and lethalities are compared on equal luck.
-
-    Raises
-    ------
-    ValueError
-        If a robot meets what its sensor model calls impossible.
-
-    """
+    """Run one mission; the same arguments give the same bits."""
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
@@ -172,11 +161,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
 def knowledge(
     start: Estimator, mission: SimulatedMission, is_own: bool
 ) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
-    """
-    Yield what is believed, and known of numbers, before the first robot and after each.
-
-    `start` stays as it is. A mission that was planned on what is believed has it.
-    """
+    """Yield what is believed, and known of numbers, before the first robot and after each."""
     yield start.belief, start.parameters
     estimator = start.copy()
     for deployment in mission:

@@ -26,20 +26,7 @@ def hold(
     cases: int,
     seed: int,
 ) -> None:
-    """
-    See that laws hold in cases that are drawn of seeds, as many as `cases`, from `seed` on.
-
-    What is given is tried, or what is registered under that name. Each law, in words, takes the
-    subject and a case and raises where it is broken.
-
-    Raises
-    ------
-    AssertionError
-        That names the law, the case and what is wrong; or if what is given is no such thing.
-    ValueError
-        If nothing of that name is registered.
-
-    """
+    """See that laws hold in cases that are drawn of seeds, as many as `cases`, from `seed` on."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)

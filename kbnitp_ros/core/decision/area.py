@@ -104,16 +104,6 @@ def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floa
     Return by how much a flight is expected to lower the entropies of some cells, (flights,) nats.
 
     Equation :eq:`area-value`.
-
-    Parameters
-    ----------
-    here : ndarray, shape (draws, cells)
-        1 where a cell has a hazard.
-    survival : ndarray, shape (flights, draws)
-        The chance to survive each flight in each draw.
-    outcomes : ndarray, shape (outcomes, draws)
-        As of `Situation`.
-
     """
 
     def entropies(chance: Floats, hazards: Floats) -> Floats:
@@ -139,20 +129,6 @@ def expected_from_readings(
     Return by how much readings are expected to lower entropies of cells, (flights,) nats.
 
     Equation :eq:`area-readings`.
-
-    Parameters
-    ----------
-    here : ndarray, shape (draws, cells)
-        1 where a cell has a hazard.
-    returned : ndarray, shape (flights, draws)
-        The probability of each draw together with the return of the robot.
-    visits : ndarray of int, shape (flights, cells)
-        How often the robot reads each cell.
-    joint : ndarray, shape (cells, 2, 2)
-        P(Z = z, X = x), of which P(X | Z) counts.
-    model : SensorModel
-        What its sensor is believed to be like.
-
     """
     chance = returned.sum(axis=1)
     hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)

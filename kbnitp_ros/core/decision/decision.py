@@ -116,14 +116,6 @@ def too_few_draws(confidence: float, independent: float) -> str:
 
 
 def check_confidence(confidence: float | None) -> None:
-    """
-    Check a confidence.
-
-    Raises
-    ------
-    ValueError
-        If it is not between 0 and 1.
-
-    """
+    """Check a confidence."""
     if confidence is not None and not 0.0 < confidence < 1.0:
         raise ValueError(f'confidence is {confidence}: it must be between 0 and 1, both excluded')

@@ -25,53 +25,33 @@ SEARCHED = 24
 
 
 class Flight(NamedTuple):
-    """
-    The path of a robot, for a goal.
+    """The path of a robot, for a goal."""
 
-    Attributes
-    ----------
-    path : ndarray of int, shape (steps + 1,)
-        The base first and last.
-    gain : float
-        How much nearer the goal is expected to be once it is known what came of it, in the unit
-        of the goal, at least 0.
-
-    """
-
+    # Shape (steps + 1,). The base first and last.
     path: Path
+    # How much nearer the goal is expected to be once it is known what came of it, in the unit of
+    # the goal, at least 0.
     gain: float
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """
-    What a robot is sent on.
+    """What a robot is sent on."""
 
-    Attributes
-    ----------
-    grid : Grid
-        The field, with the base of the robot.
-    start : int
-        The base of the mission, where lanes start.
-    draws : HazardDraws
-        What is known of the hazards.
-    belief : Belief
-        What is known of the targets: P(X | Z) of each cell.
-    model : SensorModel
-        What the robot is believed to be like.
-    options : SearchOptions
-        The limits of its path, and how probably it must survive it.
-    outcomes : ndarray, shape (outcomes, draws)
-        The probability of each draw together with each outcome of the robots that are out.
-
-    """
-
+    # The field, with the base of the robot.
     grid: Grid
+    # The base of the mission, where lanes start.
     start: int
+    # What is known of the hazards.
     draws: HazardDraws
+    # What is known of the targets: P(X | Z) of each cell.
     belief: Belief
+    # What the robot is believed to be like.
     model: SensorModel
+    # The limits of its path, and how probably it must survive it.
     options: SearchOptions
+    # Shape (outcomes, draws). The probability of each draw together with each outcome of the
+    # robots that are out.
     outcomes: Floats
 
     def of_robot(self, base: int | None, model: SensorModel, options: SearchOptions) -> Situation:
@@ -124,14 +104,6 @@ def information(survival: Floats, outcomes: Floats) -> Floats:
     Return what the outcome of a flight tells of all hazards, nats, for each path, shape (paths,).
 
     Equation :eq:`outcome-information`.
-
-    Parameters
-    ----------
-    survival : ndarray, shape (paths, draws)
-        The chance to survive each path in each draw.
-    outcomes : ndarray, shape (outcomes, draws)
-        As of `Situation`.
-
     """
     known = outcomes.sum(axis=1)
     expected = survival @ (outcomes / np.where(known > 0.0, known, 1.0)[:, None]).T

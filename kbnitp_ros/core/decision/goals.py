@@ -57,44 +57,20 @@ MakeGoal = Callable[[Sequence[int], 'float | None'], 'Goal | None']
 
 
 def as_goal(given: object) -> MakeGoal:
-    """
-    Return what makes goals, to be registered.
-
-    Raises
-    ------
-    TypeError
-        If it does not.
-
-    """
+    """Return what makes goals, to be registered."""
     takes(given, ('cells', 'confidence'))
     return cast(MakeGoal, given)
 
 
 def lane_to(cells: Sequence[int], confidence: float | None) -> Lane:
-    """
-    Return the goal of a lane to a cell.
-
-    Raises
-    ------
-    ValueError
-        If there is not one cell.
-
-    """
+    """Return the goal of a lane to a cell."""
     if len(cells) != 1:
         raise ValueError(f'goal lane has {len(cells)} cells: it must be the one that it leads to')
     return Lane(cells[0], confidence)
 
 
 def whole_map(cells: Sequence[int], confidence: float | None) -> None:
-    """
-    Return no goal: robots are sent where the most is to be learnt.
-
-    Raises
-    ------
-    ValueError
-        If there are cells or a confidence, which a map has not.
-
-    """
+    """Return no goal: robots are sent where the most is to be learnt."""
     for name, given in (('cells', list(cells)), ('a confidence', confidence)):
         if given:
             raise ValueError(

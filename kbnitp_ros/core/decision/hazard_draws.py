@@ -162,15 +162,7 @@ def quantile(count: Floats, level: float) -> int:
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
-    """
-    Return cells as an array, shape (cells,), if robots may enter all of them.
-
-    Raises
-    ------
-    ValueError
-        If there are none, one is off the map or on an obstacle; it is named.
-
-    """
+    """Return cells as an array, shape (cells,), if robots may enter all of them."""
     array = np.atleast_1d(np.asarray(cells))
     if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
         raise ValueError(f'{what} is {cells!r}: it must be cells, at least one')

@@ -145,16 +145,6 @@ def expected_best(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
     Return by how much a flight is expected to raise P(the best lane is free), shape (flights,).
 
     Equation :eq:`lane-value`.
-
-    Parameters
-    ----------
-    free : ndarray, shape (lanes, draws)
-        1 where a lane is free.
-    survival : ndarray, shape (flights, draws)
-        The chance to survive each flight in each draw.
-    outcomes : ndarray, shape (outcomes, draws)
-        As of `Situation`.
-
     """
     gain = np.zeros(len(survival))
     for each in outcomes:

@@ -51,28 +51,7 @@ class SafestPath:
 def cheapest_lanes(
     grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
 ) -> list[list[Path]]:
-    """
-    Return a cheapest way for each of several costs, within each of several limits.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    costs : ndarray, shape (lanes, cells)
-        Of each step into a cell, at least 0.
-    start : int
-        The first cell.
-    to : int or array_like of int, shape (lanes,)
-        The last one, which is in reach.
-    limits : sequence of int
-        The most steps that a way may have.
-
-    Returns
-    -------
-    list of list of ndarray of int, each of shape (steps + 1,)
-        Of each limit the way of each cost.
-
-    """
+    """Return a cheapest way for each of several costs, within each of several limits."""
     goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
     most = min(max(limits), grid.cells - 1)
     together = max(1, MOST_TOGETHER // ((most + 1) * (grid.cells + 1)))
@@ -86,21 +65,7 @@ def cheapest_lanes(
 
 
 def cheapest_costs(from_cells: Path, entered: Floats, start: int, most: int) -> Floats:
-    """
-    Return the costs of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
-
-    Parameters
-    ----------
-    from_cells : ndarray of int, shape (neighbours, cells)
-        From where each cell is entered; the number of cells for none.
-    entered : ndarray, shape (cells, lanes)
-        The cost of a step into each cell.
-    start : int
-        The first cell.
-    most : int
-        The most steps.
-
-    """
+    """Return the costs of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes)."""
     cells, lanes = entered.shape
     cost = np.full((most + 1, cells + 1, lanes), np.inf)
     cost[0, start] = 0.0
@@ -131,22 +96,7 @@ def lanes_within(
     limits: Sequence[int],
     count: int = LANES,
 ) -> list[list[Path]]:
-    """
-    Return different ways that may be the safest, the same again for the same draws.
-
-    The first costs least by the probability that each cell is free. The others cost least with
-    these costs scaled at random, one half of them with probabilities of a few draws only.
-
-    Parameters
-    ----------
-    grid, draws, start, to
-        As of `safest_path`.
-    limits : sequence of int
-        The most steps of a way: of each there are ways of their own.
-    count : int
-        How many ways of each are sought besides the first.
-
-    """
+    """Return different ways that may be the safest, the same again for the same draws."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
     some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
@@ -205,15 +155,7 @@ def safest_path(
 
 
 def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
-    """
-    Check that a cell can be reached from another one.
-
-    Raises
-    ------
-    ValueError
-        If a cell is off the map or on an obstacle, or there is no such path.
-
-    """
+    """Check that a cell can be reached from another one."""
     cells_on(grid, [start], 'start')
     cells_on(grid, [to], 'goal')
     whole_number('max_steps', max_steps, 1)

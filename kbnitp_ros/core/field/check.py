@@ -11,15 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def as_number(name: str, value: object) -> float:
-    """
-    Return `value` as a float if it is a number.
-
-    Raises
-    ------
-    TypeError
-        If it is something else, such as text.
-
-    """
+    """Return `value` as a float if it is a number."""
     try:
         if not isinstance(value, str):
             return float(value)  # type: ignore[arg-type]
@@ -29,15 +21,7 @@ def as_number(name: str, value: object) -> float:
 
 
 def probability(name: str, value: float) -> float:
-    """
-    Return `value` as a float if it is a probability.
-
-    Raises
-    ------
-    ValueError
-        If it is NaN or outside [0, 1].
-
-    """
+    """Return `value` as a float if it is a probability."""
     number = as_number(name, value)
     if not 0.0 <= number <= 1.0:
         raise ValueError(f'{name} is {value}: it must be a probability in [0, 1]')
@@ -45,39 +29,14 @@ def probability(name: str, value: float) -> float:
 
 
 def probabilities(instance: Any) -> None:
-    """
-    Have a frozen dataclass hold its fields as floats, all of which must be probabilities.
-
-    Raises
-    ------
-    ValueError
-        If one is NaN or outside [0, 1]; it is named.
-
-    """
+    """Have a frozen dataclass hold its fields as floats, all of which must be probabilities."""
     for field in fields(instance):
         value = probability(field.name, getattr(instance, field.name))
         object.__setattr__(instance, field.name, value)
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
-    """
-    Return `values` as one probability a cell.
-
-    Parameters
-    ----------
-    name : str
-        What the map is called in an error.
-    values : array_like, shape (cells,)
-        Row-major, in [0, 1].
-    cells : int, optional
-        How many there must be; without it any number from 1 up.
-
-    Raises
-    ------
-    ValueError
-        If the shape is another, or a value is NaN or outside [0, 1] (names the first such cell).
-
-    """
+    """Return `values` as one probability a cell."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or not array.size or cells not in (None, array.size):
         wanted = 'one value a cell' if cells is None else f'shape ({cells},), one value a cell'
@@ -91,16 +50,7 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
 
 
 def weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
-    """
-    Return a copy of `values` as finite numbers from 0 up that are not all 0.
-
-    Raises
-    ------
-    ValueError
-        If there are not `count` of them, one is negative, infinite or NaN (names the first), or
-        all are 0.
-
-    """
+    """Return a copy of `values` as finite numbers from 0 up that are not all 0."""
     array = np.array(values, dtype=np.float64)
     if array.shape != (count,):
         raise ValueError(f'{name} has shape {array.shape}: it must be ({count},), one each step')
@@ -115,15 +65,7 @@ def weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
 
 
 def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
-    """
-    Return `value` as an int if it is a whole number from `low` to `high`.
-
-    Raises
-    ------
-    ValueError
-        If it is not whole or out of range.
-
-    """
+    """Return `value` as an int if it is a whole number from `low` to `high`."""
     as_number(name, value)
     if not (value >= low and (high is None or value <= high) and value == value // 1):
         allowed = f'at least {low}' if high is None else f'from {low} to {high}'
@@ -132,15 +74,7 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
 
 
 def cost(name: str, value: float) -> float:
-    """
-    Return `value` as a float if it is a number from 0 to a billion, beyond which sums overflow.
-
-    Raises
-    ------
-    ValueError
-        If it is NaN or out of range.
-
-    """
+    """Return a cost as a float, from 0 to a billion: beyond that sums overflow."""
     number = as_number(name, value)
     if not 0.0 <= number <= 1e9:
         raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')
@@ -148,15 +82,7 @@ def cost(name: str, value: float) -> float:
 
 
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
-    """
-    Return `values`, of any shape, as booleans.
-
-    Raises
-    ------
-    ValueError
-        If one of them is neither True nor False, nor 1 nor 0 (names the first).
-
-    """
+    """Return `values`, of any shape, as booleans."""
     array = np.array(values)
     bad = ~np.isin(array, (0, 1))
     if bad.any():
@@ -165,15 +91,7 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
 
 
 def yes_no_or_unseen(name: str, values: ArrayLike) -> NDArray[np.bool_] | NDArray[np.int8]:
-    """
-    Return `values`, of any shape, as booleans, or as -1, 0 and 1 if one of them is -1.
-
-    Raises
-    ------
-    ValueError
-        If one of them is none of these (names the first).
-
-    """
+    """Return `values`, of any shape, as booleans, or as -1, 0 and 1 if one of them is -1."""
     array = np.array(values)
     unseen = array == -1
     if not unseen.any():

@@ -8,11 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def surprisal(probability: ArrayLike) -> NDArray[np.float64]:
-    """
-    Return -p log p, with 0 log 0 = 0; any shape, in nats.
-
-    Equation :eq:`shannon-entropy`.
-    """
+    """Return -p log p, with 0 log 0 = 0; any shape, in nats (:eq:`shannon-entropy`)."""
     p = np.asarray(probability, dtype=np.float64)
     surprisals: NDArray[np.float64] = -p * np.log(np.where(p > 0.0, p, 1.0))
     return surprisals

@@ -133,17 +133,7 @@ class Execution:
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """
-        Draw the way a robot goes.
-
-        Returns
-        -------
-        walk : ndarray of int, shape (n + 1,)
-            Its cells.
-        passed : ndarray of int, shape (n,)
-            How many steps of the path lie behind it after each of its own.
-
-        """
+        """Draw the way a robot goes."""
         drawn = rng.random((len(path) - 1, 3))
         walk = [int(path[0])]
         passed: list[int] = []

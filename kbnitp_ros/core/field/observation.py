@@ -19,15 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def as_path(path: ArrayLike) -> NDArray[np.intp]:
-    """
-    Return a copy of `path` as cell numbers: at least one step.
-
-    Raises
-    ------
-    ValueError
-        If it is not a flat sequence of whole numbers or has no step.
-
-    """
+    """Return a copy of `path` as cell numbers: at least one step."""
     array = np.asarray(path)
     if array.ndim != 1 or array.size < 2:
         raise ValueError(
@@ -202,22 +194,14 @@ def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """
-    How often a path enters each of its cells.
+    """How often a path enters each of its cells."""
 
-    Attributes
-    ----------
-    cells : ndarray of int, shape (n,)
-        The cells that some step leads to, ascending. The start is not a visit; the return is.
-    counts : ndarray of int, shape (n,)
-        Steps into each.
-    of_step : ndarray of int, shape (steps,)
-        For each step, the place of its cell in `cells`.
-
-    """
-
+    # Shape (n,). The cells that some step leads to, ascending. The start is not a visit; the
+    # return is.
     cells: NDArray[np.intp]
+    # Shape (n,). Steps into each.
     counts: NDArray[np.intp]
+    # Shape (steps,). For each step, the place of its cell in `cells`.
     of_step: NDArray[np.intp]
 
     @classmethod

@@ -19,28 +19,7 @@ def log_partition(
     """
     Return ln Z and the expected number of hazards, for each field.
 
-    Equations :eq:`transfer-matrix` and :eq:`strips`. Of a field of more than `STRIP` cells across
-    in which one cell at most is not free, each column beyond a strip adds what the last column of
-    a strip does.
-
-    Parameters
-    ----------
-    free : ndarray of bool, shape (rows, columns)
-        Which cells may have a hazard.
-    fields : ndarray, shape (values,)
-        Each a.
-    coupling : float
-        J, at least 0.
-
-    Returns
-    -------
-    log_z, count : ndarray, shape (values,)
-
-    Raises
-    ------
-    ValueError
-        If it is more than `MOST_ACROSS` cells across and more than one cell is not free.
-
+    Equations :eq:`transfer-matrix` and :eq:`strips`.
     """
     if free.shape[1] > free.shape[0]:
         free = free.T

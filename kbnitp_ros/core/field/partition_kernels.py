@@ -18,22 +18,7 @@ def transfer(
     log_z: NDArray[np.float64],
     count: NDArray[np.float64],
 ) -> None:
-    r"""
-    Sum over all hazards of a strip, row by row (equation :eq:`transfer-matrix`).
-
-    `weight[s]` sums what the cells so far can be, where bit c of s is the hazard of the last cell
-    so far in column c. One more cell in column c changes that bit from u to z,
-
-    .. math:: w'(s_z) = e^{a z} \sum_u w(s_u) \, e^{J z (u + z_{c - 1})}.
-
-    Parameters
-    ----------
-    free, fields, coupling
-        As of `log_partition`.
-    log_z, count : ndarray, shape (values,)
-        Take ln Z and its derivative by a: the expected number of hazards.
-
-    """
+    r"""Sum over all hazards of a strip, row by row (equation :eq:`transfer-matrix`)."""
     rows, columns = free.shape
     states = 1 << columns
     weight, slope = np.empty(states), np.empty(states)

@@ -79,22 +79,7 @@ ORDINARY = RobotType()
 
 
 def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, ...]:
-    """
-    Return the type of each of so many robots.
-
-    Parameters
-    ----------
-    robots : int
-        How many.
-    robot_types : sequence of RobotType
-        Theirs; empty if all are alike.
-
-    Raises
-    ------
-    ValueError
-        If there is not one for each.
-
-    """
+    """Return the type of each of so many robots."""
     if robot_types and len(robot_types) != robots:
         raise ValueError(
             f'robot_types has {len(robot_types)} values: it must have one for each of {robots}'

@@ -22,21 +22,6 @@ def log_predicted_survival(
     Return log S, where S = (1 - z) s0^n + z s1^n is the chance to survive n visits to a cell.
 
     Equation :eq:`predicted-survival`.
-
-    Parameters
-    ----------
-    hazard : ndarray, shape (...)
-        z = P(Z = 1) of each cell.
-    counts : ndarray of int, shape (...)
-        n, the visits to each.
-    log_survival : ndarray, shape (2,)
-        log s0 and log s1, as `SensorModel.log_survival`.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        In [-inf, 0], to full relative precision near both ends.
-
     """
     log_power = times_log(np.asarray(counts)[..., None], log_survival)
     weight = np.stack([1.0 - hazard, hazard], axis=-1)

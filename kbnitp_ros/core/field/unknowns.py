@@ -78,22 +78,13 @@ class Beta:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bins(Value):
-    """
-    The values a number may have.
+    """The values a number may have."""
 
-    Attributes
-    ----------
-    edges : ndarray, shape (values + 1,)
-        Each value stands for all between two edges.
-    values : ndarray, shape (values,)
-        In (0, 1), ascending.
-    log_prior : ndarray, shape (values,)
-        Log probability of each.
-
-    """
-
+    # Shape (values + 1,). Each value stands for all between two edges.
     edges: NDArray[np.float64]
+    # Shape (values,). In (0, 1), ascending.
     values: NDArray[np.float64]
+    # Shape (values,). Log probability of each.
     log_prior: NDArray[np.float64]
 
     def __post_init__(self) -> None:

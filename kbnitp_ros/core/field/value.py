@@ -14,11 +14,7 @@ SHOWN = 24
 
 
 class Value:
-    """
-    A dataclass that equals another of its class if all fields do, arrays bit for bit.
-
-    It has no hash. Long arrays are shortened where it is printed.
-    """
+    """A dataclass that equals another of its class if all fields do, arrays bit for bit."""
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and all(

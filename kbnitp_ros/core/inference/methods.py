@@ -107,15 +107,7 @@ class Method(Protocol):
 
 
 def as_method(given: object) -> Method:
-    """
-    Return a method that is to be registered.
-
-    Raises
-    ------
-    TypeError
-        If it is no `Method`.
-
-    """
+    """Return a method that is to be registered."""
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
     if dynamics := dynamics_of(given):
         others = [kind for kind in dynamics if kind not in HAZARDS]
@@ -143,24 +135,7 @@ def dynamics_of(method: object) -> tuple[str, ...]:
 def check_able(
     given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
 ) -> None:
-    """
-    Check that a method can do what it is asked for.
-
-    Parameters
-    ----------
-    given : str or callable
-        The method, or its name.
-    is_able : callable
-        Returns whether a method can.
-    lack : str
-        What is wrong if this one cannot.
-
-    Raises
-    ------
-    ValueError
-        If it cannot; names those that can.
-
-    """
+    """Check that a method can do what it is asked for."""
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')

@@ -15,15 +15,7 @@ IMPOSSIBLE = (
 
 
 def check_cells(belief: Belief, observation: Observation) -> None:
-    """
-    Check that a path lies in the field that a belief is of.
-
-    Raises
-    ------
-    ValueError
-        If it does not; names the first cell beyond.
-
-    """
+    """Check that a path lies in the field that a belief is of."""
     beyond = observation.path[observation.path >= belief.cells]
     if beyond.size:
         raise ValueError(
@@ -36,8 +28,6 @@ def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.fl
     Return log P(survived the visits | Z = z) of each visited cell, shape (n, 2).
 
     Equation :eq:`loss-contact`.
-
-    A lost robot's last contact tells this of the steps before it.
     """
     return times_log(visits.counts[:, None], model.log_survival)
 
@@ -45,26 +35,7 @@ def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.fl
 def returned_log_likelihood(
     model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
 ) -> NDArray[np.float64]:
-    """
-    Return log P(survived, readings | Z = z, X = x) of each visited cell.
-
-    Equation :eq:`returned`.
-
-    Parameters
-    ----------
-    model : SensorModel
-        What the robot and its sensor are believed to be like.
-    visits : Visits
-        Of a path that a robot returned from.
-    readings : ndarray of bool or int, shape (steps,)
-        Y in each step, -1 where the robot did not look.
-
-    Returns
-    -------
-    ndarray, shape (n, 2, 2)
-        Indexed [visited cell, z, x]: each visit adds log s_z, and if it looked log P(y | x).
-
-    """
+    """Return log P(survived, readings | Z = z, X = x) of each visited cell (:eq:`returned`)."""
     survived = survived_log_likelihood(model, visits)
     return survived[:, :, None] + read_log_likelihood(model, visits, readings)[:, None, :]
 
@@ -72,11 +43,7 @@ def returned_log_likelihood(
 def read_log_likelihood(
     model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
 ) -> NDArray[np.float64]:
-    """
-    Return log P(readings | X = x) of each visited cell, shape (n, 2).
-
-    Equation :eq:`returned`; the arguments are those of `returned_log_likelihood`.
-    """
+    """Return log P(readings | X = x) of each visited cell, shape (n, 2) (:eq:`returned`)."""
     positive = np.bincount(visits.of_step, weights=readings == 1)
     negative = np.bincount(visits.of_step, weights=readings == 0)
     read = times_log(positive[:, None], model.log_reading[1])
@@ -94,24 +61,7 @@ def loss_weights(observation: Observation) -> NDArray[np.float64]:
 
 
 def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
-    """
-    Return the belief given evidence on some cells; the others keep their bits.
-
-    Parameters
-    ----------
-    belief : Belief
-        Before.
-    cells : ndarray of int, shape (n,)
-        Each at most once.
-    log_likelihood : ndarray, broadcastable to (n, 2, 2)
-        Of the evidence, up to a constant for each cell.
-
-    Raises
-    ------
-    ValueError
-        If the evidence is impossible.
-
-    """
+    """Return the belief given evidence on some cells; the others keep their bits."""
     joint = belief.joint.copy()
     joint[cells] = condition(joint[cells], log_likelihood)
     return Belief(joint)
@@ -120,19 +70,7 @@ def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.fl
 def condition(
     joint: NDArray[np.float64], log_likelihood: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """
-    Return the cells' joints given evidence, normalised.
-
-    Equation :eq:`returned`.
-
-    Parameters
-    ----------
-    joint : ndarray, shape (n, 2, 2)
-        Before.
-    log_likelihood
-        As of `given`, which raises alike.
-
-    """
+    """Return the cells' joints given evidence, normalised (:eq:`returned`)."""
     with np.errstate(divide='ignore'):
         log_joint = np.log(joint) + log_likelihood
     peak = log_joint.max(axis=(1, 2), keepdims=True)

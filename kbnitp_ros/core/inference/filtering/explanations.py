@@ -14,37 +14,18 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """
-    A hazard of its own for each loss that no malfunction explains.
+    """A hazard of its own for each loss that no malfunction explains."""
 
-    A hazard that destroyed a robot is gone, so each explains one loss at most: losses and cells
-    must have a matching. What is kept is one, and which cells are free of hazard for certain.
-
-    Attributes
-    ----------
-    possible : ndarray of bool, shape (cells,)
-        Where there may be a hazard, and no robot with a lethality of 1 has set it off.
-    allowed : tuple of tuple of int
-        For each of the losses, the cells whose hazard may have caused it.
-    chosen : mapping of int to int
-        By its cell, which loss a hazard explains.
-
-    """
-
+    # Shape (cells,). Where there may be a hazard, and no robot with a lethality of 1 has set it
+    # off.
     possible: NDArray[np.bool_]
+    # For each of the losses, the cells whose hazard may have caused it.
     allowed: tuple[tuple[int, ...], ...] = ()
+    # By its cell, which loss a hazard explains.
     chosen: Mapping[int, int] = field(default_factory=dict)
 
     def with_deployment(self, observation: Observation, model: SensorModel) -> Explanations:
-        """
-        Return the explanations with one more deployment.
-
-        Raises
-        ------
-        ValueError
-            If no matching explains its loss and all before.
-
-        """
+        """Return the explanations with one more deployment."""
         path = observation.path[1:]
         is_certain = model.lethality == 1.0
         if observation.survived:

@@ -143,15 +143,7 @@ class ChangingEstimate(OnePassEstimate):
 
 
 class UsedUpEstimate(OnePassEstimate):
-    """
-    A belief about hazards that are gone once they strike.
-
-    Attributes
-    ----------
-    explanations : Explanations
-        Of the losses so far.
-
-    """
+    """A belief about hazards that are gone once they strike."""
 
     def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
         super().__init__(belief, model, method)

@@ -28,14 +28,7 @@ def update_used_up(belief: Belief, model: SensorModel, observation: Observation)
     """
     Return the belief after one deployment in a field whose hazards are used up.
 
-    A return is equation :eq:`used-up-returned`, a loss :eq:`used-up-lost`. Both move P(Z, X) of a
-    cell from the hazard before the deployment to the one after it.
-
-    Raises
-    ------
-    ValueError
-        If the path leaves the belief's cells or the outcome is impossible.
-
+    Equations :eq:`used-up-returned` and :eq:`used-up-lost`.
     """
     cells, before, move = moves(belief, model, observation)
     after = np.einsum('czx,czy->cyx', before, move)
@@ -82,19 +75,7 @@ def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation
 def moves(
     belief: Belief, model: SensorModel, observation: Observation
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """
-    Return how the hazards on a path move in a deployment.
-
-    Returns
-    -------
-    cells : ndarray of int, shape (n,)
-        The visited ones.
-    before : ndarray, shape (n, 2, 2)
-        P(Z before, X), given what was read of the targets.
-    move : ndarray, shape (n, 2, 2)
-        P(outcome, Z after | Z before), indexed [cell, before, after], up to a factor.
-
-    """
+    """Return how the hazards on a path move in a deployment."""
     check_cells(belief, observation)
     visits = Visits.of(observation.path)
     before = belief.joint[visits.cells]
@@ -115,15 +96,7 @@ def survived_transition(model: SensorModel, counts: NDArray[np.intp]) -> Floats:
     """
     Return P(survived n visits, Z after = z' | Z before = z), shape (..., 2, 2) over [z, z'].
 
-    Equation :eq:`used-up-survival`, up to the factor (1 - malfunction)^n.
-
-    Parameters
-    ----------
-    model : SensorModel
-        What the robot is believed to be like.
-    counts : ndarray of int, shape (...)
-        The visits to each cell.
-
+    Equation :eq:`used-up-survival`.
     """
     not_set_off = (1.0 - model.lethality) ** counts
     move = np.zeros((*counts.shape, 2, 2))
@@ -137,24 +110,7 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
     """
     Return the sum over the steps k of w_k P(lost in k, Z after = z' | Z before = z), exactly.
 
-    Equation :eq:`used-up-lost`. The other cells of the path are summed out at their beliefs.
-
-    Parameters
-    ----------
-    hazard : ndarray, shape (n,)
-        P(Z = 1) of the visited cells before the deployment.
-    model : SensorModel
-        What the robot is believed to be like.
-    visits : Visits
-        The n cells, how often each is visited, and in which steps.
-    weights : ndarray, shape (steps,)
-        How well what was observed fits a loss in each step.
-
-    Returns
-    -------
-    ndarray, shape (n, 2, 2)
-        Indexed [visited cell, z, z'], up to a common factor.
-
+    Equation :eq:`used-up-lost`.
     """
     here = np.arange(visits.of_step.size)
     entered = visits.of_step[:, None] == np.arange(visits.cells.size)

@@ -22,22 +22,13 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class ChainState:
-    """
-    What each chain holds. No array is changed once it is made.
+    """What each chain holds. No array is changed once it is made."""
 
-    Attributes
-    ----------
-    place : mapping of str to ndarray of int, shape (chains,)
-        Which value of its bins each number has, by name.
-    cells : ndarray of int, shape (held,)
-        The cells whose hazards the chains draw, in ascending order.
-    hazardous : ndarray of int8, shape (chains, held)
-        Z of these.
-
-    """
-
+    # Shape (chains,). Which value of its bins each number has, by name.
     place: Mapping[str, Places]
+    # Shape (held,). The cells whose hazards the chains draw, in ascending order.
     cells: Places
+    # Shape (chains, held). Z of these.
     hazardous: NDArray[np.int8]
 
     @classmethod
@@ -54,12 +45,7 @@ class ChainState:
     def with_cells(
         self, cells: Places, hypotheses: Hypotheses, rng: np.random.Generator
     ) -> ChainState:
-        """
-        Return the state with `cells`, those that it holds among them.
-
-        The hazards of the others are drawn from the prior: no evidence on them came so far, but by
-        the numbers of the chain.
-        """
+        """Return the state with `cells`, those that it holds among them."""
         is_held = np.isin(cells, self.cells)
         offset = hypotheses.offset('hazard_density', self.place)
         probability = expit(hypotheses.maps.hazard.at(offset, cells[~is_held]))

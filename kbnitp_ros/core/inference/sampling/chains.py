@@ -49,29 +49,7 @@ def log(likelihood: Floats) -> Floats:
 
 
 class Chains:
-    """
-    The chains on their way through the posterior of some evidence.
-
-    The posterior is equation :eq:`sampled-posterior`. Each chain holds hazards z and a value of
-    each unknown number, and a sweep draws each of these given all others.
-
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        The values of the numbers.
-    tally : Tally
-        The evidence.
-    state : ChainState
-        Where the chains are, with all cells that were visited.
-    rng : numpy.random.Generator
-        The only source of randomness.
-
-    Attributes
-    ----------
-    sweeps : int
-        How many were made.
-
-    """
+    """The chains on their way through the posterior of some evidence (:eq:`sampled-posterior`)."""
 
     def __init__(
         self,
@@ -192,9 +170,6 @@ class Chains:
         Return the cells' joints, shape (cells, 2, 2), and how far chance has taken them.
 
         Equations :eq:`averaged-belief` and :eq:`sampling-error`.
-
-        The latter is the expected KL divergence of the joints from what endless sweeps would give,
-        in nats summed over the cells, by the spread of the groups of chains.
         """
         by_group = self._unvisited.joints(self.sweeps)
         by_group[:, self._cells] = self._joints / self.sweeps
@@ -234,11 +209,7 @@ class Chains:
         r"""
         Return what steps survived and readings tell of each cell.
 
-        Equations :eq:`reading-odds`, :eq:`hazard-odds` and :eq:`target-conditional`: with the log
-        likelihood ratio d of the readings, the log odds of a hazard are
-
-        .. math:: \ln \frac{h}{1 - h} + N \ln (1 - \lambda)
-            + \ln (1 - \kappa + \kappa e^d) - \ln (1 - b + b e^d).
+        Equations :eq:`reading-odds` and :eq:`hazard-odds` and :eq:`target-conditional`.
         """
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
@@ -254,12 +225,7 @@ class Chains:
         return gibbs.FieldOdds(odds, target_if_safe, target_if_hazardous)
 
     def _given_readings(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """
-        Return what readings tell, each of shape (1 or chains, cells).
-
-        The log likelihoods of those of cells with returns without and with a hazard, and the odds
-        of a target of all cells without and with one.
-        """
+        """Return what readings tell, each of shape (1 or chains, cells)."""
         tally, maps, cells = self._tally, self._maps, self._returned
         read: Floats = np.zeros((1, cells.size))
         if_safe = maps.background.at(self._place['target_background'], cells)
@@ -289,22 +255,7 @@ class Chains:
         return odds
 
     def _draw(self, name: str, log_likelihood: Floats) -> Floats:
-        """
-        Draw a number in each chain, if it is unknown, and add up its values' weights.
-
-        Parameters
-        ----------
-        name : str
-            Which.
-        log_likelihood : ndarray, shape (chains, values)
-            Of each value, given all else in the chain, up to a constant for each chain.
-
-        Returns
-        -------
-        ndarray, shape (chains, values)
-            The weights it was drawn by.
-
-        """
+        """Draw a number in each chain, if it is unknown, and add up its values' weights."""
         log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
         weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         draw_values(weight, self._rng.random(CHAINS), self._place[name])
@@ -315,14 +266,7 @@ class Chains:
         r"""
         Draw lethality and malfunction, given hazards and each other.
 
-        Equation :eq:`rate-conditional`,
-
-        .. math::
-
-            P(\lambda \mid z, m) &\propto P(\lambda) (1 - \lambda)^{\sum N_i z_i} \prod F_a \\
-            P(m \mid z, \lambda) &\propto P(m) (1 - m)^{\sum N_i} \prod F_a,
-
-        where :math:`F_a = F(T_a, E_a)` is the chance of loss a.
+        Equation :eq:`rate-conditional`.
         """
         tally, hypotheses = self._tally, self._hypotheses
         exposures, factors = self._hazard_state.exposures, self._factors
@@ -381,13 +325,7 @@ class Chains:
         r"""
         Draw the numbers of the prior and of the target sensor, given hazards and targets.
 
-        Targets by equation :eq:`target-conditional`. The average of a prior map, whose offset of
-        log odds is :math:`\delta`, by :eq:`map-conditional`, and rates by :eq:`count-conditional`,
-
-        .. math::
-
-            P(\eta \mid u) &\propto P(\eta) e^{\delta \sum u_i} \prod (1 - p_i(\delta)) \\
-            P(r \mid x, y) &\propto P(r) r^K (1 - r)^{R - K}.
+        Equations :eq:`target-conditional` and :eq:`map-conditional` and :eq:`count-conditional`.
         """
         tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
         unknown = hypotheses.unknown
@@ -433,10 +371,7 @@ class Chains:
         r"""
         Draw the density and the coupling of a clustered prior, given hazards and each other.
 
-        Equation :eq:`coupling-conditional`,
-
-        .. math:: P(J, \eta \mid z) \propto P(J) P(\eta) \frac{1}{Z_{J \eta}}
-            \exp \Bigl( a_{J \eta} \sum_i z_i + J \sum_{i \sim j} z_i z_j \Bigr).
+        Equation :eq:`coupling-conditional`.
         """
         unknown, place = self._hypotheses.unknown, self._place
         count = self._hazardous.sum(axis=1)[:, None]
@@ -476,17 +411,7 @@ class Chains:
 
 
 class Unvisited:
-    """
-    The cells that chains do not hold: their joints are the prior's, with the numbers of a chain.
-
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        The prior, and the values of its numbers.
-    held : ndarray of int
-        The cells that the chains hold.
-
-    """
+    """Cells outside the chains: their joints are the prior, with the numbers of each chain."""
 
     def __init__(self, hypotheses: Hypotheses, held: Places) -> None:
         cells = np.setdiff1d(np.arange(hypotheses.belief.cells), held)
@@ -507,11 +432,7 @@ class Unvisited:
         )
 
     def joints(self, sweeps: int) -> Floats:
-        """
-        Return the joints of a field, averaged over groups of chains.
-
-        The shape is (groups, cells, 2, 2). Cells that the chains hold have the prior's.
-        """
+        """Return the joints of a field, averaged over groups of chains."""
         joints = np.tile(self._prior, (GROUPS, 1, 1, 1))
         joints[:, self._cells] = self._joints / sweeps
         return joints

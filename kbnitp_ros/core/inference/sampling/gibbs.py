@@ -25,141 +25,85 @@ SMALL = 1e-200
 
 
 class LossGraph(NamedTuple):
-    """
-    Which cells are on which lost paths, both ways round.
+    """Which cells are on which lost paths, both ways round."""
 
-    Attributes
-    ----------
-    first_loss : ndarray of int, shape (cells + 1,)
-        The lost paths through cell i are ``loss[first_loss[i]:first_loss[i + 1]]``.
-    loss, visits : ndarray of int, shape (entries,)
-        A lost path, and how often it enters the cell.
-    first_cell : ndarray of int, shape (losses + 1,)
-        The cells of lost path a that may be hazardous or safe are
-        ``cell[first_cell[a]:first_cell[a + 1]]``; located losses come last.
-    cell : ndarray of int
-
-    """
-
+    # Shape (cells + 1,). The lost paths through cell i are ``loss[first_loss[i]:first_loss[i +
+    # 1]]``.
     first_loss: NDArray[np.int32]
+    # Shape (entries,). A lost path, and how often it enters the cell.
     loss: NDArray[np.int32]
     visits: NDArray[np.int32]
+    # Shape (losses + 1,). The cells of lost path a that may be hazardous or safe are
+    # ``cell[first_cell[a]:first_cell[a + 1]]``; located losses come last.
     first_cell: NDArray[np.int32]
     cell: NDArray[np.int32]
 
 
 class HazardState(NamedTuple):
-    """
-    The hazards of each chain, and what follows from them; kernels change it.
+    """The hazards of each chain, and what follows from them; kernels change it."""
 
-    Attributes
-    ----------
-    hazardous : ndarray of int, shape (chains, cells)
-        Z of each cell.
-    exposures : ndarray of int, shape (chains, losses)
-        How many steps of each lost path led into a hazard.
-    malfunction, strike : ndarray of int, shape (chains,)
-        Rows of `Factors.endured` and `Factors.spared`.
-
-    """
-
+    # Shape (chains, cells). Z of each cell.
     hazardous: NDArray[np.int8]
+    # Shape (chains, losses). How many steps of each lost path led into a hazard.
     exposures: NDArray[np.int32]
+    # Shape (chains,). Rows of `Factors.endured` and `Factors.spared`.
     malfunction: NDArray[np.intp]
     strike: NDArray[np.intp]
 
 
 class Coupling(NamedTuple):
-    """
-    What couples the hazards of neighbouring cells in the prior (equation :eq:`clustered-prior`).
+    """Coupling of neighbouring hazards in the prior (equation :eq:`clustered-prior`)."""
 
-    Attributes
-    ----------
-    neighbors : ndarray of int, shape (cells, 4)
-        The cells that share a side with each, -1 for none; no rows if hazards are independent.
-    strength : ndarray, shape (chains,)
-        e^J.
-
-    """
-
+    # Shape (cells, 4). The cells that share a side with each, -1 for none; no rows if hazards are
+    # independent.
     neighbors: NDArray[np.intp]
+    # Shape (chains,). e^J.
     strength: NDArray[np.float64]
 
 
 class Factors(NamedTuple):
-    """
-    The factors of the conditionals that hazards are drawn from.
+    """The factors of the conditionals that hazards are drawn from."""
 
-    Attributes
-    ----------
-    odds : ndarray, shape (1 or chains, cells)
-        Of each hazard without the losses; from `SMALL` to `LARGE`.
-    length : ndarray of int, shape (losses,)
-        Which of the lengths that lost paths have is that of each; of robots of different types
-        they count as different.
-    robot_type : ndarray of int, shape (lengths,)
-        Of the robots whose paths have each length.
-    endured : ndarray, shape (values, lengths)
-        Chance of no malfunction in a path of each length.
-    spared : ndarray, shape (values, types, most exposures + 1)
-        Chance of no strike in that many exposures of a robot of each type.
-    step_endured, step_spared : ndarray, shape (values, types)
-        Chances of no malfunction and of no strike in one step.
-    graph : LossGraph
-        The lost paths.
-    located : LocatedGraph
-        The losses of which it is known how well each step fits.
-    coupling : Coupling
-        Of neighbouring hazards.
-
-    """
-
+    # Shape (1 or chains, cells). Of each hazard without the losses; from `SMALL` to `LARGE`.
     odds: NDArray[np.float64]
+    # Shape (losses,). Which of the lengths that lost paths have is that of each; of robots of
+    # different types they count as different.
     length: NDArray[np.intp]
+    # Shape (lengths,). Of the robots whose paths have each length.
     robot_type: NDArray[np.intp]
+    # Shape (values, lengths). Chance of no malfunction in a path of each length.
     endured: NDArray[np.float64]
+    # Shape (values, types, most exposures + 1). Chance of no strike in that many exposures of a
+    # robot of each type.
     spared: NDArray[np.float64]
+    # Shape (values, types). Chances of no malfunction and of no strike in one step.
     step_endured: NDArray[np.float64]
     step_spared: NDArray[np.float64]
+    # The lost paths.
     graph: LossGraph
+    # The losses of which it is known how well each step fits.
     located: LocatedGraph
+    # Of neighbouring hazards.
     coupling: Coupling
 
 
 class LossTable(NamedTuple):
-    """
-    The losses of one chain by how many of their steps led into a hazard; kernels change it.
+    """The losses of one chain by how many of their steps led into a hazard; kernels change it."""
 
-    Attributes
-    ----------
-    exposures : ndarray of int, shape (losses,)
-        As of `HazardState`.
-    length : ndarray of int, shape (losses,)
-        As of `Factors`.
-    chance : ndarray, shape (lengths, most exposures + 1)
-        Of a loss, by the rates of the chain.
-
-    """
-
+    # Shape (losses,). As of `HazardState`.
     exposures: NDArray[np.int32]
+    # Shape (losses,). As of `Factors`.
     length: NDArray[np.intp]
+    # Shape (lengths, most exposures + 1). Of a loss, by the rates of the chain.
     chance: NDArray[np.float64]
 
 
 class FieldOdds(NamedTuple):
-    """
-    The odds of hazards and targets, each of shape (1 or chains, cells).
+    """The odds of hazards and targets, each of shape (1 or chains, cells)."""
 
-    Attributes
-    ----------
-    hazard : ndarray
-        Of a hazard.
-    target_if_safe, target_if_hazardous : ndarray
-        Of a target without and with one.
-
-    """
-
+    # Of a hazard.
     hazard: NDArray[np.float64]
+    # Of a target without and with one.
     target_if_safe: NDArray[np.float64]
     target_if_hazardous: NDArray[np.float64]
 
@@ -252,17 +196,7 @@ def draw_hazards(
     r"""
     Draw each of `cells` in turn given all others, by equation :eq:`hazard-conditional`.
 
-    The odds of a hazard in cell i are
-
-    .. math:: e^{o_i} \prod_{a \ni i} \frac{F(T_a, E_a' + n_{ai})}{F(T_a, E_a')},
-
-    where :math:`e^{o_i}` are the odds without the losses, :math:`F` is the chance of a loss, and
-    :math:`E_a'` are the exposures of path a in its other cells. Of located losses the ratio is
-    that of equation :eq:`loss-located`. Where hazards cluster, each hazardous neighbour multiplies
-    the odds by :math:`e^J`.
-
-    `uniform` has a number in [0, 1) for each of the chains' cells. `drawn_with`, of the same
-    shape, takes the conditional odds of a hazard that each was drawn with.
+    Equation :eq:`loss-located`.
     """
     graph, located, coupling = factors.graph, factors.located, factors.coupling
     # Handing so many arrays to a function takes longer than what it does without such losses.
@@ -317,15 +251,7 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
     r"""
     Propose that a hazardous and a safe cell of a lost path change places (Metropolis).
 
-    The swap of hazard i with safe cell j, from z to z', is accepted with the probability of
-    equation :eq:`swap`,
-
-    .. math:: \min \Bigl( 1, e^{o_j - o_i} \prod_a \frac{F(T_a, E_a(z'))}{F(T_a, E_a(z))} \Bigr).
-
-    One proposal takes four numbers of `uniform`, shape (chains, proposals, 4): for the path, its
-    hazardous cell, its safe cell and the acceptance. There are as many of each after a swap
-    as before, so proposals are symmetric. Where hazards cluster, the ratio has :math:`e^{J k}` as
-    well, with the k neighbouring pairs of hazards that the swap brings.
+    Equation :eq:`swap`.
     """
     graph, located, coupling = factors.graph, factors.located, factors.coupling
     # Handing so many arrays to a function takes longer than what it does without such losses.
@@ -396,17 +322,7 @@ def add_joints(odds: FieldOdds, joints: NDArray[np.float64]) -> None:
     r"""
     Add the joints of hazard and target, averaged over each group of chains.
 
-    Equation :eq:`averaged-belief`: each chain adds its conditional probabilities,
-
-    .. math:: P(z_i \mid z_{-i}, \theta) \, P(x_i \mid z_i, \theta).
-
-    Parameters
-    ----------
-    odds : FieldOdds
-        Those of a hazard for each chain.
-    joints : ndarray, shape (groups, cells, 2, 2)
-        What to add to, indexed [group, cell, z, x]. The chains of a group follow each other.
-
+    Equation :eq:`averaged-belief`.
     """
     chains, cells = odds.hazard.shape
     size = chains // joints.shape[0]

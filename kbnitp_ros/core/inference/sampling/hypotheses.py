@@ -29,78 +29,33 @@ RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
 
 
 class Clusters(NamedTuple):
-    """
-    A clustered prior, for each coupling J and each hazard density.
+    """A clustered prior, for each coupling J and each hazard density."""
 
-    Attributes
-    ----------
-    neighbors : ndarray of int, shape (cells, 4)
-        The cells that share a side with each, -1 for none.
-    coupling : ndarray, shape (couplings,)
-        J.
-    field, log_z : ndarray, shape (couplings, densities)
-        a and ln Z.
-
-    """
-
+    # Shape (cells, 4). The cells that share a side with each, -1 for none.
     neighbors: NDArray[np.intp]
+    # Shape (couplings,). J.
     coupling: NDArray[np.float64]
+    # Shape (couplings, densities). a and ln Z.
     field: NDArray[np.float64]
     log_z: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """
-    What robots of one type do, for each value of the numbers; one value where theirs is known.
+    """Rates of one robot type for each value of the numbers; one value where they are known."""
 
-    Attributes
-    ----------
-    log_endured : ndarray, shape (values,)
-        Log chance of a step without malfunction, for each malfunction.
-    log_spared : ndarray, shape (values,)
-        Log chance that a step into a hazard does not destroy the robot, for each lethality.
-    true_positive, false_positive : ndarray, shape (values,)
-        As of a `SensorModel`.
-
-    """
-
+    # Shape (values,). Log chance of a step without malfunction, for each malfunction.
     log_endured: NDArray[np.float64]
+    # Shape (values,). Log chance that a step into a hazard does not destroy the robot, for each
+    # lethality.
     log_spared: NDArray[np.float64]
+    # Shape (values,). As of a `SensorModel`.
     true_positive: NDArray[np.float64]
     false_positive: NDArray[np.float64]
 
 
 class Hypotheses:
-    """
-    The values that each number of the sensor model and of the prior may have.
-
-    Parameters
-    ----------
-    belief, model, unknowns, clustering
-        As of a `Sampler`.
-
-    Attributes
-    ----------
-    belief : Belief
-        The prior, averaged over what is not known.
-    bins : dict of str to Bins
-        The values of each number in `Unknowns`, and of the coupling of a clustered prior, by its
-        name; of one that is known just one.
-    unknown : tuple of str
-        Which are not.
-    maps : PriorMaps
-        The prior, cell by cell.
-    clusters : Clusters or None
-        What a clustered prior says.
-
-    Raises
-    ------
-    ValueError
-        If a number that is said to be unknown makes no difference, it is named; or a clustered
-        prior is of another size or not the same in all cells that may have a hazard.
-
-    """
+    """The values that each number of the sensor model and of the prior may have."""
 
     def __init__(
         self,
@@ -226,15 +181,7 @@ class Hypotheses:
         )
 
     def refuse_impossible(self, tally: Tally) -> None:
-        """
-        Refuse evidence that no value allowed, and no hazards, explain.
-
-        Raises
-        ------
-        ValueError
-            If there is such.
-
-        """
+        """Refuse evidence that no value allowed, and no hazards, explain."""
         # Whatever is unknown lies strictly between 0 and 1, and where makes no difference here.
         model = self.model_with({name: self.bins[name].values[0] for name in self.unknown})
         models = [robot_type.model(model) for robot_type in tally.robot_types]

@@ -17,56 +17,35 @@ LARGE = 1e300
 
 
 class LocatedGraph(NamedTuple):
-    """
-    The losses of which it is known how well each step fits.
+    """The losses of which it is known how well each step fits."""
 
-    Attributes
-    ----------
-    first_entry : ndarray of int, shape (cells + 1,)
-        Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
-    loss, first, last : ndarray of int, shape (entries,)
-        A loss, and its first and last steps into the cell.
-    first_step : ndarray of int, shape (losses + 1,)
-        The steps of loss a are those from ``first_step[a]`` to ``first_step[a + 1] - 1``.
-    robot_type : ndarray of int, shape (losses,)
-        Of the robot.
-    cell : ndarray of int, shape (steps,)
-        The cell that each step leads to.
-    lost_at : ndarray, shape (steps,)
-        How well a loss in each step fits what was observed.
-
-    """
-
+    # Shape (cells + 1,). Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
     first_entry: NDArray[np.int32]
+    # Shape (entries,). A loss, and its first and last steps into the cell.
     loss: NDArray[np.int32]
     first: NDArray[np.int32]
     last: NDArray[np.int32]
+    # Shape (losses + 1,). The steps of loss a are those from ``first_step[a]`` to ``first_step[a +
+    # 1] - 1``.
     first_step: NDArray[np.int32]
+    # Shape (losses,). Of the robot.
     robot_type: NDArray[np.int32]
+    # Shape (steps,). The cell that each step leads to.
     cell: NDArray[np.int32]
+    # Shape (steps,). How well a loss in each step fits what was observed.
     lost_at: NDArray[np.float64]
 
 
 class LocatedSums(NamedTuple):
-    """
-    Of one chain, the parts of each located loss before and after each step; kernels change it.
+    """Sums of one chain over the steps before and after each step of the located losses."""
 
-    Attributes
-    ----------
-    before : ndarray, shape (steps,)
-        Chance of the loss in the steps before this one, each by how well it fits.
-    reached : ndarray, shape (steps,)
-        Chance to survive the steps before this one.
-    rest : ndarray, shape (steps,)
-        Chance of the loss from this step on, of a robot that reaches it.
-    survival : ndarray, shape (types, 2)
-        s_z of one step, by robot type.
-
-    """
-
+    # Shape (steps,). Chance of the loss in the steps before this one, each by how well it fits.
     before: NDArray[np.float64]
+    # Shape (steps,). Chance to survive the steps before this one.
     reached: NDArray[np.float64]
+    # Shape (steps,). Chance of the loss from this step on, of a robot that reaches it.
     rest: NDArray[np.float64]
+    # Shape (types, 2). s_z of one step, by robot type.
     survival: NDArray[np.float64]
 
 
@@ -107,11 +86,7 @@ def sum_all_steps(
     endured: NDArray[np.float64],
     spared: NDArray[np.float64],
 ) -> None:
-    """
-    Find the sums of all located losses by the hazards and the rates of a chain.
-
-    `endured` and `spared`, (types,), are its chances of no malfunction and of no strike in a step.
-    """
+    """Find the sums of all located losses by the hazards and the rates of a chain."""
     sums.survival[:, 0] = endured
     sums.survival[:, 1] = endured * spared
     for path in range(located.robot_type.size):
@@ -171,21 +146,7 @@ def weigh_by_located(
     exposed: NDArray[np.float64],
     likelihood: NDArray[np.float64],
 ) -> None:
-    """
-    Do what `number_kernels.weigh_by_losses` does, of the located losses, by :eq:`loss-located`.
-
-    Parameters
-    ----------
-    hazardous : ndarray of int, shape (chains, cells)
-        Z of each cell.
-    located : LocatedGraph
-        The losses.
-    safe, exposed : ndarray, shape (chains, types, values)
-        Chance to survive a step into a safe cell and into a hazard, for each value of the rate.
-    likelihood : ndarray, shape (chains, values)
-        Divided by whatever keeps it in range.
-
-    """
+    """Weigh numbers by the located losses (:eq:`loss-located`)."""
     rest = np.empty(likelihood.shape[1])
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]

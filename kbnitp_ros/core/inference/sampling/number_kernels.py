@@ -15,22 +15,13 @@ OFTEN = 6
 
 
 class LossSurvival(NamedTuple):
-    """
-    The chance to survive each lost path as a product of two, of which a rate changes one.
+    """The chance to survive each lost path as a product of two, of which a rate changes one."""
 
-    Attributes
-    ----------
-    fixed : ndarray, shape (chains, losses)
-        The chance that the rate has nothing to do with.
-    place : ndarray of int, shape (chains, losses)
-        The row of the other.
-    by_rate : ndarray, shape (places, values)
-        The other for each value of the rate.
-
-    """
-
+    # Shape (chains, losses). The chance that the rate has nothing to do with.
     fixed: NDArray[np.float64]
+    # Shape (chains, losses). The row of the other.
     place: NDArray[np.int32]
+    # Shape (places, values). The other for each value of the rate.
     by_rate: NDArray[np.float64]
 
 
@@ -58,17 +49,7 @@ def weigh_by_losses(survival: LossSurvival, likelihood: NDArray[np.float64]) -> 
     r"""
     Multiply `likelihood`, (chains, values), by that of all losses, for each value of a rate.
 
-    The product of equation :eq:`rate-conditional`,
-
-    .. math:: \prod_a F(T_a, E_a) = \prod_a \bigl( 1 - (1 - m)^{T_a} (1 - \lambda)^{E_a} \bigr).
-
-    Parameters
-    ----------
-    survival : LossSurvival
-        Of the lost paths.
-    likelihood : ndarray, shape (chains, values)
-        Divided by whatever keeps it in range: only the ratios of a chain's values tell anything.
-
+    Equation :eq:`rate-conditional`.
     """
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
@@ -92,7 +73,7 @@ def sum_of_cells(
     """
     Add to `total`, (chains, values), the rows of `table`, (cells, values), of those chosen.
 
-    The sum over cells of the logarithm of equation :eq:`map-conditional`.
+    Equation :eq:`map-conditional`.
     """
     for chain in range(chosen.shape[0]):
         for cell in range(chosen.shape[1]):

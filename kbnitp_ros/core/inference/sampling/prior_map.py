@@ -22,49 +22,23 @@ HALVINGS = 60
 
 @dataclass(frozen=True, eq=False)
 class PriorMap:
-    """
-    One probability a cell, the same as the prior's but for an offset common to all log odds.
+    """One probability a cell, the same as the prior's but for an offset common to all log odds."""
 
-    Attributes
-    ----------
-    log_odds : ndarray, shape (cells,)
-        As the prior has them.
-    undecided : ndarray of bool, shape (cells,)
-        Where the probability is neither 0 nor 1; elsewhere no offset changes it.
-    offset : ndarray, shape (values,)
-        That takes the undecided cells to each value of their average; 0 alone if it is known.
-    log_absent : ndarray, shape (cells, values)
-        log (1 - p) with each offset; 0 where the probability is decided.
-
-    """
-
+    # Shape (cells,). As the prior has them.
     log_odds: NDArray[np.float64]
+    # Shape (cells,). Where the probability is neither 0 nor 1; elsewhere no offset changes it.
     undecided: NDArray[np.bool_]
+    # Shape (values,). That takes the undecided cells to each value of their average; 0 alone if it
+    # is known.
     offset: NDArray[np.float64]
+    # Shape (cells, values). log (1 - p) with each offset; 0 where the probability is decided.
     log_absent: NDArray[np.float64]
 
     @classmethod
     def of(
         cls, probability: NDArray[np.float64], where: NDArray[np.bool_], average: Bins | None
     ) -> PriorMap:
-        """
-        Return a map.
-
-        Parameters
-        ----------
-        probability : ndarray, shape (cells,)
-            The prior's.
-        where : ndarray of bool, shape (cells,)
-            The cells for which it means anything.
-        average : Bins, optional
-            The values of the average; without it the prior's.
-
-        Raises
-        ------
-        ValueError
-            If the average is unknown and no cell is undecided.
-
-        """
+        """Return a map."""
         with np.errstate(divide='ignore'):
             log_odds = np.log(probability) - np.log1p(-probability)
         log_odds = log_odds.clip(-CERTAIN, CERTAIN)
@@ -120,19 +94,11 @@ class PriorMap:
 
 @dataclass(frozen=True, eq=False)
 class PriorMaps:
-    """
-    What a prior says of each cell, one array or map of all cells each.
+    """What a prior says of each cell, one array or map of all cells each."""
 
-    Attributes
-    ----------
-    possible : ndarray of bool, shape (cells,)
-        Where there may be a hazard.
-    hazard, kappa, background : PriorMap
-        P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
-
-    """
-
+    # Shape (cells,). Where there may be a hazard.
     possible: NDArray[np.bool_]
+    # P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
     hazard: PriorMap
     kappa: PriorMap
     background: PriorMap

@@ -66,48 +66,7 @@ def generator(seed: int, deployments: int) -> np.random.Generator:
 
 
 class Sampler:
-    """
-    The evidence of a mission, and the belief that sampling gives.
-
-    The belief is a function of the evidence, in its order, and of the seed: the chains' random
-    numbers are those of a generator keyed by the seed and the number of deployments. No array is
-    changed once it is made, so a shallow copy goes on by itself.
-
-    Parameters
-    ----------
-    belief : Belief
-        The prior.
-    model : SensorModel
-        What robots like all others, and their sensors, are believed to be like.
-    unknowns : Unknowns
-        Which numbers of the two are not known.
-    seed : int
-        At least 0.
-    clustering : Clustering, optional
-        Of the hazards; independent unless given. The chains then hold all cells from the start.
-
-    Attributes
-    ----------
-    belief : Belief
-        Given all deployments so far, averaged over what is not known.
-    model : SensorModel
-        The mean model: per step it survives, and reads, with the probabilities expected of robots
-        like all others.
-    parameters : mapping of str to Learnt
-        What is known of each unknown number.
-    sampling_error : float
-        The KL divergence, in nats, expected between the belief and what endless sweeps would
-        give, by the spread of the chains: blind to a bias that they share.
-    is_converged : bool
-        Whether that is as little as aimed at.
-
-    Raises
-    ------
-    ValueError
-        If a number that is said to be unknown makes no difference, the field is too large for the
-        memory that chains may take, or the prior is none of clustered hazards.
-
-    """
+    """The evidence of a mission, and the belief that sampling gives."""
 
     learns: ClassVar[bool] = True
     draws_are_exact: ClassVar[bool] = True
@@ -157,11 +116,7 @@ class Sampler:
         self.belief, self._state = self._hypotheses.belief_of(joint), chains.state
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """
-        Assimilate one more deployment.
-
-        A ValueError says that its path leaves the field or the outcome is impossible.
-        """
+        """Assimilate one more deployment."""
         check_cells(self.belief, observation)
         tally = self._tally.with_deployment(observation, robot_type)
         self._hypotheses.refuse_impossible(tally)
@@ -193,12 +148,7 @@ class Sampler:
         return CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """
-        Draw the hazards of all cells together, by chains that go on from here and are then left.
-
-        Chains are independent of each other. How much a chain repeats itself is told by how far
-        the averages of chains spread, in the cell where that is worst.
-        """
+        """Draw the hazards of all cells together, by copies of the chains."""
         hazardous = np.stack([chains.hazards() for chains in self._after_sweeps(count, rng)])
         average = hazardous.mean(axis=(0, 1))
         spread = average * (1.0 - average)
@@ -228,15 +178,7 @@ class Sampler:
 
 
 def check_memory(cells: int) -> None:
-    """
-    Check that the chains of a field can have the memory that they take.
-
-    Raises
-    ------
-    ValueError
-        With an estimate, if not.
-
-    """
+    """Check that the chains of a field can have the memory that they take."""
     estimate = BYTES * CHAINS * cells
     if estimate > MOST_MEMORY:
         raise ValueError(

@@ -19,46 +19,33 @@ def none_yet() -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """
-    The evidence of all deployments. No array is changed once it is made.
+    """The evidence of all deployments, losses as factors (:eq:`loss-factor`); never changed."""
 
-    Attributes
-    ----------
-    survived, positive, negative : ndarray of int, shape (types, cells)
-        Steps of robots of each type into each cell that are known to have been survived, and how
-        many of them brought a reading of a target, and of none.
-    robot_types : tuple of RobotType
-        Of the robots so far, by what sets their sensor models apart.
-    deployments : int
-        How many there were.
-    steps, robot_type : ndarray of int, shape (losses,)
-        Of each path on which a robot was lost, without those it is known to have survived, and
-        of which type the robot was.
-        Those of which it is known how well each step fits are not among them.
-    cell, path, visits : ndarray of int, shape (entries,)
-        Which cell is on which of these paths, and how often it enters it; in the order of paths.
-    located_steps, located_type : ndarray of int, shape (located losses,)
-        The same of losses of which that is known.
-    step_cell : ndarray of int, shape (steps,)
-        The cells that the steps of these lead to, one loss after another.
-    lost_at : ndarray, shape (steps,)
-        How well a loss in each step fits what was observed.
-
-    """
-
+    # Shape (types, cells). Steps of robots of each type into each cell that are known to have been
+    # survived, and how many of them brought a reading of a target, and of none.
     survived: NDArray[np.int32]
     positive: NDArray[np.int32]
     negative: NDArray[np.int32]
+    # Of the robots so far, by what sets their sensor models apart.
     robot_types: tuple[RobotType, ...] = (ORDINARY,)
+    # How many there were.
     deployments: int = 0
+    # Shape (losses,). Of each path on which a robot was lost, without those it is known to have
+    # survived, and of which type the robot was. Those of which it is known how well each step fits
+    # are not among them.
     steps: NDArray[np.int32] = field(default_factory=none_yet)
     robot_type: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (entries,). Which cell is on which of these paths, and how often it enters it; in the
+    # order of paths.
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (located losses,). The same of losses of which that is known.
     located_steps: NDArray[np.int32] = field(default_factory=none_yet)
     located_type: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (steps,). The cells that the steps of these lead to, one loss after another.
     step_cell: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (steps,). How well a loss in each step fits what was observed.
     lost_at: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @classmethod
