@@ -106,16 +106,6 @@ def test_each_is_compared_with_the_least(costs):
             assert row[name]['mean'] == pytest.approx(expected, abs=1e-6), name
 
 
-def test_the_table_for_people_says_what_the_summary_says(costs):
-    summary = BY_LOSS_COST.summarise(costs)
-    lines = BY_LOSS_COST.table(summary).markdown().splitlines()[4:]
-    for row, line in zip(summary['rows'], lines, strict=True):
-        cells = line.strip('| ').split(' | ')
-        assert cells[:3] == ['0.9', '`kappa_bnitp`', f'{row["loss_cost"]:g}']
-        mean, low, high = row['difference'].values()
-        assert cells[-1] == f'{mean:.1f} [{low:.1f}, {high:.1f}]'
-
-
 @for_each('trials', [3, 1], every=2)
 def test_the_report_of_loss_costs_has_their_figure(costs, tmp_path, trials):
     written = write_report(

@@ -8,7 +8,7 @@ import re
 
 from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study import page
-from kbnitp_ros.study.scenario import in_short, LEARNING, read_scenario, SAMPLED, team_labels
+from kbnitp_ros.study.scenario import in_short, read_scenario, SAMPLED, team_labels
 from laws import for_each
 import numpy as np
 from PIL import Image
@@ -189,15 +189,6 @@ def test_false_targets_at_high_lethality():
     assert exact[0] > 2 * without[0]
 
 
-def test_the_luck_of_the_printed_update():
-    for lethality in (0.01, 0.1):
-        losses = {m: table('paper')[lethality, m]['log loss'][0] for m in METHODS}
-        assert min(losses, key=losses.get) == 'kappa_bnitp_published'
-    calibrated = table('calibrated')
-    assert calibrated[0.01, 'kappa_bnitp_published']['difference'][0] == 0
-    assert calibrated[0.1, 'kappa_bnitp_published']['difference'][2] < 0
-
-
 def test_the_exact_update_against_the_methods_of_the_paper():
     rows = table('calibrated')
     even = [
@@ -206,17 +197,6 @@ def test_the_exact_update_against_the_methods_of_the_paper():
         if rows[lethality, method]['difference'][2] >= 0
     ]
     assert even == [(0.9, 'relaxed_itp')]
-
-
-def test_what_a_wrong_lethality_costs():
-    wrong, right = table('mismatched'), table('calibrated')
-    for method in METHODS:
-        for lethality in LETHALITIES[:3]:
-            assert wrong[lethality, method]['log loss'][1] > 74
-        entropy = [wrong[lethality, method]['entropy'][0] for lethality in LETHALITIES]
-        assert entropy[:3] == sorted(entropy[:3])
-        cost = wrong[0.9, method]['log loss'][0] - right[0.9, method]['log loss'][0]
-        assert 1.5 < cost < 8.5
 
 
 LEARNT = ('unknown_lethality', 'mismatched_learning', 'paper_learning', 'unknown')
@@ -247,194 +227,6 @@ def test_the_page_shows_full_studies_of_what_is_learnt(name):
     assert set(costs) == set(product(lethalities, (SAMPLED,)))
     (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', text_of(name))
     assert said == (str(scenario.robots), str(scenario.trials))
-
-
-def told_from_zero(costs, robots):
-    """Return at which lethalities not knowing costs something after so many robots."""
-    return [float(lethality) for (lethality, _), row in costs.items() if row[robots][1] > 0]
-
-
-def test_what_not_knowing_the_lethality_costs():
-    _, known, costs = learnt('unknown_lethality')
-    after_100 = [row['100'] for row in costs.values()]
-    assert (min(after_100)[0], max(after_100)[0]) == (-1.4, 1.2)
-    assert all(low < 0 < high for _, low, high in after_100)
-    assert max(row[robots][0] for row in costs.values() for robots in ('10', '25', '50')) == 3.1
-    assert told_from_zero(costs, '10') == [0.1, 0.9]
-    assert told_from_zero(costs, '25') == [0.9]
-    assert told_from_zero(costs, '50') == [0.3, 0.9]
-    after_200 = {lethality: row['200'] for (lethality, _), row in costs.items()}
-    assert all(mean < 0 for mean, _, _ in after_200.values())
-    assert after_200['0.9'][0] == -4.5
-    assert after_200['0.9'][2] < 0
-    assert {row['sd before'][0] for row in known.values()} == {0.29}
-    spread = [row['sd'][0] for row in known.values()]
-    within = [row['within'][0] for row in known.values()]
-    assert (min(spread), max(spread), min(within), max(within)) == (0.05, 0.09, 0.88, 0.94)
-
-
-def test_what_learning_mends_of_a_wrong_lethality():
-    final, _, costs = learnt('mismatched_learning')
-    gains = {float(lethality): -row['100'][0] for (lethality, _), row in costs.items()}
-    assert [round(gains[lethality]) for lethality in (0.1, 0.3, 0.5)] == [153, 80, 40]
-    _, low, high = costs['0.9', SAMPLED]['100']
-    assert low < 0 < high
-    worse = {key[0] for key, row in final.items() if row['log loss'][1] > 74}
-    assert worse == {'0.1', '0.3'}
-    low, high = final['0.5', SAMPLED]['log loss'][1:]
-    assert low < 74 < high
-
-
-def test_what_learning_the_density_mends():
-    final, known, costs = learnt('paper_learning')
-    gains = [-row['100'][0] for row in costs.values()]
-    assert [round(gain) for gain in gains] == [8, 8, 13, 23]
-    assert all(-row['10'][0] > gain / 2 for row, gain in zip(costs.values(), gains))
-    right = table('calibrated')
-    for lethality in (0.1, 0.3, 0.5, 0.9):
-        ended = final[str(lethality), LEARNING]['log loss'][0]
-        assert ended - right[lethality, 'kappa_bnitp']['log loss'][0] < 5
-    assert {row['sd'][0] for key, row in known.items() if key[1] == 'hazard_density'} == {0.06}
-    assert max(row['sd'][0] for key, row in known.items() if key[1] == 'malfunction') == 0.02
-
-
-def test_what_not_knowing_anything_costs():
-    final, known, costs = learnt('unknown')
-    cost = costs['drawn', SAMPLED]
-    mean, low, high = cost['100']
-    assert (round(mean), low, high) == (6, 2.5, 10.3)
-    assert {round(cost[robots][0]) for robots in ('10', '25', '50')} == {7, 8}
-    _, low, high = cost['200']
-    assert low < 0 < high
-    row = final['drawn', LEARNING]
-    assert (row['log loss'][0], row['entropy'][0]) == (44.1, 42.4)
-    spread = {name: (row['sd before'][0], row['sd'][0]) for (_, name), row in known.items()}
-    assert spread == {
-        'lethality': (0.29, 0.11),
-        'malfunction': (0.04, 0.02),
-        'hazard_density': (0.15, 0.08),
-        'kappa': (0.17, 0.14),
-        'target_background': (0.11, 0.06),
-        'true_positive': (0.09, 0.03),
-        'false_positive': (0.09, 0.02),
-    }
-
-
-def teams(place):
-    """Return {(lethality, team): {column: (mean, low, high)}} of either table."""
-    scenario = read_scenario(SCENARIOS / 'teams.yaml')
-    keys = product(scenario.lethalities, team_labels(scenario).values())
-    return {
-        key: {column: numbers(cell) for column, cell in row.items()}
-        for key, row in zip(keys, rows_of('teams', place), strict=True)
-    }
-
-
-SHARED = [f'{agents} {allocation}' for agents in (2, 4, 8) for allocation in ('voronoi', 'greedy')]
-
-
-def span(rows, column, *names):
-    """Return the least and the largest mean of some teams at any lethality."""
-    means = [row[column][0] for (_, team), row in rows.items() if team in names]
-    return min(means), max(means)
-
-
-def test_what_teams_know_after_the_same_rounds():
-    rows = teams(1)
-    eight, alone = SHARED[-2:], ['one by one']
-    of = 'information after 12 rounds'
-    for lethality in (0.1, 0.5, 0.9):
-        for team in eight:
-            times = rows[lethality, team][of][0] / rows[lethality, 'one by one'][of][0]
-            assert 2.65 < times < 4.0
-    for column, of_eight, of_one in (
-        (of, (34, 42), (9, 15)),
-        ('log loss after 12 rounds', (22, 35), (53, 63)),
-        ('robots lost after 12 rounds', (60, 77), (7, 8)),
-    ):
-        assert span(rows, column, *eight) == pytest.approx(of_eight, abs=0.5)
-        assert span(rows, column, *alone) == pytest.approx(of_one, abs=0.5)
-
-
-def test_what_teams_know_with_the_same_robots():
-    rows = teams(1)
-    difference = {key: row['difference'] for key, row in rows.items()}
-    for team in SHARED:
-        _, low, high = difference[0.1, team]
-        assert low <= 0 <= high
-    higher = {key: d for key, d in difference.items() if key[0] > 0.1 and key[1] in SHARED}
-    assert min(mean for mean, _, _ in higher.values()) == 0.6
-    assert max(mean for mean, _, _ in higher.values()) == 4.7
-    assert (len(higher), sum(low > 0 for _, low, _ in higher.values())) == (12, 1)
-    for lethality in (0.5, 0.9):
-        for allocation in ('voronoi', 'greedy'):
-            two, eight = (difference[lethality, f'{agents} {allocation}'] for agents in (2, 8))
-            assert eight[0] < two[0]
-    apart = [
-        rows[lethality, f'{agents} greedy']['log loss'][0]
-        - rows[lethality, f'{agents} voronoi']['log loss'][0]
-        for lethality in (0.1, 0.5, 0.9)
-        for agents in (2, 4, 8)
-    ]
-    assert -3.25 < min(apart) < 0 < max(apart) < 3.25
-
-
-def test_what_it_costs_to_share_nothing():
-    rows = teams(1)
-    independent = [rows[lethality, '8 independent'] for lethality in (0.1, 0.5, 0.9)]
-    assert [round(row['difference'][0]) for row in independent] == [5, 9, 22]
-    assert all(row['difference'][1] > 0 for row in independent)
-    a_robot = [
-        rows[0.9, team]['information a robot'][0] for team in ('8 independent', 'one by one')
-    ]
-    assert a_robot == [0.181, 0.369]
-    lost = [teams(0)[0.9, team]['robots lost'][0] for team in ('8 independent', 'one by one')]
-    assert [round(mean) for mean in lost] == [67, 79]
-
-
-def loss_costs(place):
-    """Return {(lethality, loss cost): {column: (mean, low, high)}} of either table."""
-    scenario = read_scenario(SCENARIOS / 'loss_cost.yaml')
-    costs = [team.loss_cost for team in scenario.teams][place:]  # none is compared with itself
-    return {
-        key: {column: numbers(cell) for column, cell in row.items()}
-        for key, row in zip(
-            product(scenario.lethalities, costs), rows_of('loss_cost', place), strict=True
-        )
-    }
-
-
-def test_what_a_loss_cost_spares_and_leaves_unknown():
-    rows = loss_costs(0)
-    lost = {key: row['robots lost'][0] for key, row in rows.items()}
-    log_loss = {key: row['log loss'][0] for key, row in rows.items()}
-    assert (round(lost[0.1, 0.2]), round(lost[0.1, 0.0])) == (38, 65)
-    assert log_loss[0.1, 0.2] - log_loss[0.1, 0.0] == pytest.approx(2.2)
-    assert [round(lost[lethality, 0.8]) for lethality in (0.1, 0.3)] == [25, 22]
-    assert lost[0.5, 0.8] == 14.5
-    assert [round(log_loss[lethality, 0.8]) for lethality in (0.1, 0.3, 0.5)] == [31, 47, 61]
-    assert lost[0.1, 0.0] - lost[0.1, 0.05] == pytest.approx(10.7)
-    assert lost[0.5, 0.0] - lost[0.5, 0.05] == pytest.approx(1.1)
-
-
-def test_where_a_loss_cost_spares_robots_at_equal_log_loss():
-    rows = loss_costs(1)
-    difference = {key: row['difference'] for key, row in rows.items()}
-    assert len(difference) == 15
-    assert round(difference[0.5, 0.2][0]) == -10
-    assert [round(bound) for bound in difference[0.5, 0.2][1:]] == [-15, -3]
-    assert round(difference[0.5, 0.4][0]) == -9
-    assert round(difference[0.1, 0.4][0]) == -4
-    assert [round(bound) for bound in difference[0.1, 0.4][1:]] == [-7, -1]
-    assert [key for key, (*_, high) in difference.items() if high < 0] == [
-        (0.1, 0.4),
-        (0.5, 0.2),
-        (0.5, 0.4),
-    ]
-    assert all(low <= 0 for _, low, _ in difference.values())
-    for (lethality, cost), row in rows.items():
-        if lethality == 0.1 or cost >= 0.4:
-            assert row['robots sent'] > row['robots sent at 0']
 
 
 # The example
@@ -512,67 +304,6 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
         assert brought[name].convert('RGB').getpixel((800, 250)) == colour
 
 
-def test_what_it_is_worth_to_plan_for_information():
-    ends, by_robots = {}, {}
-    for row in rows_of('planners', 1):
-        key = float(row['lethality']), row['planner'].strip('`')
-        ends[key] = [numbers(row[column]) for column in ('100', 'lost', 'more lost')]
-        by_robots[key] = [numbers(row[robots]) for robots in ('10', '25')]
-    tours = ('coverage', 'shortest_unvisited')
-    for lethality, planner in product((0.1, 0.5, 0.9), ('random', *tours)):
-        (_, low, _), _, (more, _, _) = ends[lethality, planner]
-        assert low > 0
-        assert more > 0
-    for planner in tours:
-        assert all(low <= 0 <= high for _, low, high in by_robots[0.1, planner])
-    assert [round(ends[x, 'coverage'][0][0]) for x in (0.1, 0.5, 0.9)] == [2, 13, 22]
-    assert [round(ends[x, 'coverage'][2][0]) for x in (0.5, 0.9)] == [5, 13]
-    assert round(ends[0.1, 'shortest_unvisited'][0][0]) == 3
-    assert [round(ends[x, 'random'][0][0]) for x in (0.1, 0.5, 0.9)] == [34, 29, 25]
-    for lethality, expected in ((0.5, -4), (0.9, -9)):
-        less, _, high = ends[lethality, 'beam'][0]
-        assert round(less) == expected
-        assert high < 0
-    _, low, high = ends[0.1, 'beam'][0]
-    assert low <= 0 <= high
-    assert [round(ends[x, 'beam'][2][0]) for x in (0.1, 0.5, 0.9)] == [-3, -5, -5]
-
-
-def test_what_behavioral_entropies_change():
-    alphas, costs = ('alpha 0.5', 'alpha 0.8', 'alpha 1.25', 'alpha 2'), ('0.1', '0.4')
-    end, more, equal, early = {}, {}, {}, {}
-    for row in rows_of('behavioral', 1):
-        key = float(row['lethality']), row['objective'].removeprefix('information, loss cost ')
-        end[key], more[key] = numbers(row['100']), numbers(row['more lost'])
-        equal[key] = numbers(row['at equal log loss'])
-        early[key] = [numbers(row[robots])[2] for robots in ('10', '25', '50')]
-    lethalities = (0.1, 0.3, 0.5)
-    of_alphas = list(product(lethalities, alphas))
-    assert all(end[key][0] > 0 for key in of_alphas)
-    assert sum(end[key][1] > 0 for key in of_alphas) == 9
-    ahead = [key for key in of_alphas for high in early[key] if high < 0]
-    assert ahead == [(0.1, 'alpha 0.5')]
-    assert [round(more[x, 'alpha 2'][0]) for x in lethalities] == [-6, -12, -21]
-    assert [end[x, 'alpha 2'][0] for x in lethalities] == [4.5, 10.7, 16.7]
-    assert [round(more[x, '0.4'][0]) for x in lethalities] == [-30, -30, -33]
-    assert [end[x, '0.4'][0] for x in lethalities] == [3.1, 5.8, 9.9]
-    assert all(2 <= round(more[x, 'alpha 0.8'][0]) <= 3 for x in lethalities)
-    assert all(more[key][2] > 0 for key in product(lethalities, alphas[:2]))
-    assert all(equal[key][2] > 0 for key in of_alphas)
-    assert all(26 <= round(equal[x, 'alpha 2'][0]) <= 30 for x in lethalities)
-    fewer = [key for key in product(lethalities, costs) if equal[key][2] < 0]
-    assert fewer == [(0.1, '0.1')]
-    assert all(equal[key][1] < 0 for key in product(lethalities, costs))
-    targets = [
-        numbers(row['target log loss'])[0]
-        for end_of in ('loss cost 0, information', 'loss cost 0, alpha 2')
-        for row in rows_of('behavioral')
-        if row['method'].endswith(end_of)
-    ]
-    assert targets[:3] == [0.3, 1.8, 8.2]
-    assert [round(nats) for nats in targets[3:]] == [4, 11, 22]
-
-
 def test_what_it_costs_to_believe_that_hazards_stay():
     """Where they come and go, on the same evidence; no belief in the wrong kind does better."""
     each, differences = rows_of('changing_hazards', 1), rows_of('changing_hazards', 2)
@@ -606,16 +337,6 @@ def test_what_the_belief_in_used_up_hazards_is_worth():
         assert -10.0 < numbers(row['more lost'])[0] < numbers(row['more lost'])[2] < 0.0
 
 
-def test_what_last_contacts_are_worth():
-    rows = {(row['lethality'], row['contact']): row for row in rows_of('last_contact', 1)}
-    for lethality, few, many in (('0.1', 3.5, 4.3), ('0.5', 11.2, 19.1), ('0.9', 11.0, 16.2)):
-        early, late = (numbers(rows[lethality, '1'][robots]) for robots in ('25', '100'))
-        assert (early[0], late[0]) == (few, many)
-        assert early[1] > 0 < late[1]
-    some = [numbers(rows[lethality, '0.2']['100'])[0] for lethality in ('0.5', '0.9', '0.1')]
-    assert some == [6.3, 5.0, 0.7]
-
-
 def test_what_the_wrong_belief_costs_where_hazards_stay():
     text = (DOCS / 'results.md').read_text()
     rows = iter(numbers(row['log loss'])[0] for row in rows_of('static_hazards'))
@@ -637,65 +358,11 @@ def test_what_the_belief_in_clusters_is_worth(scenario, order):
     assert f'| {order} | {same} | {own} |' in (DOCS / 'results.md').read_text()
 
 
-def worth_of_maps():
-    """Return {(lethality, right, trusted): {robots: (mean, low, high)}}."""
-    return {
-        (row['lethality'], row['right'], row['trusted']): {
-            robots: numbers(row[robots]) for robots in ('0', '10', '25', '50', '100')
-        }
-        for row in rows_of('prior_maps', 1)
-    }
-
-
-def test_what_maps_known_beforehand_are_worth():
-    worth = worth_of_maps()
-    for lethality, quality, first, last in (
-        ('0.1', '0.9', 23.3, 9.6),
-        ('0.5', '0.9', 23.3, 15.8),
-        ('0.1', '0.7', 5.2, 2.0),
-        ('0.5', '0.7', 5.2, 4.2),
-    ):
-        row = worth[lethality, quality, quality]
-        assert (row['0'][0], row['100'][0]) == (first, last)
-        assert row['0'][1] > 0 < row['100'][1]
-    left = [numbers(row['log loss'])[0] for row in rows_of('prior_maps')[7:11]]
-    assert left == [31.8, 27.5, 15.9, 5.6]
-
-
-def test_what_maps_cost_that_are_trusted_too_much():
-    worth = worth_of_maps()
-    for key, first, last in (
-        (('0.1', '0.5', '0.9'), -34.6, -15.4),
-        (('0.5', '0.5', '0.9'), -34.6, -29.6),
-        (('0.1', '0.5', '0.7'), -4.6, -2.3),
-        (('0.5', '0.5', '0.7'), -4.6, -3.3),
-        (('0.1', '0.7', '0.9'), -5.3, -3.8),
-        (('0.5', '0.7', '0.9'), -5.3, -4.6),
-    ):
-        assert (worth[key]['0'][0], worth[key]['100'][0]) == (first, last)
-        assert worth[key]['100'][2] < 0
-
-
 def test_every_study_of_the_page_has_a_page_of_tables():
     linked = re.findall(r'\]\(tables/(\w+)\.md\)', (DOCS / 'results.md').read_text())
     assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
     for scenario in linked:
         assert '../results.md#' in (DOCS / f'tables/{scenario}.md').read_text()
-
-
-def test_what_a_second_base_is_worth():
-    low, high = rows_of('bases', 1)
-    assert numbers(low['value'])[0] == 2.5
-    assert numbers(high['value'])[0] == 1.8
-    assert numbers(low['fewer']) == (5.0, 1.3, 9.8)
-    assert numbers(high['fewer']) == (4.4, -0.9, 9.0)
-    assert numbers(low['sent from one'])[0] - numbers(low['sent from two'])[0] == 5.0
-    for lethality, lost, entropy in (('0.1', 0.8, 3.3), ('0.5', 1.6, 3.8)):
-        one, two = (row for row in rows_of('bases') if row['lethality'] == lethality)
-        for column, less in (('robots lost', lost), ('entropy', entropy)):
-            # Of differences of rounded numbers.
-            drop = numbers(one[column])[0] - numbers(two[column])[0]
-            assert abs(drop - less) <= 0.11
 
 
 def test_what_it_takes_to_declare_areas_free():
@@ -742,17 +409,6 @@ def test_what_a_goal_is_worth():
     assert (min(early)[0], max(early)[0]) == (0.12, 0.23)
     assert more['0.1', '50'][0] < 0 < more['0.1', '10'][1]
     assert max(abs(numbers(r['free'])[0] - numbers(r['believed'])[0]) for r in rows) <= 0.051
-
-
-def test_what_a_goal_is_worth_where_the_lethality_is_learnt():
-    text = (DOCS / 'results.md').read_text()
-    rows = rows_of('lanes_learning', 3)
-    by_strategy = {row['strategy']: rows[at:][:4] for at, row in enumerate(rows) if at % 4 == 0}
-    for four in by_strategy.values():
-        free = [row['free'].split()[0] for row in four]
-        assert f'{", ".join(free[:3])} and {free[3]}' in text
-    low = [numbers(row['more free'])[1] > 0 for row in by_strategy['goal lane']]
-    assert low == [True, True, True, False]
 
 
 def test_how_far_certificates_may_be_relied_on():
