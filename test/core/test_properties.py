@@ -119,17 +119,6 @@ def test_a_loss_never_makes_a_hazard_less_likely(belief, model, observation):
     assert (after.hazard >= belief.hazard - 1e-12).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('method', METHODS)
-@thorough
-@given(belief=beliefs(), model=models, observation=observations(survived=False))
-def test_a_loss_leaves_kappa_as_it_was(method, belief, model, observation):
-    before = Estimator(belief, model, method).belief
-    after = updated(belief, model, observation, method=method)
-    told = (before.hazard > 1e-9) & (after.hazard > 1e-9)
-    np.testing.assert_allclose(after.kappa[told], before.kappa[told], rtol=0, atol=1e-9)
-
-
 @thorough
 @given(beliefs(kappa=False), models, observations(survived=True))
 def test_a_return_never_makes_a_hazard_more_likely_when_targets_tell_nothing(belief, model, seen):
@@ -151,22 +140,6 @@ def test_a_positive_reading_never_makes_a_target_less_likely_than_a_negative(
     positive = updated(belief, model, Observation(path, True, other))
     cell = path[step + 1]
     assert positive.target[cell] >= negative.target[cell] - 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('method', METHODS)
-@thorough
-@given(
-    belief=beliefs(),
-    model=models,
-    returned=st.lists(observations(survived=True), min_size=2, max_size=4),
-    data=st.data(),
-)
-def test_the_order_of_returned_robots_does_not_matter(method, belief, model, returned, data):
-    shuffled = data.draw(st.permutations(returned))
-    one = updated(belief, model, *returned, method=method)
-    other = updated(belief, model, *shuffled, method=method)
-    np.testing.assert_allclose(one.joint, other.joint, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

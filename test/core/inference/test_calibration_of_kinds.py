@@ -45,8 +45,8 @@ class Kind:
 
 KINDS = {
     'heard': Kind(contact=0.9, unknowns=LETHALITY),
-    'changing': Kind(dynamics=CHANGING),
-    'used_up': Kind(dynamics=Dynamics('used_up'), contact=0.5),
+    'changing': Kind('kappa_bnitp', dynamics=CHANGING),
+    'used_up': Kind('kappa_bnitp', contact=0.5, dynamics=Dynamics('used_up')),
     'clustered': Kind(unknowns=LETHALITY, clustering=Clustering(FIELD, 'learn')),
 }
 

@@ -128,17 +128,6 @@ def without_kappa(joint):
     return hazard[:, :, None] * target[:, None, :]
 
 
-@for_each('method', ['kappa_bnitp', 'relaxed_itp'])
-@for_each('seed', range(100))
-def test_multi_universe_averaging_gives_the_exact_hazard(seed, method):
-    joint, model, observation = deployments(2 * seed + 1, most_cells=6, most_steps=10)
-    after = update(Belief(joint), model, observation, method)
-    if not observation.survived:
-        hazard = joint[:, 1].sum(axis=1)
-        expected = brute_force.multi_universe_hazard(hazard, model, observation.path)
-        np.testing.assert_allclose(after.hazard, expected, rtol=0, atol=1e-12)
-
-
 @for_each(
     'relaxed, correlated',
     [
@@ -182,17 +171,6 @@ def test_rare_hazards_of_a_perfect_robot_are_told_apart(hazard):
     expected = brute_force.posterior(belief.joint, model, ([0, 1, 2, 0], None))
     np.testing.assert_allclose(after.hazard, expected[:, 1].sum(axis=1), rtol=1e-9)
     np.testing.assert_allclose(after.hazard, [0, 1 / 3, 2 / 3], atol=2 * hazard)
-
-
-def test_long_paths_neither_underflow_nor_overflow():
-    rng = np.random.default_rng(0)
-    belief = Belief(brute_force.random_joint(rng, 9, 4))
-    path = brute_force.random_path(rng, 3, 3, 4, 5000)
-    model = SensorModel(0.5)
-    for observation in (Observation(path, False), Observation(path, True, rng.random(5000) < 0.5)):
-        for method in ONE_PASS:
-            after = update(belief, model, observation, method).joint
-            np.testing.assert_allclose(after.sum(axis=(1, 2)), 1, atol=1e-12)
 
 
 IMPOSSIBLE_LOSSES = [
@@ -290,13 +268,6 @@ def test_a_deployment_impossible_only_after_an_earlier_one_is_refused():
     with pytest.raises(ValueError, match='impossible'):
         estimator.assimilate(Observation([0, 1, 0], True, [True, False]))
     assert estimator.belief.joint.tobytes() == before
-
-
-@for_each('method', METHODS)
-def test_a_path_out_of_the_field_is_refused(method):
-    estimator = Estimator(Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8), SensorModel(0.5), method)
-    with pytest.raises(ValueError, match='path has the cell 9: the belief has the cells 0 to 8'):
-        estimator.assimilate(Observation([0, 9, 0], False))
 
 
 def test_versions_are_known():

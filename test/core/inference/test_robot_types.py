@@ -7,7 +7,6 @@ from kbnitp_ros.core import (
     Estimator,
     METHODS,
     Observation,
-    ORDINARY,
     RobotType,
     SensorModel,
     Unknowns,
@@ -79,20 +78,6 @@ def enumerated(joint, model, seen):
     for state, share in zip(states, weight):
         after[range(len(joint)), state[:, 0], state[:, 1]] += share
     return after
-
-
-@for_each('method', METHODS)
-@for_each('seed', range(5))
-def test_a_robot_type_is_its_model(seed, method):
-    """A mission of one type is, bit for bit, that of robots all like it."""
-    joint, model, seen = random_robots(seed, 6)
-    robot_type = random_robot_type(np.random.default_rng(seed))
-    of_type = assimilated(joint, model, [(robot_type, *each) for _, *each in seen], method)
-    alike = [(ORDINARY, *each) for _, *each in seen]
-    assert (
-        of_type.belief.joint.tobytes()
-        == assimilated(joint, robot_type.model(model), alike, method).belief.joint.tobytes()
-    )
 
 
 @pytest.mark.slow

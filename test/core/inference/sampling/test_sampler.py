@@ -391,21 +391,6 @@ def test_the_model_to_plan_with_survives_and_reads_as_expected():
     assert estimator.model.survival(1) == pytest.approx(expected, abs=0.02)
 
 
-def test_a_copy_goes_on_by_itself():
-    observations = mission_of_25(0, SensorModel(0.5))
-    unknowns = Unknowns(**EVERYTHING)
-    estimator = assimilated(ENTROPIC, SensorModel(0.5), observations[:5], unknowns)
-    other = estimator.copy()
-    bits = estimator.belief.joint.tobytes()
-    for observation in observations[5:8]:
-        other.assimilate(observation)
-    assert estimator.belief.joint.tobytes() == bits
-    for observation in observations[5:8]:
-        estimator.assimilate(observation)
-    assert estimator.belief.joint.tobytes() == other.belief.joint.tobytes()
-    assert estimator.model == other.model
-
-
 def test_the_seed_decides():
     observations = mission_of_25(0, SensorModel(0.5))[:6]
     beliefs = [
