@@ -36,7 +36,7 @@ results: build
 	  static_hazards changing_hazards used_up_hazards blobs rows scattered \
 	  lanes lanes_learning certificates certificates_learning certificates_clustered areas; do \
 	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \
-	done && python3 -m kbnitp_ros.study.page runs/study docs
+	done && python3 tools/results_page.py runs/study docs
 
 # What docs/performance.md shows; on a machine that does nothing else.
 benchmarks: build .venv/.benchmarks

@@ -18,8 +18,7 @@ from kbnitp_ros.study import benchmark
 from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import read_scenario
-from kbnitp_ros.study.shipped import scenario_file, shipped
+from kbnitp_ros.study.scenario import read_scenario, scenario_file, shipped
 from kbnitp_ros.study.trial import run_trial, trials_of
 from kbnitp_ros.study.workers import BACKENDS, workers
 from tqdm import tqdm

@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pickle import PicklingError
-from typing import Any
+from typing import Any, NamedTuple
 
+from kbnitp_ros.core import METHODS, PLANNERS
 from kbnitp_ros.files import read_yaml
-from kbnitp_ros.study.own import by_name, Given, Own
+from kbnitp_ros.plugins import name_of
 from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import Scenario, scenario_of
-from kbnitp_ros.study.shipped import scenario_file
+from kbnitp_ros.study.scenario import Scenario, scenario_file, scenario_of
 from kbnitp_ros.study.trial import MissionResult, run_trial, Trial, trials_of
 from kbnitp_ros.study.workers import workers as worker_processes
 from tqdm import tqdm
+
+Given = Iterable[str | Callable[..., Any]] | Mapping[str, Callable[..., Any]]
 
 
 def compare(
@@ -96,3 +99,34 @@ def run_own(own: Own, scenario: Scenario, trial: Trial) -> MissionResult:
 def callables(named: Mapping[str, Any]) -> dict[str, Any]:
     """Return those that are no names of a registry."""
     return {name: each for name, each in named.items() if not isinstance(each, str)}
+
+
+class Own(NamedTuple):
+    """What a study is handed, by name."""
+
+    # As entries of `PLANNERS`.
+    planners: Mapping[str, Callable[..., Any]]
+    # As entries of `METHODS`.
+    methods: Mapping[str, Callable[..., Any]]
+
+    @contextmanager
+    def known(self) -> Iterator[None]:
+        """Have the registries know these by their names until the ``with`` statement is left."""
+        with PLANNERS.including(self.planners), METHODS.including(self.methods):
+            yield
+
+
+def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
+    """Return what is to be compared, of a kind told in a word, by the names that tables have."""
+    if isinstance(given, Mapping):
+        return dict(given)
+    named: dict[str, str | Callable[..., Any]] = {}
+    for each in given:
+        name = name_of(each).rpartition('.')[-1]
+        if name in named or not name.isidentifier():
+            reason = 'it has no name' if name not in named else 'two have this name'
+            raise ValueError(
+                f'{kind} {name!r}: {reason}; name them, as in {kind}s={{"mine": ...}}'
+            )
+        named[name] = each
+    return named

@@ -13,7 +13,6 @@ from itertools import product
 from operator import attrgetter
 from typing import Any
 
-from kbnitp_ros.study.bases import base_rows
 from kbnitp_ros.study.decisions import (
     area_rows,
     asks_for,
@@ -24,7 +23,7 @@ from kbnitp_ros.study.decisions import (
 )
 from kbnitp_ros.study.goals import DECLARED
 from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
-from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, equal_rows
+from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, base_rows, equal_rows
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import (
     differ_only_in,

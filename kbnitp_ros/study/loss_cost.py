@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 
 from kbnitp_ros.figures import Style
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # What is compared where two missions know as much.
-EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference')
+EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference', 'fewer')
 
 
 def trade(
@@ -45,31 +45,24 @@ def at_equal_log_loss(
     # From the last robot back, so that the first of several with the same log loss is taken.
     sent = [np.interp(level, low[::-1], np.arange(low.size)[::-1]) for low in lowest]
     lost = [np.interp(n, np.arange(of.size), of) for n, (of, _) in zip(sent, (least, this))]
-    return np.array([level, *sent, *lost, lost[1] - lost[0]])
+    return np.array([level, *sent, *lost, lost[1] - lost[0], sent[0] - sent[1]])
 
 
-def compare(
-    least: NDArray[np.float64],
-    this: NDArray[np.float64],
-    *,
-    at_equal: Callable[..., NDArray[np.float64]] = at_equal_log_loss,
-) -> Mean:
-    """
-    Compare the mean missions of two sets of trials, paired by their worlds.
-
-    Both are of shape (trials, 2, robots + 1), as `trade` gives them.
-    """
-    resampled = [at_equal(*means) for means in zip(resampled_means(least), resampled_means(this))]
-    found = at_equal(least.mean(axis=0), this.mean(axis=0))
-    return interval(found, np.reshape(resampled, (-1, found.size)))
+def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> dict[str, Mean]:
+    """Compare the mean missions of two sets of trials, paired by their worlds, by `EQUAL`."""
+    resampled = [
+        at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))
+    ]
+    found = at_equal_log_loss(least.mean(axis=0), this.mean(axis=0))
+    compared = interval(found, np.reshape(resampled, (-1, found.size)))
+    return {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
 
 
 def at_equal_log_loss_more(
     results: Results, lethality: float | None, method: str, least: Strategy, this: Strategy
 ) -> Mean:
     """Return how many more robots a strategy has lost at equal log loss."""
-    equal = compare(*(trade(results, lethality, method, of) for of in (least, this)))
-    return Mean(*(values[-1] for values in equal))
+    return compare(*(trade(results, lethality, method, of) for of in (least, this)))['difference']
 
 
 def equal_rows(results: Results) -> Iterator[Row]:
@@ -77,9 +70,30 @@ def equal_rows(results: Results) -> Iterator[Row]:
     scenario = results.scenario
     least, *others = sorted(scenario.teams, key=lambda team: team.loss_cost)
     for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
-        compared = compare(*(trade(results, lethality, method, of) for of in (least, team)))
-        measured = {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
+        measured = compare(*(trade(results, lethality, method, of) for of in (least, team)))
+        del measured['fewer']
         yield {'lethality': lethality, 'method': method, **vars(team), **measured}
+
+
+def base_rows(results: Results) -> Iterator[Row]:
+    """Yield by how much each second base lowers the log loss, and the robots at equal log loss."""
+    scenario = results.scenario
+    one, *others = sorted(scenario.teams, key=lambda team: team.second_base)
+    for lethality, method, two in product(scenario.lethalities, scenario.methods, others):
+        missions = [trade(results, lethality, method, team) for team in (one, two)]
+        equal = compare(*missions)
+        yield {
+            'lethality': lethality,
+            'method': method,
+            **vars(two),
+            'value': mean_of(missions[0][:, 1, -1] - missions[1][:, 1, -1]),
+            'log_loss': equal['log_loss'],
+            'sent_from_one': equal['sent_at_least'],
+            'sent': equal['sent'],
+            'lost_from_one': equal['lost_at_least'],
+            'lost': equal['lost'],
+            'fewer': equal['fewer'],
+        }
 
 
 def loss_cost_chart(results: Results) -> Figure:

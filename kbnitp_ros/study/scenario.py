@@ -34,7 +34,7 @@ from kbnitp_ros.core import (
     team_size,
     Unknowns,
 )
-from kbnitp_ros.files import read_yaml
+from kbnitp_ros.files import read_yaml, share
 from kbnitp_ros.study.goals import Asked, SAFEST_LANE
 import numpy as np
 
@@ -533,3 +533,17 @@ def _read_section(annotation: Any, content: Any, key: str) -> Any:
     return annotation(
         **{k: _read(annotations[k], value, f'{inside}{k}') for k, value in content.items()}
     )
+
+
+def shipped() -> list[str]:
+    """Return the names of the scenarios that come with the package."""
+    return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
+
+
+def scenario_file(name: str) -> Path:
+    """Return the path of a scenario: a file, or one shipped with the package."""
+    if name in shipped():
+        return share('scenarios') / f'{name}.yaml'
+    if not Path(name).is_file():
+        raise ValueError(f'scenario {name} is no file, and none of {", ".join(shipped())}')
+    return Path(name)

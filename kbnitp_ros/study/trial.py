@@ -19,9 +19,8 @@ from kbnitp_ros.core import (
     Truth,
 )
 from kbnitp_ros.study.goals import measured_for, OF_GOALS
-from kbnitp_ros.study.layout import world_of
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario, Strategy
-from kbnitp_ros.study.survey import surveyed
+from kbnitp_ros.study.worlds import surveyed, world_of
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

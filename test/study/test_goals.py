@@ -11,8 +11,7 @@ from kbnitp_ros.study.comparison import AREAS, CERTIFICATES, COMPARISONS, LANES
 from kbnitp_ros.study.goals import Asked, DECLARED, OF_GOALS, SafestLane
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import read_scenario, scenario_of, Strategy
-from kbnitp_ros.study.shipped import scenario_file
+from kbnitp_ros.study.scenario import read_scenario, scenario_file, scenario_of, Strategy
 from kbnitp_ros.study.trial import measures_of, run_trial, Trial, trials_of
 import numpy as np
 import pytest

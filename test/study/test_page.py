@@ -5,9 +5,10 @@ from itertools import product
 from math import prod
 from pathlib import Path
 import re
+import subprocess
+import sys
 
 from kbnitp_ros.core import log_loss, World
-from kbnitp_ros.study import page
 from kbnitp_ros.study.scenario import in_short, read_scenario, SAMPLED, team_labels
 from laws import for_each
 import numpy as np
@@ -278,6 +279,7 @@ def test_a_long_path_has_no_cell_that_a_loss_makes_look_dangerous():
     assert max(after) < 0.5
 
 
+@pytest.mark.processes
 def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_path):
     runs, docs = tmp_path / 'runs', tmp_path / 'docs'
     (runs / 'paper').mkdir(parents=True)
@@ -294,7 +296,7 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
     (docs / 'tables').mkdir()
     before = 'Words\n<!-- table -->\nold\nold\n<!-- end -->\nWords\n'
     (docs / 'tables/paper.md').write_text(before)
-    page.main(runs, docs)
+    subprocess.run([sys.executable, DOCS.parent / 'tools/results_page.py', runs, docs], check=True)
     assert (docs / 'results.md').read_text() == shown
     assert (docs / 'tables/paper.md').read_text() == before.replace('old\nold\n', 'new\n')
     brought = {path.name: Image.open(path) for path in (docs / 'images').iterdir()}

@@ -1,8 +1,9 @@
+#!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """
 Bring the figures and tables of studies into the documentation.
 
-``python3 -m kbnitp_ros.study.page RUNS DOCS`` takes them from RUNS/<scenario>/, puts the tables
+``python3 tools/results_page.py RUNS DOCS`` takes them from RUNS/<scenario>/, puts the tables
 between their marks in DOCS/tables/<scenario>.md, and of the figures those that DOCS/results.md
 shows into DOCS/images/, as <scenario>_<figure>.png.
 """

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds whose hazards lie independently, in blobs or in rows."""
+"""Worlds of trials, with hazards apart, in blobs or in rows; and maps known beforehand."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kbnitp_ros.core import Grid, World
-from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.core import Belief, Grid, World
+from kbnitp_ros.study.scenario import Scenario, Strategy
 import numpy as np
 from numpy.typing import NDArray
 
 # Key of the generators of layouts, which no world and no robot has.
 LAID_OUT = 0x4C41594F
+
+# Key of the generators of maps, which no world and no robot has.
+MAPPED = 0x4D415053
 
 # How far neighbours of a blob reach, in cells: the standard deviation of a Gaussian kernel.
 REACH = 1.0
@@ -59,3 +62,15 @@ def rows(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
                 hazard[row, column] = True
             row, column = row + up, column + along
     return hazard.ravel()
+
+
+def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int) -> Belief:
+    """Return the prior given the map that a team has of a world."""
+    if not team.survey:
+        return prior
+    drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)
+    mapped = world.hazard ^ (drawn >= team.survey)
+    trusted = team.trusted or team.survey
+    likelihood = np.where(mapped[:, None] == [False, True], trusted, 1.0 - trusted)
+    joint = prior.joint * likelihood[:, :, None]
+    return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
