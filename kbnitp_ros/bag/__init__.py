@@ -5,6 +5,7 @@ from kbnitp_ros.bag.errors import LogError, same_types
 from kbnitp_ros.bag.lock import LogLock
 from kbnitp_ros.bag.log_files import check_is_new, parts_of
 from kbnitp_ros.bag.reader import (
+    check_readable,
     is_finished,
     log_size,
     LoggedMessage,
@@ -15,7 +16,6 @@ from kbnitp_ros.bag.reader import (
 )
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.schema import check_installed, qos_profiles_yaml
-from kbnitp_ros.bag.text_check import check_texts
 from kbnitp_ros.bag.writer import LogWriter, MAX_MESSAGE
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     'Recorded',
     'check_installed',
     'check_is_new',
-    'check_texts',
+    'check_readable',
     'is_finished',
     'log_size',
     'metadata_of_part',

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import accumulate
 import os
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from kbnitp_ros.bag.errors import LogError
 from kbnitp_ros.bag.log_files import parts_of
+from kbnitp_ros.bag.schema import describe, ENCODING
 from kbnitp_ros.files import in_words
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
@@ -312,3 +314,21 @@ class Decoders:
             f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
             f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
         )
+
+
+@cache
+def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
+    """Return the decoder of an installed message type."""
+    schema = Schema(1, describe(type_name).definition.encode(), ENCODING, type_name)
+    decoder = DecoderFactory().decoder_for('cdr', schema)
+    assert decoder is not None
+    return decoder
+
+
+def check_readable(type_name: str, data: bytes) -> None:
+    """Raise a ValueError if readers of a log cannot decode a message that rclpy can."""
+    # rclpy replaces what is no UTF-8, and fills in what is missing at the end.
+    try:
+        installed_decoder(type_name)(data)
+    except (UnicodeDecodeError, struct.error) as error:
+        raise ValueError(f'readers of logs cannot decode it: {error}') from error

@@ -6,39 +6,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from threading import Thread
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 T = TypeVar('T')
 
 
-class Computation(Generic[T]):
-    """
-    Something that takes long, in a thread of its own.
+def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Future[T]:
+    """Return the future of a computation in a thread, which calls `when_over` at its end."""
+    future: Future[T] = Future()
+    future.add_done_callback(lambda _: when_over())
 
-    Compiled kernels leave Python's lock to others, and no computation can be interrupted: one that
-    is not wanted any more runs to its end, and nothing comes of it. `when_over` is called in that
-    thread.
-    """
-
-    def __init__(self, compute: Callable[[], T], when_over: Callable[[], object]) -> None:
-        self._compute = compute
-        self._when_over = when_over
-        self._result: Future[T] = Future()
-        # A process that ends does not wait for it.
-        Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
+    def run() -> None:
         try:
-            self._result.set_result(self._compute())
+            future.set_result(compute())
         except BaseException as error:
-            self._result.set_exception(error)
-        self._when_over()
+            future.set_exception(error)
 
-    @property
-    def is_over(self) -> bool:
-        """Return whether there is a result, or an error."""
-        return self._result.done()
-
-    def result(self) -> T:
-        """Return the result, once it is over; raises what the computation raised."""
-        return self._result.result()
+    # A process that ends waits for the threads of a pool, but not for this one.
+    Thread(target=run, daemon=True).start()
+    return future

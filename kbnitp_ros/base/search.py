@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from concurrent.futures import Future
 from typing import NamedTuple
 
-from kbnitp_ros.base.computation import Computation
 from kbnitp_ros.base.rounds import PlannedRound
 
 
@@ -32,18 +31,8 @@ class SearchRequest(NamedTuple):
         )
 
 
-class Search(Computation[PlannedRound]):
-    """
-    A search for the paths of the next round.
+class Search(NamedTuple):
+    """A search for the paths of the next round."""
 
-    `when_over` is called in its thread.
-    """
-
-    def __init__(
-        self,
-        find: Callable[[], PlannedRound],
-        request: SearchRequest,
-        when_over: Callable[[], object],
-    ) -> None:
-        self.request = request
-        super().__init__(find, when_over)
+    request: SearchRequest
+    found: Future[PlannedRound]

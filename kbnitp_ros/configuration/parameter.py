@@ -98,8 +98,7 @@ class Parameter:
         if self.element is None and isinstance(self.default, str):
             return self.check(text)
         try:
-            # To YAML, 1e-3 is a text.
-            value = float(text) if type(self.default) is float else parse_yaml(text)
+            value = parse_yaml(text)
         except ValueError:
             value = text
         return self.check(value)

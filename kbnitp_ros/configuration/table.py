@@ -14,7 +14,6 @@ from kbnitp_ros.core import (
     PLANNERS,
     STRONGEST,
 )
-from kbnitp_ros.messages.sizes import MOST_DEPLOYMENTS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
 FIELD = ('planner', 'agent', 'estimator')
@@ -22,7 +21,7 @@ SENSING = ('agent', 'estimator')
 GRID = (*FIELD, 'robot')
 
 PROBABILITY = (0.0, 1.0)
-MOST_ROBOTS = MOST_DEPLOYMENTS
+MOST_ROBOTS = 20_000
 MOST_STEPS = 10_000
 LONGEST_SIDE = 1000
 MOST_AGENTS = 100

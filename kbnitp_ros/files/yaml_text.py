@@ -1,45 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Read YAML that may be corrupt or hostile.
-
-A few hundred bytes of YAML can stand for any number of values, by aliases of aliases, and deep
-nesting exhausts the stack of libyaml. So a text is read twice: first event by event, which keeps
-nothing, and as a whole only if it is within bounds.
-"""
+"""Read YAML with PyYAML, with the numbers of ROS, and refuse keys that stand twice."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
+import re
 from typing import Any
 
-from kbnitp_ros.files.regular import open_file
 from kbnitp_ros.files.words import naming
 import yaml
 
-# Bytes of a file. Two pictures of a world of 1000x1000 cells have 2 million.
-MOST_BYTES = 2**24
-
-# Values, an alias counted as what it stands for. The QoS of 5000 publishers have 100,000.
-MOST_VALUES = 250_000
-
-# Lists and mappings in each other.
-DEEPEST = 100
-
-# Characters of a value without quotes: the time that a number takes grows with their square.
-LONGEST = 10_000
-
 
 class Loader(yaml.CSafeLoader):
-    """Makes the types of YAML 1.1, and lists of the tuples in the parameter files of launch."""
+    """The types of YAML 1.1, numbers such as 1e-3, and lists for the tuples of launch files."""
 
 
-def as_list(loader: Loader, node: yaml.SequenceNode) -> list[Any]:
-    """Return what a sequence holds."""
-    return loader.construct_sequence(node, deep=True)
-
-
-Loader.add_constructor('tag:yaml.org,2002:python/tuple', as_list)
+Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+    list('-+.0123456789'),
+)
+Loader.add_constructor(  # type: ignore[type-var]
+    'tag:yaml.org,2002:python/tuple', Loader.construct_yaml_seq
+)
 
 
 class NotYamlError(ValueError):
@@ -55,107 +38,44 @@ class KeyTwiceError(ValueError):
 
 
 def read_yaml(path: str | Path) -> Any:
-    """
-    Return what stands in a YAML file, as `parse_yaml`.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read, or is no file.
-    ValueError
-        As `parse_yaml`; also if it is too large.
-
-    """
-    with naming(path), open_file(path) as file:
-        text = file.read(MOST_BYTES + 1)
-    if len(text) > MOST_BYTES:
-        raise ValueError(f'it has more than {MOST_BYTES} bytes')
-    return parse_yaml(text)
+    """Return the content of a YAML file; raise OSError or as `parse_yaml`."""
+    with naming(path):
+        return parse_yaml(Path(path).read_bytes())
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """
-    Return what a YAML text says, in the types of YAML 1.1.
-
-    Raises
-    ------
-    NotYamlError
-        If it is not YAML.
-    KeyTwiceError
-        If a key stands twice in a mapping; names the lines.
-    ValueError
-        If the text stands for too much; names the line.
-
-    """
+    """Return the content of a YAML text; raise NotYamlError or KeyTwiceError."""
     try:
-        check(text)
-    except yaml.YAMLError as error:
-        raise not_yaml(error) from error
-    try:
-        return yaml.load(text, Loader=Loader)
+        loader = Loader(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            check_keys(node, set())
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
+    except KeyTwiceError:
+        raise
     except Exception as error:
         # PyYAML fails in many ways on a value that does not fit its tag.
-        raise not_yaml(error) from error
+        raise NotYamlError(f'it is not YAML: {" ".join(str(error).split())}') from error
 
 
-def not_yaml(error: object) -> NotYamlError:
-    """Return the error for a text that PyYAML refuses."""
-    return NotYamlError(f'it is not YAML: {" ".join(str(error).split())}')
-
-
-@dataclass
-class Collection:
-    """A list or mapping that has not ended yet."""
-
-    # What aliases call it.
-    anchor: str | None = None
-    # How many values the text has up to it.
-    before: int = 0
-    # Whether it has keys.
-    is_mapping: bool = False
-    # How many of its elements, or keys and values, have begun.
-    parts: int = 0
-    # The lines of its keys, those which are collections or aliases left out.
-    keys: dict[str, int] = field(default_factory=dict)
-
-    def begin(self, event: yaml.NodeEvent, line: int) -> None:
-        """Begin another part; refuse a key that was there already."""
-        if self.is_mapping and self.parts % 2 == 0 and isinstance(event, yaml.ScalarEvent):
-            key = event.value
-            if key in self.keys:
-                raise KeyTwiceError(key, line, self.keys[key])
-            self.keys[key] = line
-        self.parts += 1
-
-
-def check(text: str | bytes) -> None:
-    """Refuse a text that has a key twice or stands for too much."""
-    values = 0
-    # By anchor; what has none is never asked for.
-    sizes: dict[str | None, int] = {}
-    opened = [Collection()]
-    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
-        line = event.start_mark.line + 1 if event.start_mark else 0
-        if isinstance(event, yaml.CollectionEndEvent):
-            ended = opened.pop()
-            sizes[ended.anchor] = values - ended.before
-        elif isinstance(event, yaml.NodeEvent):
-            opened[-1].begin(event, line)
-            if isinstance(event, yaml.AliasEvent):
-                if event.anchor not in sizes:
-                    raise not_yaml(f'line {line} has an alias of nothing before it')
-                values += sizes[event.anchor]
-            elif isinstance(event, yaml.ScalarEvent):
-                values += 1
-                sizes[event.anchor] = 1
-                is_text = event.implicit[1]
-                if not is_text and len(event.value) > LONGEST:
-                    raise ValueError(f'line {line} has a value of more than {LONGEST} characters')
-            else:
-                is_mapping = isinstance(event, yaml.MappingStartEvent)
-                opened.append(Collection(event.anchor, values, is_mapping))
-                values += 1
-        if values > MOST_VALUES:
-            raise ValueError(f'it stands for more than {MOST_VALUES} values, aliases written out')
-        if len(opened) > DEEPEST:
-            raise ValueError(f'line {line} is nested more than {DEEPEST} deep')
+def check_keys(node: yaml.Node, seen: set[int]) -> None:
+    """Raise KeyTwiceError for a mapping with a key twice; aliases lead to nodes seen before."""
+    if id(node) in seen or isinstance(node, yaml.ScalarNode):
+        return
+    seen.add(id(node))
+    lines: dict[str, int] = {}
+    for child in node.value:
+        if isinstance(node, yaml.MappingNode):
+            key, value = child
+            check_keys(key, seen)
+            if isinstance(key, yaml.ScalarNode):
+                line = key.start_mark.line + 1
+                if key.value in lines:
+                    raise KeyTwiceError(key.value, line, lines[key.value])
+                lines[key.value] = line
+            child = value
+        check_keys(child, seen)

@@ -44,10 +44,6 @@ if TYPE_CHECKING:
 
 TYPES = (BELIEF, DECISION, GRID, MODEL, PATH, PROGRESS, REPORT)
 
-# Of all beliefs on record, which are held as joints and as maps.
-MOST_BYTES = 4 * 2**30
-BYTES_PER_CELL = (4 + 3) * 8
-
 
 @dataclass(frozen=True, eq=False)
 class HeardBelief:
@@ -169,12 +165,6 @@ def take_belief(history: History, logged: LoggedMessage) -> None:
         raise ValueError(f'there are beliefs on {history.topic} too: a log holds one mission')
     if snapshot.grid != history.grid:
         raise ValueError(f'it is on {snapshot.grid}, and the first on {history.grid}')
-    needed = (len(history.heard) + 1) * history.grid.cells * BYTES_PER_CELL
-    if needed > MOST_BYTES:
-        raise ValueError(
-            f'beliefs in {history.grid.cells} cells would take {needed / 2**30:.1f} GiB up to '
-            f'here: at most {MOST_BYTES / 2**30:.0f} GiB are read'
-        )
     history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
     history.evidence.allow(snapshot.max_steps, snapshot.robot_types)
 

@@ -3,14 +3,13 @@
 
 from kbnitp_ros.maps.datum import Datum
 from kbnitp_ros.maps.errors import MapError
-from kbnitp_ros.maps.files import MOST_PIXELS, read_map
+from kbnitp_ros.maps.files import read_map
 from kbnitp_ros.maps.occupancy import Map
 from kbnitp_ros.maps.picture import read_site, Site
 from kbnitp_ros.maps.prior import read_probabilities
 from kbnitp_ros.maps.writing import levels_of, write_probabilities
 
 __all__ = [
-    'MOST_PIXELS',
     'Datum',
     'Map',
     'MapError',

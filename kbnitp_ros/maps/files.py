@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.files import open_file, read_yaml
+from kbnitp_ros.files import read_yaml
 from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.occupancy import Map, OCCUPIED, UNKNOWN
 import numpy as np
@@ -27,9 +27,6 @@ from PIL import Image, UnidentifiedImageError
 FORMATS = ('PPM', 'PNG', 'BMP')
 
 MODES = ('trinary', 'scale', 'raw')
-
-# 350 m x 350 m at 5 cm. Each pixel takes up to 30 bytes while it is read.
-MOST_PIXELS = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -159,22 +156,15 @@ def read_map_file(path: Path) -> MapFile:
 def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return the grey values of an image and its opaque pixels, bottom row first."""
     try:
-        with open_file(path) as file, Image.open(file, formats=FORMATS) as image:
-            columns, rows = image.size
-            if columns * rows > MOST_PIXELS:
-                raise MapError(
-                    f'{path} has {columns} x {rows} pixels: at most {MOST_PIXELS} can be read'
-                )
+        with Image.open(path, formats=FORMATS) as image:
             image.load()
-            opaque = np.ones((rows, columns), dtype=bool)
+            opaque = np.ones((image.height, image.width), dtype=bool)
             if image.has_transparency_data:
                 opaque = np.asarray(image.convert('RGBA').getchannel('A')) == 255
             gray = gray_values(image)
     except UnidentifiedImageError as error:
         raise MapError(f'{path} is no image in PGM, PNG or BMP, or it is corrupt') from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, MapError):
-            raise
         reason = getattr(error, 'strerror', None) or error
         raise MapError(f'image {path} cannot be read: {reason}') from error
     return gray[::-1], opaque[::-1]

@@ -5,15 +5,12 @@ from __future__ import annotations
 
 from math import remainder, tau
 from pathlib import Path
-from typing import BinaryIO
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.files import open_file
 from kbnitp_ros.maps.errors import MapError
-from kbnitp_ros.maps.files import darkness, MOST_PIXELS, read_image, read_map_file, scaled
+from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
 from kbnitp_ros.maps.overlap import ON_THE_EDGE, shares
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 
@@ -99,10 +96,11 @@ def read_probabilities(
 def read_array(path: Path) -> NDArray[np.float64]:
     """Return the probabilities of a .npy file."""
     try:
-        with open_file(path) as file:
-            check_header(file)
-            file.seek(0)
-            array = np.load(file, allow_pickle=False)
+        array = np.load(path, allow_pickle=False)
+        if array.ndim != 2 or not array.size or array.dtype.kind not in 'fiu':
+            raise ValueError(
+                f'it has shape {array.shape} of {array.dtype}: it must have rows and columns'
+            )
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
     except (ValueError, EOFError) as error:
@@ -116,17 +114,3 @@ def read_array(path: Path) -> NDArray[np.float64]:
             'a probability must be from 0 to 1'
         )
     return values
-
-
-def check_header(file: BinaryIO) -> None:
-    """Check what the header of a .npy file says, before memory is allocated for that."""
-    version = npy.read_magic(file)  # type: ignore[no-untyped-call]
-    # The header of a later version may have any length; arrays of numbers need none.
-    if version != (1, 0):
-        raise ValueError(f'its format has version {version}: it must be (1, 0)')
-    shape, _, dtype = npy.read_array_header_1_0(file)  # type: ignore[no-untyped-call]
-    if len(shape) != 2 or min(shape) < 1 or dtype.kind not in 'fiu':
-        raise ValueError(f'it has shape {shape} of {dtype}: it must have rows and columns')
-    rows, columns = shape
-    if rows * columns > MOST_PIXELS:
-        raise ValueError(f'it has {rows} x {columns} values: at most {MOST_PIXELS} can be read')

@@ -7,7 +7,6 @@ from math import isnan, nan
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.sizes import PROGRESS_SIZE
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 
@@ -20,7 +19,7 @@ class BoundedProgress:
         self._heard: Progress | None = None
         # The belief planned on, by its stamp, and the bound.
         self._bound = -1, nan
-        node.hear(Progress, 'progress', self._on_progress, qos.LATCHED, PROGRESS_SIZE)
+        node.hear(Progress, 'progress', self._on_progress, qos.LATCHED)
 
     def show(self, stamp: int, upper_bound: float) -> None:
         """Take note of the bound of paths, in nats, given the belief of a stamp."""

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent import futures
 from contextlib import suppress
 from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.bag import read_log, same_types
-from kbnitp_ros.base.computation import Computation
+from kbnitp_ros.base.computation import computed
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.configuration import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
@@ -56,8 +57,8 @@ class Decisions:
         # evidence, the decision is that was begun last.
         self._news = 0
         self._begun_with = 0, 0
-        self._deciding: Computation[Decision | None] | None = None
-        self._finding: Computation[SafestPath] | None = None
+        self._deciding: futures.Future[Decision | None] | None = None
+        self._finding: futures.Future[SafestPath] | None = None
         # Why no more robots leave by what was planned on the newest belief, and what was said.
         self._not_worth = ''
         self._said = ''
@@ -111,7 +112,7 @@ class Decisions:
 
     def _decide(self) -> None:
         """Have the decision computed that is lacking, and take the one that was."""
-        if self._deciding is not None and self._deciding.is_over:
+        if self._deciding is not None and self._deciding.done():
             decision, self._deciding = self._deciding.result(), None
             if decision is not None and self._begun_with[0] == self._news:
                 self._is_decided, self._decision = True, decision
@@ -121,7 +122,7 @@ class Decisions:
             return
         if self.is_deciding:
             self._begun_with = self._situation
-            self._deciding = Computation(
+            self._deciding = computed(
                 partial(self.knowledge.decision, self._newest),
                 partial(self._node.call_next, self._decide),
             )
@@ -172,7 +173,7 @@ class Decisions:
             return response
         answer = Future()
         when_found = partial(self._on_safest_path_found, newest, response, answer)
-        self._finding = Computation(
+        self._finding = computed(
             partial(self._safest_path, newest, start, to),
             partial(self._node.call_next, when_found),
         )

@@ -12,9 +12,6 @@ from kbnitp_ros.nodes.topic import message_class
 # What the parameter detection_type may be; not all installations have the package of the second.
 TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
 
-# The most bytes of a message: of an array, those of some ten thousand detections.
-LARGEST = 2**22
-
 
 class Detection(NamedTuple):
     """What was said at once."""

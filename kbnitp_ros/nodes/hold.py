@@ -12,9 +12,6 @@ from std_msgs.msg import Bool
 TOPIC = 'hold'
 BOOL = 'std_msgs/msg/Bool'
 
-# The most bytes of a std_msgs/Bool, with its head and what pads it.
-LARGEST = 8
-
 
 class Hold:
     """
@@ -31,7 +28,7 @@ class Hold:
         self._is_held: bool | None = None
         above = node.get_namespace().rpartition('/')[0]
         self._topic = node.resolve_topic_name(TOPIC if prefix else f'{above}/{TOPIC}')
-        node.hear(Bool, self._topic, self._on_hold, qos.LATCHED, LARGEST)
+        node.hear(Bool, self._topic, self._on_hold, qos.LATCHED)
 
     def _on_hold(self, message: Bool) -> None:
         self._is_held = message.data
@@ -56,7 +53,7 @@ class Holding:
         self._node = node
         self._is_held: bool | None = None
         self._publisher = node.create_publisher(Bool, TOPIC, qos.LATCHED)
-        node.hear(Bool, TOPIC, self._on_hold, qos.LATCHED, LARGEST)
+        node.hear(Bool, TOPIC, self._on_hold, qos.LATCHED)
 
     def tell(self, is_held: bool) -> None:
         """Have no robot depart from now on, or let them."""

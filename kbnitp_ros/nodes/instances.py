@@ -10,7 +10,7 @@ from uuid import uuid4
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import LARGEST_DIAGNOSTICS, TOPIC
+from kbnitp_ros.nodes.runtime.diagnostics import TOPIC
 from kbnitp_ros.nodes.runtime.node import MissionNode
 
 INSTANCE = 'instance'
@@ -50,9 +50,7 @@ class Instances:
         self.own = uuid4().hex
         self._is_meant = is_meant
         self._heard: dict[str, Instance] = {}
-        node.hear_newest(
-            DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST_DIAGNOSTICS
-        )
+        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -14,7 +14,6 @@ from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.evidence import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.sizes import largest_belief
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
@@ -68,8 +67,7 @@ class NewestBelief:
         self._subscription = self._hear()
 
     def _hear(self) -> Subscription:
-        largest = largest_belief(self._node.grid.cells)
-        return self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED, largest)
+        return self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:

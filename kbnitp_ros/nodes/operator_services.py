@@ -23,7 +23,6 @@ from kbnitp_ros.messages.operator_action import (
     operator_action_message,
     OperatorAction,
 )
-from kbnitp_ros.messages.sizes import RECORDED
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
@@ -108,7 +107,7 @@ class Operator:
         node.create_service(GiveUp, 'give_up', self._on_give_up)
         node.create_service(Trigger, 'end_mission', self._on_end)
         if node.values['recorded']:
-            node.hear(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE, RECORDED)
+            node.hear(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
 
     def restore(self, action: OperatorAction, data: bytes) -> None:
         """Take an action on record, and publish it again for those who join late."""

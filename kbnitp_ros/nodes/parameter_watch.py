@@ -10,7 +10,6 @@ import time
 from typing import Any
 
 from kbnitp_ros.messages.headers import shown
-from kbnitp_ros.messages.sizes import check_size
 from kbnitp_ros.nodes.runtime.graph import full_name
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -18,7 +17,6 @@ from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
-from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
@@ -35,9 +33,6 @@ NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
 # Called with the full name of a node and its parameters, and with what was refused and why.
 Tell = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
-
-# The most bytes of what may be told of a node.
-LARGEST = 2**20
 
 
 class ParameterWatch:
@@ -144,7 +139,6 @@ class Inquiry:
     def _on_values(self, names: Sequence[str], answer: Future) -> None:
         self.over = True
         try:
-            check_size(serialize_message(answer.result()), LARGEST)
             values = [parameter_value_to_python(value) for value in answer.result().values]
         except (ValueError, RuntimeError) as error:
             self._refuse(f'{self._name}/get_parameters', error)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 import sys
 
+from kbnitp_ros.base.computation import computed
 from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.obstacle_sentences import describe_obstacle, FullNames
 from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
@@ -276,16 +277,17 @@ class PlannerNode(FieldNode):
         if self._proposals.are_for(now):
             return self._proposals.plans
         search = self._search
-        if self._worthless_for == now or (search is not None and not search.is_over):
+        if self._worthless_for == now or (search is not None and not search.found.done()):
             return {}
         if search is None or not self._is_wanted(search, now):
             self._proposals.withdraw()
             stamp, paths = self._next_stamp(newest), self._in_flight.paths
             find = self._rounds.search(newest, agents, paths, stamp, refused)
-            self._search = Search(find, now, partial(self.call_next, self._on_search_over))
+            found = computed(find, partial(self.call_next, self._on_search_over))
+            self._search = Search(now, found)
             return {}
         self._search = None
-        planned = search.result()
+        planned = search.found.result()
         self._rounds.say_if_slow(planned)
         self._decisions.note_not_worth(planned.why_not_worth)
         if planned.why_worthless:
@@ -312,7 +314,7 @@ class PlannerNode(FieldNode):
 
     def _on_search_over(self) -> None:
         self._deploy()
-        if self._search and self._search.is_over:
+        if self._search and self._search.found.done():
             self.get_logger().info(
                 f'paths were found for {some(self._search.request.agents)}, and are kept: '
                 f'{self.diagnostics.state.sentence}'

@@ -15,9 +15,8 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.bag import check_texts, LogWriter, MAX_MESSAGE, qos_profiles_yaml
+from kbnitp_ros.bag import check_readable, LogWriter, MAX_MESSAGE, qos_profiles_yaml
 from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
-from kbnitp_ros.configuration import MOST_AGENTS, MOST_CELLS, MOST_STEPS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
 from kbnitp_ros.log.departures import Departures, read_departures, STATUS
@@ -32,16 +31,6 @@ from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_repor
 from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path, NO_MISSION
 from kbnitp_ros.messages.operator_action import read_action_name
-from kbnitp_ros.messages.sizes import (
-    check_size,
-    largest_belief,
-    largest_operator_action,
-    largest_path,
-    largest_report,
-    MODEL_SIZE,
-    PROGRESS_SIZE,
-    STATUS_SIZE,
-)
 from kbnitp_ros.messages.status import OrderState, read_status
 from kbnitp_ros.nodes.parameter_watch import ParameterWatch
 from kbnitp_ros.nodes.recorders import Precedence
@@ -91,17 +80,8 @@ AGENT_TYPES = {
     'recorded': 'kbnitp_msgs/msg/Recorded',
 }
 
-# The most bytes of a message of what a log is read for; a log holds none larger of any type.
-LARGEST = {
-    PATH: largest_path(MOST_STEPS),
-    REPORT: largest_report(MOST_STEPS),
-    STATUS: STATUS_SIZE,
-    BELIEF: largest_belief(MOST_CELLS),
-    GRID: largest_belief(MOST_CELLS),
-    MODEL: MODEL_SIZE,
-    PROGRESS: PROGRESS_SIZE,
-    OPERATOR: largest_operator_action(MOST_AGENTS, MOST_STEPS),
-}
+# What a log is read for.
+READ = {PATH, REPORT, STATUS, BELIEF, GRID, MODEL, PROGRESS, OPERATOR}
 
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
@@ -392,7 +372,8 @@ class RecorderNode(MissionNode):
         """Write a message that is sound; keep a belief until a time that is ahead of its paths."""
         topic, data, info = message
         try:
-            check_size(data, min(LARGEST.get(topic.type_name, MAX_MESSAGE), MAX_MESSAGE))
+            if len(data) > MAX_MESSAGE:
+                raise ValueError(f'it has {len(data)} bytes: at most {MAX_MESSAGE} are recorded')
             if not self._is_of_this_mission(topic, data):
                 return
             self._check(topic, data)
@@ -431,10 +412,10 @@ class RecorderNode(MissionNode):
             If it is of another one, too large, or not of the type.
 
         """
-        if topic.type_name not in LARGEST:
+        if topic.type_name not in READ:
             return
         message = deserialize_message(data, message_class(topic.type_name))
-        check_texts(topic.type_name, data)
+        check_readable(topic.type_name, data)
         if topic.type_name == STATUS:
             self._check_status(topic, message)
         elif topic.recorded:

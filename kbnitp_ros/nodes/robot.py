@@ -21,7 +21,7 @@ from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.status import OrderState, status_message
-from kbnitp_ros.nodes.detections import detection_class, LARGEST, read_detection
+from kbnitp_ros.nodes.detections import detection_class, read_detection
 from kbnitp_ros.nodes.driver import Driver
 from kbnitp_ros.nodes.duplicate_names import DuplicateNames
 from kbnitp_ros.nodes.hold import Hold
@@ -46,13 +46,6 @@ from kbnitp_ros.robot.transforms import Place, Transforms
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
-
-# The most bytes of a message with transforms: those of a thousand frames.
-LARGEST_TRANSFORMS = 2**19
-
-# The most bytes of a fix, with the name of its frame.
-LARGEST_FIX = 2**12
-
 
 # The exit code of a robot that DDS lets nobody hear before it is started again.
 NEW_LINKS = os.EX_TEMPFAIL
@@ -114,7 +107,7 @@ class RobotNode(FieldNode):
                 f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
             )
         self._hear_places()
-        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, LARGEST)
+        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS)
         self.create_poll(self._look)
 
     def _source_of_places(self) -> Transforms | Fixes:
@@ -140,14 +133,14 @@ class RobotNode(FieldNode):
     def _hear_places(self) -> None:
         if isinstance(self._whereis, Fixes):
             take = partial(self._take_place, self._whereis.take)
-            self.hear_newest(NavSatFix, 'fix', take, qos.READINGS, LARGEST_FIX)
+            self.hear_newest(NavSatFix, 'fix', take, qos.READINGS)
             return
         for topic, profile, is_static in (
             ('/tf', qos.POSES, False),
             ('/tf_static', qos.LATCHED_POSES, True),
         ):
             take = partial(self._take_place, partial(self._whereis.take, static=is_static))
-            self.hear_newest(TFMessage, topic, take, profile, LARGEST_TRANSFORMS)
+            self.hear_newest(TFMessage, topic, take, profile)
 
     def _usual_journal(self) -> Path:
         """Return the file of the journal if the parameter names none."""

@@ -11,10 +11,8 @@ from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import Ledger, World
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.progress import Held, MissionState, NOT_KNOWN, progress_message, Standing
-from kbnitp_ros.messages.sizes import largest_belief
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import (
-    LARGEST_DIAGNOSTICS,
     MISSION_REASON,
     MISSION_STATE,
     TOPIC,
@@ -65,12 +63,9 @@ class Views:
                     topic,
                     partial(self._on_truth, topic, name),
                     qos.LATCHED,
-                    largest_belief(node.grid.cells),
                 )
 
-        node.hear_newest(
-            DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS, LARGEST_DIAGNOSTICS
-        )
+        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         """Show what the planner of this namespace says of the state of the mission."""

@@ -212,11 +212,3 @@ def test_a_truncated_image_is_refused(tmp_path, name):
     image.write_bytes(image.read_bytes()[:500])
     with pytest.raises(MapError, match=f'{name} cannot be read'):
         read_map(path)
-
-
-@pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
-@for_each('size', ['10000 10000', '40000 40000'])
-def test_an_image_too_large_is_refused_before_it_is_read(tmp_path, size):
-    tmp_path.joinpath('map.pgm').write_bytes(f'P5\n{size}\n255\n'.encode())
-    with pytest.raises(MapError, match='pixels'):
-        read_map(write_yaml(tmp_path))

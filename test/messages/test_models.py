@@ -15,7 +15,6 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.messages.models import model_belief, QUANTILES, read_model_belief
-from kbnitp_ros.messages.sizes import MODEL_SIZE
 from laws import for_each
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -60,11 +59,6 @@ def test_what_is_learnt_comes_back_bit_for_bit():
     assert before['lethality'].mean == pytest.approx(0.6, abs=1e-3)
     assert before['lethality'].quantiles == pytest.approx((0.24, 0.4, 0.6, 0.8, 0.96), abs=1e-3)
     assert before['lethality'].effective_samples == inf
-
-
-def test_the_largest_is_read():
-    message = model_belief(ledger_of(ALL), 0)
-    assert len(serialize_message(message)) < MODEL_SIZE
 
 
 @for_each(

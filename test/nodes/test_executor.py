@@ -89,8 +89,8 @@ def test_an_error_in_a_callback_is_raised(here, fail_in):
 def test_another_thread_does_not_wait_for_a_callback(here):
     node, _ = here
     called = []
-    Timer(0.3, node.call_next, [lambda: called.append(time.monotonic())]).start()
     begun = time.monotonic()
+    Timer(0.3, node.call_next, [lambda: called.append(time.monotonic())]).start()
     while not called:
         spin_once(node, node.executor, 60.0)
     assert 0.3 <= called[0] - begun < 5.0

@@ -19,9 +19,6 @@ TOPIC = '/diagnostics'
 
 PERIOD = 1.0  # seconds
 
-# The most bytes of diagnostics that are read.
-LARGEST_DIAGNOSTICS = 2**20
-
 # By which the planner tells the state of its mission, and why it is in that state.
 MISSION_STATE = 'mission_state'
 MISSION_REASON = 'mission_reason'

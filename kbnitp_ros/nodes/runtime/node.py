@@ -11,20 +11,12 @@ import traceback
 from typing import Any, TypeVar
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
-from kbnitp_ros.configuration import grid_of, value_for
+from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import some
-from kbnitp_ros.maps import Map, MOST_PIXELS
+from kbnitp_ros.maps import Map
 from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST
-from kbnitp_ros.messages.sizes import (
-    check_size,
-    largest_map,
-    largest_path,
-    largest_report,
-    RECORDED,
-    STATUS_SIZE,
-)
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
@@ -106,10 +98,9 @@ class MissionNode(GraphNode):
         topic: str,
         callback: Callable[[Any], None],
         profile: QoSProfile,
-        largest: int,
     ) -> Subscription:
         """Subscribe to messages of which anybody may send any."""
-        return self.hear_newest(kind, topic, callback, qos.unread_kept(profile), largest)
+        return self.hear_newest(kind, topic, callback, qos.unread_kept(profile))
 
     def hear_newest(
         self,
@@ -117,13 +108,11 @@ class MissionNode(GraphNode):
         topic: str,
         callback: Callable[[Any], None],
         profile: QoSProfile,
-        largest: int,
     ) -> Subscription:
         """Subscribe as `hear` does, but to as many unread messages as the profile says."""
 
         def read(data: bytes) -> None:
             try:
-                check_size(data, largest)
                 message = deserialize_message(data, kind)
             except (ValueError, RuntimeError) as error:
                 self.diagnostics.refuse(topic, error)
@@ -297,12 +286,12 @@ class MissionNode(GraphNode):
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
 
-# Evidence on the topics of an agent, by type: their name, and most bytes on so many steps.
-AGENT_TOPICS: dict[type, tuple[str, Callable[[int], int]]] = {
-    Path: ('path', largest_path),
-    DeploymentReport: ('report', largest_report),
-    AgentStatus: ('status', lambda _: STATUS_SIZE),
-    Recorded: ('recorded', lambda _: RECORDED),
+# Evidence on the topics of an agent, by type.
+AGENT_TOPICS: dict[type, str] = {
+    Path: 'path',
+    DeploymentReport: 'report',
+    AgentStatus: 'status',
+    Recorded: 'recorded',
 }
 
 
@@ -327,14 +316,12 @@ class FieldNode(MissionNode):
         self, kind: type, agent: str, callback: Callable[[Any], None], prefix: str | None = None
     ) -> Subscription:
         """Subscribe to a topic of an agent, which is below its name unless a prefix is given."""
-        name, largest = AGENT_TOPICS[kind]
-        topic = f'{agent}/{name}' if prefix is None else f'{prefix}{name}'
-        most = largest(value_for(self.values, 'max_steps', agent))
-        return self.hear(kind, topic, callback, qos.EVIDENCE, most)
+        above = f'{agent}/' if prefix is None else prefix
+        return self.hear(kind, f'{above}{AGENT_TOPICS[kind]}', callback, qos.EVIDENCE)
 
     def _await_map(self, topic: str) -> None:
         self._topic = topic
-        self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED, largest_map(MOST_PIXELS))
+        self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED)
         self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
         self.spin_until(lambda: self._grid is not None)
 
