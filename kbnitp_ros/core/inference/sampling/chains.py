@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from kbnitp_ros.core.field import Learnt, ORDINARY, SensorModel, times_log
-from kbnitp_ros.core.inference.sampling import gibbs
+from kbnitp_ros.core.inference.sampling import gibbs_kernels as gibbs
 from kbnitp_ros.core.inference.sampling.chain_state import (
     CHAINS,
     ChainState,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from kbnitp_ros.core.field import compiled
-from kbnitp_ros.core.inference.sampling.gibbs import lost
+from kbnitp_ros.core.inference.sampling.gibbs_kernels import lost
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from kbnitp_ros.core.field import Observation, ORDINARY, RobotType, Visits
-from kbnitp_ros.core.inference.sampling.gibbs import LossGraph
+from kbnitp_ros.core.inference.sampling.gibbs_kernels import LossGraph
 from kbnitp_ros.core.inference.sampling.located_kernels import LocatedGraph
 import numpy as np
 from numpy.typing import NDArray
