@@ -197,7 +197,7 @@ def nothing_compiled(tmp_path, monkeypatch):
 def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
     paths = field.listen(Path, '/scout_1/path')
     field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6})
-    field.until(lambda: 'kernels are compiled' in field.said('/planner'), 'compiling planner')
+    field.until(lambda: 'compiling kernels' in field.said('/planner'), 'compiling planner')
     planner = field.processes.started['/planner']
     planner.send_signal(signal.SIGINT)
     field.until(lambda: planner.poll() is not None, 'end of the planner', may_end=True)

@@ -80,6 +80,7 @@ def _jit() -> Any:
     numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(folder)
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
+
         def on_start(self, event: Any) -> None:
             if event.kind == 'numba:compile':
                 _say_once('compiling kernels, which takes up to half a minute')
