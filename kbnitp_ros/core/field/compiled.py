@@ -80,6 +80,7 @@ def _jit() -> Any:
     numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(folder)
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
+        """Calls of numba at each compilation and at each of its passes."""
 
         def on_start(self, event: Any) -> None:
             if event.kind == 'numba:compile':
