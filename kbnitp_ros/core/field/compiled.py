@@ -49,7 +49,7 @@ class Compiled:
 
     @property
     def code(self) -> Any:
-        """The compiled code, or the kernel itself without numba."""
+        """Return the compiled code, or the kernel itself without numba."""
         if self._code is None:
             self._code = self._kernel
             if jit := _jit():
