@@ -55,7 +55,6 @@ from kbnitp_ros.core.inference import (
     LONGEST_WALK,
     METHODS,
     observation_of,
-    Outcome,
     Report,
     update,
 )
@@ -128,7 +127,6 @@ __all__ = [
     'Ledger',
     'NoPathError',
     'Observation',
-    'Outcome',
     'PathFinder',
     'Plan',
     'Regions',

@@ -17,7 +17,7 @@ from kbnitp_ros.core import (
     Deployments,
     Grid,
     Ledger,
-    Outcome,
+    Observation,
     Report,
     RobotType,
 )
@@ -190,12 +190,12 @@ class Evidence(Deployments):
         self._reports_read.setdefault((key, report.content), report)
         return super().record_report(key, report)
 
-    def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
+    def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
         outcome = super()._outcome(key, report)
         self._by_stamp[key].setdefault(report.stamp, report)
         return outcome
 
-    def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         self.reports[key] = report
         if key in self.contradicted:
             self.refused.append(self.contradicted[key][:LONGEST])

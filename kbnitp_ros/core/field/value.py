@@ -38,6 +38,8 @@ def is_equal(one: Any, other: Any) -> bool:
         one, other = np.asarray(one), np.asarray(other)
         same_shape: bool = one.shape == other.shape and one.dtype == other.dtype
         return same_shape and one.tobytes() == other.tobytes()
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return False
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(is_equal(one[key], other[key]) for key in one)
     if isinstance(one, tuple | list) and isinstance(other, tuple | list):

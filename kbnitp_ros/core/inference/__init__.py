@@ -8,7 +8,6 @@ from kbnitp_ros.core.inference.deployments import (
     Ending,
     LONGEST_WALK,
     observation_of,
-    Outcome,
     Report,
 )
 from kbnitp_ros.core.inference.estimator import Estimator
@@ -34,7 +33,6 @@ __all__ = [
     'Ledger',
     'Method',
     'OnePass',
-    'Outcome',
     'Report',
     'condition',
     'deployment_order',

@@ -106,39 +106,11 @@ class Report:
     lost_at: tuple[float, ...] = ()
 
 
-class Outcome(NamedTuple):
-    """
-    What counts of a report, in few bytes.
-
-    Attributes
-    ----------
-    readings : bytes or None
-        Of a robot that returned: one bit a step for what it read, and if it did not look in all
-        of them one more for where it did not.
-    walk : bytes or None
-        The cells of its way, if that was not its path.
-    steps_survived : int
-        Of a robot that was lost.
-    lost_at : bytes
-        Of one that was lost, as of its `Observation`; empty for None.
-
-    """
-
-    readings: bytes | None = None
-    walk: bytes | None = None
-    steps_survived: int = 0
-    lost_at: bytes = b''
-
-    @property
-    def ending(self) -> Ending:
-        """How the deployment ended."""
-        lost_at = tuple(np.frombuffer(self.lost_at).tolist())
-        located = -sum(lost_at) if lost_at else -np.inf
-        return Ending(self.readings is not None, self.steps_survived, located, lost_at)
-
-
-# Of all robots that nothing more is known of, which are most of the lost ones.
-LOST = Outcome()
+def ending_of(outcome: Observation) -> Ending:
+    """Return how a deployment ended."""
+    lost_at = () if outcome.lost_at is None else tuple(outcome.lost_at.tolist())
+    located = -sum(lost_at) if lost_at else -np.inf
+    return Ending(outcome.survived, outcome.steps_survived, located, lost_at)
 
 
 class Deployments:
@@ -186,11 +158,9 @@ class Deployments:
         self.duplicates = 0
         self.lost = 0
         self.contradicted: dict[DeploymentKey, str] = {}
-        # Thousands of deployments are kept, so each in few bytes.
-        self._cell_type = np.min_scalar_type(grid.cells - 1)
         self.path_contents: dict[DeploymentKey, int] = {}
-        self._paths: dict[DeploymentKey, bytes] = {}
-        self._outcomes: dict[DeploymentKey, Outcome] = {}
+        self._paths: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._outcomes: dict[DeploymentKey, Observation] = {}
         self._pending: dict[DeploymentKey, dict[Report, None]] = {}
         self._pending_count = self._pending_bytes = 0
         self._newest_path = 0
@@ -234,15 +204,15 @@ class Deployments:
 
     def ending(self, key: DeploymentKey) -> Ending:
         """Return how a deployment ended that was reported."""
-        return self._outcomes[key].ending
+        return ending_of(self._outcomes[key])
 
     def path(self, key: DeploymentKey) -> NDArray[np.intp]:
         """Return the cells of a known path, shape (steps + 1,)."""
-        return np.frombuffer(self._paths[key], self._cell_type).astype(np.intp)
+        return self._paths[key]
 
     def observation(self, key: DeploymentKey) -> Observation:
         """Return what came of a deployment that was reported."""
-        return self._observation(key, self._outcomes[key])
+        return self._outcomes[key]
 
     def copy_pending_of(self, other: Deployments) -> None:
         """Copy the pending reports of another."""
@@ -283,9 +253,9 @@ class Deployments:
             the pending reports can be assimilated; those are then dropped.
 
         """
-        cells = self.check_path(key, path).astype(self._cell_type).tobytes()
+        cells = self.check_path(key, path)
         if key in self._paths:
-            if cells != self._paths[key]:
+            if not np.array_equal(cells, self._paths[key]):
                 raise ValueError(f'path of deployment {key} is known and differs: the first holds')
             self.duplicates += 1
             return False
@@ -326,13 +296,13 @@ class Deployments:
             return False
         outcome = self._outcome(key, report)
         known = self._outcomes.get(key)
-        differs = known is not None and known.ending == outcome.ending and known != outcome
+        differs = known is not None and known != outcome and self.ending(key) == ending_of(outcome)
         if differs:
             self.contradicted[key] = (
                 f'reports of deployment {key} differ: that with more readings counts '
                 f'(do two robots have the name {key.agent}?)'
             )
-        if known is not None and not self._outdoes(key, outcome, known):
+        if known is not None and not outdoes(outcome, known):
             if differs:
                 raise ValueError(self.contradicted[key])
             self.duplicates += 1
@@ -340,7 +310,8 @@ class Deployments:
                 self._hear_again(key, report)
             return False
         self._assimilate(key, outcome, report)
-        self._set_outcome(key, outcome)
+        self._outcomes[key] = outcome
+        self.lost += (not outcome.survived) - (known is not None and not known.survived)
         return True
 
     def _keep_pending(self, key: DeploymentKey, report: Report) -> None:
@@ -373,67 +344,32 @@ class Deployments:
         self._pending_bytes -= sum(map(size_of, reports))
         return reports
 
-    def _outdoes(self, key: DeploymentKey, outcome: Outcome, known: Outcome) -> bool:
-        """Return whether an outcome counts instead of the one known."""
-        if outcome == known or outcome.ending != known.ending:
-            return outcome.ending > known.ending
-        return self._readings(key, outcome) > self._readings(key, known)
-
-    def _readings(self, key: DeploymentKey, outcome: Outcome) -> tuple[int, list[int], list[int]]:
-        """Return how many readings a return has, and what tells it from others with as many."""
-        seen = self._observation(key, outcome)
-        readings = [] if seen.readings is None else seen.readings.tolist()
-        return sum(each >= 0 for each in readings), readings, seen.path.tolist()
-
-    def _set_outcome(self, key: DeploymentKey, outcome: Outcome | None) -> None:
-        """Have an outcome count from now on; None for none."""
-        before = self._outcomes.pop(key, None)
-        if outcome is not None:
-            self._outcomes[key] = outcome
-        self.lost += is_loss(outcome) - is_loss(before)
-
-    def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         """Do what a new outcome entails, before it is known; may raise ValueError."""
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
         """Do what a report entails that says the same as the one that counts."""
 
-    def _outcome(self, key: DeploymentKey, report: Report) -> Outcome:
-        """Return what counts of a report; raises ValueError if no robot can have made it."""
-        seen = observation_of(report, key, self.path(key), self.grid, self.most_steps(key))
-        if seen.readings is None:
-            lost_at = b'' if seen.lost_at is None else seen.lost_at.tobytes()
-            lost = Outcome(steps_survived=seen.steps_survived, lost_at=lost_at)
-            return LOST if lost == LOST else lost
-        bits = np.packbits(seen.readings == 1).tobytes()
-        unseen = seen.readings == -1
-        if unseen.any():
-            bits += np.packbits(unseen).tobytes()
-        walk = seen.path.astype(self._cell_type).tobytes()
-        return Outcome(bits, None if walk == self._paths[key] else walk)
+    def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
+        """Return what a report tells; raises ValueError if no robot can have made it."""
+        return observation_of(report, key, self.path(key), self.grid, self.most_steps(key))
 
-    def _observation(self, key: DeploymentKey, outcome: Outcome) -> Observation:
-        path = np.frombuffer(outcome.walk or self._paths[key], self._cell_type)
-        if outcome.readings is None:
-            lost_at = np.frombuffer(outcome.lost_at) if outcome.lost_at else None
-            return Observation(path, False, None, outcome.steps_survived, lost_at)
-        steps = path.size - 1
-        bits = np.frombuffer(outcome.readings, np.uint8)
-        seen, unseen = np.split(bits, [-(-steps // 8)])
-        readings = np.unpackbits(seen, count=steps).astype(np.int8)
-        if unseen.size:
-            readings[np.unpackbits(unseen, count=steps) == 1] = -1
-        return Observation(path, True, readings)
+
+def outdoes(outcome: Observation, known: Observation) -> bool:
+    """Return whether an outcome counts instead of the one known."""
+    ending, before = ending_of(outcome), ending_of(known)
+    return ending > before if ending != before else told(outcome) > told(known)
+
+
+def told(outcome: Observation) -> tuple[int, list[int], list[int]]:
+    """Return how many readings a return has, and what tells it from others with as many."""
+    readings = [] if outcome.readings is None else outcome.readings.tolist()
+    return sum(each >= 0 for each in readings), readings, outcome.path.tolist()
 
 
 def size_of(report: Report) -> int:
     """Return how many bytes a report takes in memory, about."""
     return REPORT + READING * (len(report.readings) + len(report.lost_at))
-
-
-def is_loss(outcome: Outcome | None) -> bool:
-    """Return whether a deployment is known to have ended with a lost robot."""
-    return outcome is not None and not outcome.ending.survived
 
 
 def observation_of(

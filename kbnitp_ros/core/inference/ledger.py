@@ -7,12 +7,11 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from kbnitp_ros.core.field import Belief, Grid, RobotType
+from kbnitp_ros.core.field import Belief, Grid, Observation, RobotType
 from kbnitp_ros.core.inference.deployments import (
     deployment_order,
     DeploymentKey,
     Deployments,
-    Outcome,
     Report,
 )
 from kbnitp_ros.core.inference.estimator import Estimator
@@ -90,7 +89,7 @@ class Ledger(Deployments):
         # The message heard before may have died with its publisher and a recorder.
         self.report_contents[key] = report.content
 
-    def _assimilate(self, key: DeploymentKey, outcome: Outcome, report: Report) -> None:
+    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         """Go back to before a deployment, and from there on with this outcome of it."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)
@@ -103,8 +102,7 @@ class Ledger(Deployments):
             estimator = estimators[count - 1].copy()
             try:
                 estimator.assimilate(
-                    self._observation(each, outcome if each == key else self._outcomes[each]),
-                    self.robot_type(each),
+                    outcome if each == key else self._outcomes[each], self.robot_type(each)
                 )
             except ValueError as error:
                 if each == key:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-import tracemalloc
 
 import brute_force
 from extent import FULL
@@ -175,22 +174,3 @@ def test_disorder_is_cheap(monkeypatch):
     ledger.record_path(key, path)
     ledger.record_report(key, report)
     assert 20 <= len(updates) - 999 <= 25
-
-
-@pytest.mark.slow
-def test_a_deployment_held_costs_little_memory():
-    """Of 18 steps, with its name; far less than the messages that told of it."""
-    path = [4, *[0, 1, 2, 1] * 4, 5, 4]
-    ledger = Ledger(GRID, 18, Estimator(PRIOR, MODEL))
-    tracemalloc.start()
-    sizes = []
-    for number in range(1000):
-        key = DeploymentKey('scout', 10**18 + number)
-        ledger.record_path(key, path)
-        # Of a generator, Python would keep each of the tuples for later ones.
-        readings = tuple([(cell, True) for cell in path[1:]])
-        ledger.record_report(key, Report(True, readings) if number % 2 else Report(False))
-        if (number + 1) % 500 == 0:
-            sizes.append(tracemalloc.get_traced_memory()[0])
-    tracemalloc.stop()
-    assert (sizes[1] - sizes[0]) / 500 < 500
