@@ -16,6 +16,7 @@ from kbnitp_ros.report.comparison import (
     reservations,
     true_differences,
 )
+from kbnitp_ros.report.figures import quantiles_of
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import (
     Column,
@@ -28,7 +29,6 @@ from kbnitp_ros.report.page import (
     value_text,
 )
 from kbnitp_ros.report.plots import lines_plot, map_plot, OBSTACLE
-from kbnitp_ros.report.progress_figure import quantiles_of
 from kbnitp_ros.report.tiles import Tile, tiles_of
 import numpy as np
 from numpy.typing import NDArray

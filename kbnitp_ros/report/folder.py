@@ -12,10 +12,9 @@ import tempfile
 
 from kbnitp_ros.figures import save
 from kbnitp_ros.report.curves import Curves
-from kbnitp_ros.report.maps_figure import maps_figure
+from kbnitp_ros.report.figures import maps_figure, progress_figure
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import page_of
-from kbnitp_ros.report.progress_figure import progress_figure
 from kbnitp_ros.report.tables import write_beliefs, write_tables
 
 

@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib.resources import files
 import json
 from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
+import zlib
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.core import Belief, Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.log_path import NAME
 from kbnitp_ros.report.answers import cells_of, findings_of, losses_of, used_up_at, used_up_of
 from kbnitp_ros.report.curves import Curves, out_at
-from kbnitp_ros.report.frames import packed_frames, packed_json, quantised
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.plots import (
     as_drawn,
@@ -459,3 +460,33 @@ def row(
 def value_text(value: Any) -> str:
     """Return a value of a parameter as text."""
     return value if isinstance(value, str) else json.dumps(value)
+
+
+NAMES = ('hazard', 'target', 'kappa')
+LEVELS = 255
+
+
+def quantised(beliefs: Sequence[Belief]) -> NDArray[np.uint8]:
+    """Return the three maps of beliefs in steps of 1/255, shape (beliefs, 3, cells)."""
+    frames = np.empty((len(beliefs), len(NAMES), beliefs[0].cells), dtype=np.uint8)
+    for frame, belief in zip(frames, beliefs):
+        for level, name in zip(frame, NAMES):
+            level[:] = np.rint(LEVELS * getattr(belief, name))
+    return frames
+
+
+def packed_frames(frames: NDArray[np.uint8]) -> str:
+    """Pack frames as text: differences modulo 256, zlib, base64."""
+    # In uint8 what is less than nothing goes round, as it does in the page.
+    changes = np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1]))
+    return packed(changes.tobytes())
+
+
+def packed_json(value: Any) -> str:
+    """Return a value as JSON, packed by zlib, in base64; there is no NaN in it."""
+    return packed(json.dumps(value, separators=(',', ':'), allow_nan=False).encode())
+
+
+def packed(data: bytes) -> str:
+    """Return bytes packed by zlib, in base64."""
+    return b64encode(zlib.compress(data, 6)).decode()

@@ -6,10 +6,9 @@ from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number,
 from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.compiled import compiled, inlined, while_compiling
 from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
-from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
 from kbnitp_ros.core.field.grid import Grid, longest
-from kbnitp_ros.core.field.metrics import brier_score, log_loss
+from kbnitp_ros.core.field.metrics import binary_entropy, brier_score, log_loss, surprisal
 from kbnitp_ros.core.field.observation import (
     as_path,
     lost_after_contact,

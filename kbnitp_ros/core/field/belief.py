@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from kbnitp_ros.core.field.check import frozen, probability_map
-from kbnitp_ros.core.field.entropy import binary_entropy, surprisal
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.metrics import binary_entropy, surprisal
 from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

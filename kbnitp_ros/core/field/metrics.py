@@ -1,11 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a believed map is from the truth."""
+"""Entropies in nats, and how far a believed map is from the truth."""
 
 from __future__ import annotations
 
 from kbnitp_ros.core.field.check import yes_or_no
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+def surprisal(probability: ArrayLike) -> NDArray[np.float64]:
+    """Return -p log p, with 0 log 0 = 0; any shape, in nats (:eq:`shannon-entropy`)."""
+    p = np.asarray(probability, dtype=np.float64)
+    surprisals: NDArray[np.float64] = -p * np.log(np.where(p > 0.0, p, 1.0))
+    return surprisals
+
+
+def binary_entropy(probability: ArrayLike) -> NDArray[np.float64]:
+    """
+    Return h(p), the entropy of a coin that falls with probability p; any shape, in nats.
+
+    Equation :eq:`shannon-entropy`.
+    """
+    p = np.asarray(probability, dtype=np.float64)
+    return surprisal(p) + surprisal(1.0 - p)
+
 
 # A map may say 0 or 1 of a cell and be wrong; the loss of that is held finite, at 36 nats.
 SMALLEST = np.finfo(np.float64).eps

@@ -5,14 +5,13 @@ from kbnitp_ros.core.inference.filtering.evidence import (
     check_cells,
     condition,
 )
-from kbnitp_ros.core.inference.filtering.known_model import KnownModel
 from kbnitp_ros.core.inference.filtering.loss_likelihood import (
     can_be_lost,
     lost_likelihood,
     multi_universe_likelihood,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.filtering.one_pass import OnePass
+from kbnitp_ros.core.inference.filtering.one_pass import KnownModel, OnePass
 from kbnitp_ros.core.inference.filtering.used_up import hazards_used_up
 
 __all__ = [

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
-from typing import ClassVar
+from types import MappingProxyType
+from typing import ClassVar, TypeVar
 
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
     Belief,
     Dynamics,
+    Learnt,
     Observation,
     RobotType,
     SensorModel,
@@ -24,11 +27,42 @@ from kbnitp_ros.core.inference.filtering.evidence import (
     returned_log_likelihood,
     survived_log_likelihood,
 )
-from kbnitp_ros.core.inference.filtering.explanations import Explanations
-from kbnitp_ros.core.inference.filtering.known_model import KnownModel
-from kbnitp_ros.core.inference.filtering.used_up import update_used_up
+from kbnitp_ros.core.inference.filtering.used_up import Explanations, update_used_up
 import numpy as np
 from numpy.typing import NDArray
+
+Self = TypeVar('Self', bound='KnownModel')
+
+
+class KnownModel:
+    """
+    An inference that learns of the field alone, with a sensor model and a prior that are known.
+
+    Parameters
+    ----------
+    belief : Belief
+        Before the first deployment.
+    model : SensorModel
+        What the robots and their sensors are believed to be like.
+    _
+        What only methods that learn numbers, or draw them, have a use for.
+
+    """
+
+    learns: ClassVar[bool] = False
+    version: ClassVar[int] = 1
+    dynamics: ClassVar[tuple[str, ...]] = ()
+    parameters: Mapping[str, Learnt] = MappingProxyType({})
+    sampling_error: float = 0.0
+    is_converged: bool = True
+
+    def __init__(self, belief: Belief, model: SensorModel, *_: object) -> None:
+        self.belief = belief
+        self.model = model
+
+    def copy(self: Self) -> Self:
+        """Return an inference that goes on by itself from here; no array is ever changed."""
+        return copy(self)
 
 
 @dataclass(frozen=True)
