@@ -77,11 +77,7 @@ TRANSPORT = OpaqueFunction(function=transport)
 
 
 def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
-    """
-    Return the arguments that all launch files of missions take.
-
-    Some are also parameters: of these `defaults` are other than what the parameter file says.
-    """
+    """Return the arguments that all launch files of missions take."""
     return [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
@@ -156,43 +152,20 @@ def respawned(make: Callable[[], Node]) -> TimerAction:
 
 
 def hear_interrupts_once() -> None:
-    """
-    Keep Python from raising KeyboardInterrupt, too, on signals that launch handles by itself.
-
-    It would strike whichever task of launch runs at that moment, such as one that waits for the
-    end of a node, and launch would wait for that task for ever.
-    """
+    """Ignore SIGINT in Python: launch handles signals by itself."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: None)
 
 
 def check_arguments(given: Iterable[str], names: Sequence[str]) -> None:
-    """
-    Check that no argument on the command line is a misspelt one, which launch would pass over.
-
-    Others may be those of a launch file that includes this one.
-
-    Raises
-    ------
-    ValueError
-        If one is nearly that of this file.
-
-    """
+    """Check that no argument on the command line is misspelt."""
     for name in (each.partition(':=')[0] for each in given):
         if name not in names and (meant := nearest(name, names)):
             raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
 
 
 class MissionArguments:
-    """
-    A mission as the arguments of a launch file describe it.
-
-    Raises
-    ------
-    ValueError
-        If the parameter file is none, or an argument is not allowed or would change nothing.
-
-    """
+    """A mission as the arguments of a launch file describe it."""
 
     def __init__(self, context: LaunchContext) -> None:
         self._context = context
@@ -229,12 +202,7 @@ class MissionArguments:
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
     def base(self, **of_real_robots: str) -> list[Action]:
-        """
-        Return the nodes of the base, and RViz.
-
-        `of_real_robots` are parameters where neither an argument nor the parameter file says
-        anything but the default, which is for simulated robots.
-        """
+        """Return the nodes of the base, and RViz."""
         said, known = self._values('planner'), parameters_of('planner')
         self._options = {
             name: text
@@ -269,13 +237,7 @@ class MissionArguments:
         namespace: str = '',
         ends_mission: bool = True,
     ) -> Node:
-        """
-        Return a node of the mission, which is also the name of its executable.
-
-        If the mission is recorded, it is started again when it dies, and goes on with the log, and
-        the recorder is awaited, too. A node that does not end the mission leaves the others
-        running.
-        """
+        """Return a node of the mission, which is also the name of its executable."""
         known, log = parameters_of(name), self._log
         values = {
             'agents': self.agents,
@@ -331,15 +293,7 @@ class MissionArguments:
 
 
 def agents_named(given: str) -> list[str]:
-    """
-    Return the names of agents that an argument gives: how many, or which; none if it is empty.
-
-    Raises
-    ------
-    ValueError
-        If it gives neither.
-
-    """
+    """Return the names of agents of an argument: their number, or names; () if empty."""
     if given.isdecimal() and int(given):
         return [f'scout_{number}' for number in range(1, int(given) + 1)]
     names = given.split(',') if given else []

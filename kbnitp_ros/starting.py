@@ -36,13 +36,7 @@ EXECUTABLES = {**COMMANDS, **NODES}
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
-    """
-    Import one of `EXECUTABLES`, which takes about a second, run it, and return its exit status.
-
-    Python would answer Ctrl-C with a traceback, wherever it is. A process that still imports has
-    begun nothing that would be left unfinished: it ends at once. The status is 2 if a package is
-    missing that it needs. Without arguments it has those of the process.
-    """
+    """Import and run one of `EXECUTABLES`; return its exit status."""
     handler = _end_well if name in NODES else _end_as_interrupted
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

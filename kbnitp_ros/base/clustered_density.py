@@ -10,12 +10,7 @@ WEAK = 0.25
 
 
 def density_note(ledger: Ledger) -> str:
-    """
-    Return how weakly the density of clustered hazards is known; empty if that does no harm.
-
-    It does while robots entered less than half of the cells that may have a hazard: the belief
-    about the others then follows the density and the coupling, which few cells tell of.
-    """
+    """Return how weakly the density of clustered hazards is known; empty if that does no harm."""
     estimator, grid = ledger.estimator, ledger.grid
     density = estimator.parameters.get('hazard_density')
     is_clustered = estimator.clustering is not None and estimator.clustering.coupling != 0.0

@@ -47,14 +47,7 @@ class DeploymentInFlight:
 
 
 class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
-    """
-    The robots in flight, by deployment: those that were sent and not reported.
-
-    An order that its agent refuses is as if it had never been. Of the others a robot is known to
-    have departed when its agent says so, and, with the parameter `recorded`, when that is on disk:
-    it moves no sooner. With `presume_departure` it is when its path is. The publisher of an
-    agent's paths keeps as many as `kept` for those who join late.
-    """
+    """The robots in flight, by deployment: those that were sent and not reported."""
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
         self._values = values
@@ -130,15 +123,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             self.take(key, status)
 
     def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
-        """
-        Take note of a path; return whether a robot takes it in place of the one it was sent on.
-
-        Raises
-        ------
-        ValueError
-            If others have sent as many paths as a mission can have.
-
-        """
+        """Add a path; return whether a robot takes it in place of the one it was sent on."""
         if key in self._sent:
             robot = self._in_flight.get(key)
             if robot is None or content != robot.recorded_content:
@@ -158,11 +143,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return False
 
     def record(self, key: DeploymentKey, content: int) -> bool:
-        """
-        Take note of what is on disk; return whether a robot takes it, and not what it was sent on.
-
-        Those of others do not matter.
-        """
+        """Record an acknowledgement; return whether a robot takes another path by it."""
         robot = self._in_flight.get(key)
         if robot is None or content != robot.content:
             # It may be a departure, which can be told sooner than the path.
@@ -178,15 +159,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return not robot.is_recorded
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """
-        Take note of what an agent says of an order; return whether it says something new.
-
-        Raises
-        ------
-        ValueError
-            If nobody sent it, or the status cannot follow what was said before.
-
-        """
+        """Take note of what an agent says of an order; return whether it says something new."""
         is_known = key in self._sent or key in self._others or self._departures.is_refused(key)
         if not is_known:
             remember(self._unknown, key, status)
@@ -227,12 +200,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self._departures.end(key, reported)
 
     def overdue(self, now: int) -> list[DeploymentKey]:
-        """
-        Return the robots in flight that have timed out.
-
-        The time, in nanoseconds, is set back only where it is simulated, and 0 as long as a
-        simulated clock has not started.
-        """
+        """Return the robots in flight that have timed out."""
         jump, self._time = min(0, now - self._time), now
         if now <= 0:
             return []
@@ -261,15 +229,7 @@ def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp
 
 
 def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
-    """
-    Check that silent robots are given time for their ways.
-
-    Raises
-    ------
-    ValueError
-        If silence counts as loss, and a robot is said to need no time for a step.
-
-    """
+    """Check that silent robots are given time for their ways."""
     for agent in agents:
         if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
             raise ValueError(

@@ -31,14 +31,7 @@ Event = Callable[[Deployments], bool]
 
 
 class Knowledge:
-    """
-    The evidence of a mission, and the draws and decisions that it gives.
-
-    A belief message has the hazards of single cells alone. What several cells are like together is
-    drawn from an estimator that assimilates the same paths and reports, when it is asked for. That
-    takes long, and may be asked for in several threads. The planner's parameters are kept up to
-    date; only agents whose robots are not like all others have a type here.
-    """
+    """The evidence of a mission, and the draws and decisions that it gives."""
 
     def __init__(
         self, grid: Grid, values: Mapping[str, Any], robot_types: Mapping[str, RobotType]

@@ -17,12 +17,7 @@ TAKEN_IN = 5.0
 
 
 class LateReturns:
-    """
-    The robots that were given up and may still come home.
-
-    Each is awaited for as long again as it was allowed to be away, by the machine's own clock,
-    which always runs.
-    """
+    """The robots that were given up and may still come home."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         self._values = values

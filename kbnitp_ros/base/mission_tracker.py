@@ -16,12 +16,7 @@ class PathsUnknownError(ValueError):
 
 
 class MissionTracker:
-    """
-    The mission that a node takes part in, and the beliefs of its estimator.
-
-    The mission is that of the prior which the first robot was sent on. Beliefs state it; a path
-    belongs to the mission if a belief does.
-    """
+    """The mission that a node takes part in, and the beliefs of its estimator."""
 
     def __init__(self) -> None:
         # When it began, in nanoseconds; None as long as no robot is known to have left.
@@ -42,15 +37,7 @@ class MissionTracker:
         return self.mission
 
     def check_path(self, mission: int) -> None:
-        """
-        Check that a path can be of this mission.
-
-        Raises
-        ------
-        ValueError
-            If it is of another one, or none that a belief states.
-
-        """
+        """Check that a path can be of this mission."""
         check_mission(mission, self.mission)
         if self.mission is None and mission not in self._priors:
             raise ValueError(
@@ -59,23 +46,10 @@ class MissionTracker:
             )
 
     def check_belief(self, snapshot: Snapshot, authors: int, known: int) -> None:
-        """
-        Check that the estimator of this mission can have published a belief.
-
-        A belief may come before its publisher is counted, so its own contents decide: no belief
-        holds more deployments than paths were sent. Only the first one that a node hears may, from
-        an estimator that is alone: then the paths died with the planner before. `authors` is how
-        many nodes publish beliefs, of which one alone may have been started again with other
-        parameters, and `known` of how many deployments the paths are known.
-
-        Raises
-        ------
-        PathsUnknownError
-            If it holds more deployments than there are.
-        ValueError
-            If it is of another mission, or another estimator's than the newest.
-
-        """
+        """Check that the estimator of this mission can have published a belief."""
+        # A belief may come before its publisher is counted, so its contents decide: none holds
+        # more deployments than paths were sent, but the first one heard of an estimator that is
+        # alone. The paths then died with the planner before.
         if snapshot.deployments > MOST_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MOST_ROBOTS}'
@@ -112,11 +86,7 @@ class MissionTracker:
             check_mission(snapshot.mission, own)
 
     def accept_belief(self, snapshot: Snapshot, known: int) -> bool:
-        """
-        Keep a belief if it is the newest, and say so.
-
-        An estimator that was started again goes through its earlier beliefs once more.
-        """
+        """Keep a belief if it is the newest, and say so."""
         if self._unknown is None:
             self._unknown = max(0, snapshot.deployments - known)
         if snapshot.deployments and self.mission is None:

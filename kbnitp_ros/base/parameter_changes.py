@@ -17,19 +17,7 @@ def check_changes(
     believed: Mapping[str, RobotType],
     sent: int,
 ) -> None:
-    """
-    Check parameters that are to change; those that are none of this package's are left alone.
-
-    `values` are the planner's as they are; robots are `believed` to be of a type as far as it is
-    known.
-
-    Raises
-    ------
-    ValueError
-        If a value is not allowed, there are fewer robots than were sent, or searches take too
-        much memory.
-
-    """
+    """Check new values of parameters of this package."""
     given = {
         name: parameter.check(value)
         for name, value in changes.items()
@@ -40,15 +28,7 @@ def check_changes(
 
 
 def check_robots(robots: int, sent: int) -> None:
-    """
-    Check how many robots a mission is to have in which some were sent.
-
-    Raises
-    ------
-    ValueError
-        If more were.
-
-    """
+    """Check how many robots a mission is to have in which some were sent."""
     if robots < sent:
         raise ValueError(
             f'parameter robots is {robots}: {sent} robots were sent, and it must be at '

@@ -17,13 +17,7 @@ def reach_note(
     bases: Sequence[int | None] = (None,),
     max_distance: float = 0.0,
 ) -> str:
-    """
-    Return how much of a field paths within these limits reach; empty if it is enough.
-
-    Cells that are cut off are left out: no path reaches them, however long (see `cut_off_note`).
-    `enough` is a part of the cells, from 0 to 1. A base that is None is that of the grid, and a
-    distance of 0 metres no limit.
-    """
+    """Return how much of a field paths within these limits reach; empty if it is enough."""
     fields = [grid.at(base) for base in dict.fromkeys(bases)]
     steps = np.min([field.steps_to_base for field in fields], axis=0)
     reached, joined = (

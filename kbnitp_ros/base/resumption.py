@@ -18,17 +18,7 @@ from kbnitp_ros.messages.headers import LAST_COUNTED_ON
 
 
 class Resumption:
-    """
-    The mission of a log, to go on with.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read or is corrupt.
-    ValueError
-        If it is of another field, or has deployments of agents that are none of the team.
-
-    """
+    """The mission of a log, to go on with."""
 
     def __init__(
         self, log: str, grid: Grid, values: Mapping[str, Any], agents: Collection[str]

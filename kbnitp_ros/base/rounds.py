@@ -46,11 +46,7 @@ class PlannedRound:
 
 
 class Rounds:
-    """
-    Plans rounds, each on a belief.
-
-    The parameters are the planner's, kept up to date; `warn` is told sentences for the operator.
-    """
+    """Plans rounds, each on a belief."""
 
     def __init__(
         self,
@@ -84,14 +80,7 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
     ) -> Callable[[], PlannedRound]:
-        """
-        Return the search for the paths of robots that leave together.
-
-        It has all that it needs by itself, so that it may run while other things change. `stamp`
-        names the first of these deployments, in nanoseconds. The robots of `out` are out; the
-        rounds of `refused` were refused in place of this one, and the paths of `noted` taken note
-        of before it is planned.
-        """
+        """Return the search for the paths of robots that leave together."""
 
         def robot_type(agent: str) -> RobotType:
             return type_to_plan(self._values, agent, self._grid, known.robot_types)
@@ -145,12 +134,7 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         at_base: Container[DeploymentKey] = (),
     ) -> Plans:
-        """
-        Return the plans of a round that died with the mission before their paths were on record.
-
-        Some of the others may have reported, so nobody could plan these later. Of the recorded
-        paths those of robots that stay `at_base` were not taken note of.
-        """
+        """Return the plans of a round whose paths were lost with the mission."""
         if self._knowledge.goal is not None:
             # Draws of the time of that belief are gone: those who stayed leave in the next round.
             return {}

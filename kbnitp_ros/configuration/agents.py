@@ -12,16 +12,7 @@ from kbnitp_ros.core import Grid, RobotType, SensorModel
 
 
 def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
-    """
-    Return the names of the agents, of which robots leave on this grid.
-
-    Raises
-    ------
-    ValueError
-        If there is none, two have one name, or there are more than `MOST_AGENTS` or than free
-        cells.
-
-    """
+    """Return the names of the agents, of which robots leave on this grid."""
     agents: tuple[str, ...] = values['agents']
     if not agents or len(set(agents)) < len(agents):
         raise ValueError(
@@ -63,15 +54,7 @@ def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
 
 
 def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
-    """
-    Return the base that an agent has of its own; None if it has that of all.
-
-    Raises
-    ------
-    ValueError
-        If it is off the map, or both a cell and a position are given.
-
-    """
+    """Return the base that an agent has of its own; None if it has that of all."""
     name = f'robots.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
     if cell is not None and position:

@@ -18,15 +18,7 @@ from kbnitp_ros.core import Estimator, Grid
 
 
 def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
-    """
-    Return the estimator of these parameters on this grid, before the first deployment.
-
-    Raises
-    ------
-    ValueError
-        If there is no such prior, or what is to be learnt cannot be.
-
-    """
+    """Return the estimator of these parameters on this grid, before the first deployment."""
     unknowns = unknowns_of(values)
     for name in unknowns.priors:
         if all(

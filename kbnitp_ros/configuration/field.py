@@ -17,16 +17,7 @@ from kbnitp_ros.messages.grids import rounded_resolution, rounded_yaw
 
 
 def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
-    """
-    Return the grid that these parameters describe, as beliefs tell it.
-
-    Raises
-    ------
-    ValueError
-        If the map cannot be read, the grid is none or larger than `LONGEST_SIDE`, or two
-        parameters do not go together.
-
-    """
+    """Return the grid that these parameters describe, as beliefs tell it."""
     position = values['grid.base_position']
     if position and len(position) != 2:
         raise ValueError(
@@ -79,15 +70,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
 
 
 def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
-    """
-    Return the grid with the bases that agents have of their own.
-
-    Raises
-    ------
-    ValueError
-        If one is off the map, on an obstacle, or where no way leads to from the base of all.
-
-    """
+    """Return the grid with the bases that agents have of their own."""
     agents = dict.fromkeys(own[0] for name in values if (own := own_name(name)))
     for agent in agents:
         base = base_of(values, agent, grid)

@@ -31,29 +31,7 @@ Sections = dict[str, dict[str, Any]]
 
 
 def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> Sections:
-    """
-    Return what a parameter file gives, checked.
-
-    Parameters
-    ----------
-    path : str or Path
-        A YAML file in the format of ROS 2, such as config/mission.yaml.
-    names : mapping, optional
-        What nodes are called that do not have the names of their executables, and these.
-
-    Returns
-    -------
-    dict
-        Values by dotted parameter name, by section in the order of the file: ``/**`` for
-        all nodes, ``/**/planner`` for those called planner.
-
-    Raises
-    ------
-    ValueError
-        If there is no such file, it is no such YAML, a section is for no node, or a value in it is
-        for no parameter of that node (in sections for all: of any node) or not allowed.
-
-    """
+    """Return what a parameter file gives, checked."""
     try:
         return sections_of(read_yaml(path), names or {})
     except KeyTwiceError as error:
@@ -138,16 +116,7 @@ def _fits(section: str, node: str) -> bool:
 
 
 def check_given(name: str, arguments: Sequence[str]) -> None:
-    """
-    Check what a node's command line gives for parameters.
-
-    Raises
-    ------
-    ValueError
-        If a file is not as `read_sections` wants it, if a parameter is given that the node does
-        not have, or one that ROS would take from a file all the same.
-
-    """
+    """Check what a node's command line gives for parameters."""
     given = list(_ros_arguments(arguments))
     remaps = dict(rule.split(':=', 1) for flag, rule in given if flag in REMAP and ':=' in rule)
     called = remaps.get('__node', name)

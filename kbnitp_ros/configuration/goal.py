@@ -16,16 +16,7 @@ MARKED = 50
 
 
 def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
-    """
-    Return the goal that these parameters describe; None to map the field.
-
-    Raises
-    ------
-    ValueError
-        If there are cells where none belong or too few, a mask is of another size than the field,
-        or a confidence is asked for without a goal.
-
-    """
+    """Return the goal that these parameters describe; None to map the field."""
     make = GOALS.find(values['goal'])
     confidence = values['stop.confidence'] or None
     with GOALS.blamed(values['goal']):
@@ -33,15 +24,7 @@ def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
 
 
 def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
-    """
-    Return the cells that the goal names, by number, by position or by a mask.
-
-    Raises
-    ------
-    ValueError
-        If they are named in more than one way, or a mask is of another size than the field.
-
-    """
+    """Return the cells that the goal names, by number, by position or by a mask."""
     cells, position, mask = (values[f'goal.{name}'] for name in ('cells', 'position', 'mask'))
     if sum(map(bool, (cells, position, mask))) > 1:
         raise ValueError(
@@ -57,15 +40,7 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
 
 
 def marked_cells(mask: str, grid: Grid) -> list[int]:
-    """
-    Return the cells of the field that are marked in a map_server map, and are no obstacles.
-
-    Raises
-    ------
-    ValueError
-        If the map does not lie on the field, pixel by cell.
-
-    """
+    """Return the cells of the field that are marked in a map_server map, and are no obstacles."""
     marked = read_map(mask)
     rows, columns = marked.data.shape
     if (columns, rows) != (grid.width, grid.height) or not isclose(
@@ -86,17 +61,7 @@ def stop_of(values: Mapping[str, Any]) -> Stop:
 
 
 def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
-    """
-    Check that the goal can be sought and reached, and that the mission can be over by its stops.
-
-    `values` are the planner's, `options` those of the searches for the robots of each agent.
-
-    Raises
-    ------
-    ValueError
-        If not.
-
-    """
+    """Check that the goal can be reached and that the mission can end by its stops."""
     goal = goal_of(values, grid)
     stop_of(values).check(goal, values['robots'])
     for each in options:

@@ -32,15 +32,7 @@ def parameter_of(node: str, name: str) -> Parameter | None:
 
 
 def check_known(name: str, nodes: Sequence[str]) -> None:
-    """
-    Check that a name is one of the parameters of some of these nodes.
-
-    Raises
-    ------
-    ValueError
-        If not; names the parameter meant, or the nodes that have this one.
-
-    """
+    """Check that a name is one of the parameters of some of these nodes."""
     if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
         return
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
@@ -62,15 +54,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
 
 
 def check_own(values: Mapping[str, Any]) -> None:
-    """
-    Check that what agents have of their own is for agents that there are.
-
-    Raises
-    ------
-    ValueError
-        If not; names the agent meant.
-
-    """
+    """Check that what agents have of their own is for agents that there are."""
     for name in values:
         own = own_name(name)
         if own and own[0] not in values['agents']:

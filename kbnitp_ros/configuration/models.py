@@ -22,15 +22,7 @@ def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
 
 
 def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
-    """
-    Return which numbers these parameters leave to be learnt.
-
-    Raises
-    ------
-    ValueError
-        If one is named twice, or what is believed of any at first is no distribution.
-
-    """
+    """Return which numbers these parameters leave to be learnt."""
     learn = values['learn']
     if len(set(learn)) < len(learn):
         raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
@@ -47,15 +39,7 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
 
 
 def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
-    """
-    Return how hazards change by these parameters.
-
-    Raises
-    ------
-    ValueError
-        If hazards that do not come and go are given rates.
-
-    """
+    """Return how hazards change by these parameters."""
     try:
         return Dynamics(
             values['hazards.dynamics'], values['hazards.appear'], values['hazards.vanish']
@@ -71,15 +55,7 @@ def clustering_of(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
 
 
 def execution_of(values: Mapping[str, Any]) -> Execution:
-    """
-    Return how simulated robots depart from their orders.
-
-    Raises
-    ------
-    ValueError
-        If silence is to tell where they were lost, and they are silent all the way.
-
-    """
+    """Return how simulated robots depart from their orders."""
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
             f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '

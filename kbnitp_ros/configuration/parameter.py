@@ -86,15 +86,7 @@ class Parameter:
         return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
 
     def read(self, text: str) -> Any:
-        """
-        Return the value that a text typed on a command line stands for, as `check` does.
-
-        Raises
-        ------
-        ValueError
-            If it stands for none.
-
-        """
+        """Return the value that a text typed on a command line stands for, as `check` does."""
         if self.element is None and isinstance(self.default, str):
             return self.check(text)
         try:
@@ -104,15 +96,7 @@ class Parameter:
         return self.check(value)
 
     def check(self, value: Any) -> Any:
-        """
-        Return `value` as this parameter's type; whole numbers are taken for numbers.
-
-        Raises
-        ------
-        ValueError
-            If it is of another type, out of range or none of the choices.
-
-        """
+        """Return `value` as this parameter's type; whole numbers are taken for numbers."""
         if self.element is None:
             return self._check_one(value, type(self.default))
         # rclpy hands an empty YAML list over as None.

@@ -17,16 +17,7 @@ SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 
 def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
-    """
-    Return the prior that the parameters of an estimator describe.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or holds no probabilities, they have no joint distribution, or
-        the log is of another field.
-
-    """
+    """Return the prior that the parameters of an estimator describe."""
     files = {name: values[f'prior.{name}_map'] for name in MAPS}
     log = values['prior.log']
     if log:
@@ -51,17 +42,7 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
 
 
 def earlier_belief(log: str, grid: Grid) -> Belief:
-    """
-    Return what a mission came to believe, of the same field.
-
-    Its base may have been elsewhere.
-
-    Raises
-    ------
-    ValueError
-        If the log cannot be read, has no belief on record, or is of another field.
-
-    """
+    """Return what a mission came to believe, of the same field."""
     known = last_belief(log)
     if known is None:
         raise ValueError(f'{log} has no belief on record')

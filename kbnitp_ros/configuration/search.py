@@ -22,15 +22,7 @@ from kbnitp_ros.core import (
 
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:
-    """
-    Return the options that these parameters describe.
-
-    Raises
-    ------
-    ValueError
-        If they do not go together.
-
-    """
+    """Return the options that these parameters describe."""
     names = {field.name: field.name for field in fields(SearchOptions)} | {'width': 'beam_width'}
     return SearchOptions(**{option: values[name] for option, name in names.items()})
 
@@ -45,19 +37,7 @@ def type_to_plan(
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
-    """
-    Check that the planner can search with these parameters, and have the memory that it takes.
-
-    `values` are the planner's. Robots are `believed` to be of a type as far as it is known.
-
-    Raises
-    ------
-    ValueError
-        If it does not seek the objective or keep the distance, or the distance allows no step;
-        with an estimate, if it takes too much; if the goal cannot be reached or the stops
-        contradict each other.
-
-    """
+    """Check that the planner can search with these parameters in the memory there is."""
     types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])

@@ -15,20 +15,7 @@ PRESENT = {'.': False, 'x': True}
 
 
 def read_world(path: str | Path, grid: Grid) -> World:
-    """
-    Return the world in a file.
-
-    The file maps ``hazard`` and ``target`` to a list of texts each, one for each row of the grid,
-    the top row first, in which ``x`` is a cell that has one and ``.`` a cell that has none.
-
-    Raises
-    ------
-    ValueError
-        If it is not such a file, or the world does not fit the grid.
-    OSError
-        If there is no such file, or it is a pipe or a device.
-
-    """
+    """Return the world in a file."""
     try:
         content = read_yaml(path)
         if not isinstance(content, dict) or set(content) != {'hazard', 'target'}:

@@ -25,12 +25,8 @@ NAMED = 3
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """
-    Have every OSError name a file.
-
-    The system names the file when one is opened, but not when an open one is written, as on a
-    full disk.
-    """
+    """Have every OSError name a file."""
+    # The system names a file that is opened, but not an open one that is written.
     try:
         yield
     except OSError as error:

@@ -136,14 +136,7 @@ def belief_fields(
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> Fields:
-    """
-    Return the fields of the message of what is believed now.
-
-    Nothing in it depends on when it is made: the same evidence gives the same belief. A prior has
-    the stamp at which the estimator `started`. With `since` it adds to the belief of so many
-    deployments, and names what was `assimilated` after that, in deployment order; else it names
-    all that it holds. Times are in nanoseconds.
-    """
+    """Return the fields of the message of what is believed now."""
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
@@ -221,15 +214,7 @@ def belief_maps(
 
 
 def read_assimilated(message: Any) -> list[Assimilated]:
-    """
-    Return which evidence a kbnitp_msgs/BeliefMaps names.
-
-    Raises
-    ------
-    ValueError
-        If one names no agent, or no time of a path.
-
-    """
+    """Return which evidence a kbnitp_msgs/BeliefMaps names."""
     named = []
     for number, each in enumerate(message.taken_in):
         if not each.agent:
@@ -240,17 +225,7 @@ def read_assimilated(message: Any) -> list[Assimilated]:
 
 
 def read_belief_maps(message: Any) -> Snapshot:
-    """
-    Return what a kbnitp_msgs/BeliefMaps says.
-
-    Raises
-    ------
-    ValueError
-        If it is in another frame, its geometry or sensor model is out of range, its joint is of
-        another size or no distribution, it holds deployments and names none, or there are no
-        such dynamics of hazards and no such clustering.
-
-    """
+    """Return what a kbnitp_msgs/BeliefMaps says."""
     check_frame('header.frame_id', message.header.frame_id)
     if message.deployments and not message.agent:
         raise ValueError(
@@ -294,15 +269,7 @@ def read_belief_maps(message: Any) -> Snapshot:
 
 
 def read_joint(name: str, values: Any, grid: Grid) -> Belief:
-    """
-    Return the belief that a field holds.
-
-    Raises
-    ------
-    ValueError
-        If it has not four values a cell, or they are no distribution.
-
-    """
+    """Return the belief that a field holds."""
     joint = np.asarray(values, dtype=np.float64)
     if joint.size != 4 * grid.cells:
         raise ValueError(
@@ -315,15 +282,7 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
 
 
 def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
-    """
-    Return how hazards cluster: 0 for not at all, NaN for a coupling that is learnt.
-
-    Raises
-    ------
-    ValueError
-        If it is out of range.
-
-    """
+    """Return how hazards cluster: 0 for not at all, NaN for a coupling that is learnt."""
     if coupling == 0.0:
         return None
     try:
@@ -333,15 +292,7 @@ def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
 
 
 def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
-    """
-    Return what kbnitp_msgs/UnknownNumbers say is learnt.
-
-    Raises
-    ------
-    ValueError
-        If there is no such number, one stands twice, or its distribution is none.
-
-    """
+    """Return what kbnitp_msgs/UnknownNumbers say is learnt."""
     priors: dict[str, Beta] = {}
     known = [field.name for field in fields(Unknowns)]
     for number in numbers:
@@ -354,15 +305,7 @@ def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
 
 
 def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
-    """
-    Return what kbnitp_msgs/OwnNumbers say of the robots of agents, by the agents' names.
-
-    Raises
-    ------
-    ValueError
-        If an agent has no name, there is no such number, one stands twice, or is out of range.
-
-    """
+    """Return what kbnitp_msgs/OwnNumbers say of the robots of agents, by the agents' names."""
     own: dict[str, dict[str, Any]] = {}
     known = [field.name for field in fields(RobotType)]
     for number in numbers:

@@ -19,28 +19,7 @@ BYTES = 8
 
 
 def content_hash(message: Any) -> int:
-    """
-    Return a hash of the names and the values of a message's fields.
-
-    Parameters
-    ----------
-    message : object
-        As received, or as decoded from a log. Its class lists the fields as those of rosidl
-        (`get_fields_and_field_types`) or of mcap_ros2 (`__slots__`) do.
-
-    Returns
-    -------
-    int
-        BLAKE2b of the encoded content; 0 .. 2**64 - 1.
-
-    Notes
-    -----
-    A float32 that was never sent may have more digits than what is received of it.
-
-    Fields of the type byte have no hash that decoders agree on: some return bytes, some numbers.
-    No message of a mission has one.
-
-    """
+    """Return a hash of the names and the values of a message's fields."""
     return int.from_bytes(
         blake2b(b''.join(_encoded(message)), digest_size=BYTES).digest(), 'little'
     )

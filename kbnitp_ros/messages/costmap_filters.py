@@ -21,16 +21,7 @@ KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
 
 
 def check_filter(filter_type: int, base: float, multiplier: float) -> None:
-    """
-    Check that Nav2's filter of a type takes these numbers.
-
-    Raises
-    ------
-    ValueError
-        If a KeepoutFilter is given others than 0 and 1, or a SpeedFilter would take a limit for
-        none, since it is below 0 or above 100 percent.
-
-    """
+    """Check that Nav2's filter of a type takes these numbers."""
     given = f'filter.base is {base} and filter.multiplier {multiplier}'
     if filter_type == KEEPOUT and (base, multiplier) != (0.0, 1.0):
         raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')

@@ -45,15 +45,7 @@ def decision_message(
 
 
 def read_decision(grid: Grid, message: Any) -> Decision:
-    """
-    Return the decision that a message tells.
-
-    Raises
-    ------
-    ValueError
-        If a probability is none, a number is negative or not finite, or the path leaves the grid.
-
-    """
+    """Return the decision that a message tells."""
     names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
     if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
         raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')

@@ -41,12 +41,7 @@ class Source(IntEnum):
 
 
 def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MISSION) -> Path:
-    """
-    Return the message that sends an agent along `cells`.
-
-    The poses are turned as the rows of the grid are. Together with the agent `stamp`, which is
-    never used twice, names the deployment; both times are in nanoseconds.
-    """
+    """Return the message that sends an agent along `cells`."""
     from geometry_msgs.msg import PoseStamped, Quaternion
     from nav_msgs.msg import Path
 
@@ -62,18 +57,7 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MIS
 
 
 def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDArray[np.intp]]:
-    """
-    Return which deployment a nav_msgs/Path names and the cells it leads through.
-
-    Whether a robot can go that way is for `Grid.check_path` to say.
-
-    Raises
-    ------
-    ValueError
-        If it has no pose, or one is in another frame, not finite or outside the grid, or its
-        time is none.
-
-    """
+    """Return which deployment a nav_msgs/Path names and the cells it leads through."""
     stamp = read_path_name(message)
     positions = [pose.pose.position for pose in message.poses]
     points = np.array([(position.x, position.y) for position in positions])
@@ -87,15 +71,7 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
 
 
 def read_path_name(message: Any) -> int:
-    """
-    Return the time that names the deployment of a nav_msgs/Path, in nanoseconds.
-
-    Raises
-    ------
-    ValueError
-        If that is none, or the path has no pose or one in another frame.
-
-    """
+    """Return the time that names the deployment of a nav_msgs/Path, in nanoseconds."""
     check_frame('header.frame_id', message.header.frame_id)
     if not message.poses:
         raise ValueError('poses is empty: a path starts and ends at the base')
@@ -139,18 +115,7 @@ def report_message(
 
 
 def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, Report]:
-    """
-    Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says.
-
-    Whether a robot can have made it is for `Ledger.record_report` to say.
-
-    Raises
-    ------
-    ValueError
-        If it is in another frame, a time is none, it names no agent or another one, something is
-        detected without a look, or its source is none.
-
-    """
+    """Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says."""
     check_frame('header.frame_id', message.header.frame_id)
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")

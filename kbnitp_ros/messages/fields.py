@@ -21,11 +21,7 @@ Fields = SimpleNamespace
 
 
 def filled(message: M, fields: Fields) -> M:
-    """
-    Return a message, after its fields were set.
-
-    Lists of messages in it are for the caller to set.
-    """
+    """Return a message, after its fields were set."""
     for name, value in vars(fields).items():
         if isinstance(value, Fields):
             filled(getattr(message, name), value)

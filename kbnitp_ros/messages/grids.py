@@ -60,18 +60,7 @@ def metadata_fields(grid: Grid) -> Fields:
 
 
 def read_map_metadata(info: Any, **rest: Any) -> Grid:
-    """
-    Return the grid with the geometry of a nav_msgs/MapMetaData.
-
-    `rest` is what this message does not name of the grid, such as its base.
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite, the origin is turned about another axis than z, or there is no
-        such grid.
-
-    """
+    """Return the grid with the geometry of a nav_msgs/MapMetaData."""
     origin = info.origin
     numbers = {
         'info.resolution': info.resolution,
@@ -100,11 +89,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
 
 
 def occupancy_fields(grid: Grid, probabilities: ArrayLike, stamp: int) -> Fields:
-    """
-    Return the fields of a map for people to look at, computed at a time in nanoseconds.
-
-    Blocked cells are shown as -1. The truth is a map of probabilities 0 and 1.
-    """
+    """Return the fields of a map for people to look at, computed at a time in nanoseconds."""
     percent = np.rint(100.0 * np.asarray(probabilities, dtype=np.float64)).astype(np.int8)
     return Fields(
         header=header_fields(stamp),
@@ -121,18 +106,7 @@ def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> Occupanc
 
 
 def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
-    """
-    Return the probabilities that a nav_msgs/OccupancyGrid shows.
-
-    They are true to half a percent, shape (cells,); NaN where the map says -1.
-
-    Raises
-    ------
-    ValueError
-        If its frame is empty, its geometry is not finite, its data is not of its size or holds a
-        value that is neither -1 nor 0 to 100.
-
-    """
+    """Return the probabilities that a nav_msgs/OccupancyGrid shows."""
     if not message.header.frame_id:
         raise ValueError("header.frame_id is '': it must name the frame of the map")
     percent = _data(message, read_map_metadata(message.info))
@@ -142,27 +116,7 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
 def read_map_message(
     message: Any,
 ) -> tuple[NDArray[np.int8], float, tuple[float, float], float]:
-    """
-    Return the map of the field that a nav_msgs/OccupancyGrid shows, such as map_server's.
-
-    Returns
-    -------
-    data : ndarray of int8, shape (rows, columns)
-        Row 0 at the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
-    resolution : float
-        Side of a pixel in metres.
-    origin : tuple of float
-        Lower-left corner of the map in metres.
-    yaw : float
-        How its rows are turned, in rad.
-
-    Raises
-    ------
-    ValueError
-        If it is in another frame, its geometry is not finite, its data is not of its size or
-        holds a value that is neither -1 nor 0 to 100.
-
-    """
+    """Return the map of the field that a nav_msgs/OccupancyGrid shows, such as map_server's."""
     check_frame('header.frame_id', message.header.frame_id)
     pixels = read_map_metadata(message.info)
     data = _data(message, pixels).reshape(pixels.height, pixels.width)

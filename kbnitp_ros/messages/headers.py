@@ -27,15 +27,7 @@ SHOWN = 100
 
 
 def stamp_fields(nanoseconds: int) -> Fields:
-    """
-    Return the fields of a builtin_interfaces/Time.
-
-    Raises
-    ------
-    ValueError
-        If it does not fit: whole seconds are an int32.
-
-    """
+    """Return the fields of a builtin_interfaces/Time."""
     seconds, rest = divmod(nanoseconds, SECOND)
     if not -(2**31) <= seconds < 2**31:
         raise ValueError(f'stamp is {nanoseconds} ns: its whole seconds must fit an int32')
@@ -55,18 +47,7 @@ def from_stamp(stamp: Any) -> int:
 
 
 def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
-    """
-    Return the nanoseconds of a builtin_interfaces/Time that came from outside.
-
-    `name` is that of the field, for errors, and `last` the last time allowed.
-
-    Raises
-    ------
-    ValueError
-        If it is negative or too late, or its nanoseconds are a second or more: then two messages
-        would say the same time.
-
-    """
+    """Return the nanoseconds of a builtin_interfaces/Time that came from outside."""
     if not stamp.nanosec < SECOND:
         raise ValueError(f'{name}.nanosec is {stamp.nanosec}: it must be below {SECOND}')
     nanoseconds = from_stamp(stamp)
@@ -79,24 +60,12 @@ def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
 
 
 def read_name(name: str, stamp: Any) -> int:
-    """
-    Return the nanoseconds of a builtin_interfaces/Time that names a deployment.
-
-    Raises
-    ------
-    ValueError
-        As `read_stamp`.
-
-    """
+    """Return the nanoseconds of a builtin_interfaces/Time that names a deployment."""
     return read_stamp(name, stamp, LAST_NAME)
 
 
 def next_name(earliest: int, *names: int) -> int:
-    """
-    Return the first name, in nanoseconds, that is after those in use and not too early.
-
-    One in use that is too late to be counted on from does not count.
-    """
+    """Return the first name, in nanoseconds, that is after those in use and not too early."""
     return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
 
 
@@ -120,15 +89,7 @@ def header(nanoseconds: int) -> Header:
 
 
 def check_frame(name: str, frame_id: str) -> None:
-    """
-    Check that positions are given in the frame of the grid.
-
-    Raises
-    ------
-    ValueError
-        If the frame is another one.
-
-    """
+    """Check that positions are given in the frame of the grid."""
     if frame_id != FRAME:
         raise ValueError(
             f'{name} is {shown(frame_id)}: it must be {FRAME!r}, the frame of the grid'

@@ -21,15 +21,7 @@ NO_MISSION = 0
 
 
 def mission_of_path(message: Any) -> int:
-    """
-    Return when the mission of a nav_msgs/Path began, in nanoseconds.
-
-    Raises
-    ------
-    ValueError
-        If it is no time.
-
-    """
+    """Return when the mission of a nav_msgs/Path began, in nanoseconds."""
     stated = message.poses[0].header.stamp if message.poses else message.header.stamp
     if from_stamp(stated) == from_stamp(message.header.stamp):
         return NO_MISSION
@@ -37,15 +29,7 @@ def mission_of_path(message: Any) -> int:
 
 
 def check_mission(stated: int, own: int | None) -> None:
-    """
-    Check that a message belongs to a node's mission; None if that has not joined any.
-
-    Raises
-    ------
-    ValueError
-        If it is another one.
-
-    """
+    """Check that a message belongs to a node's mission; None if that has not joined any."""
     if own not in (None, stated):
         raise ValueError(
             f'it belongs to {named(stated)}, and not to {named(own)}: '

@@ -56,15 +56,7 @@ def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
 
 
 def read_model_belief(message: Any) -> dict[str, Known]:
-    """
-    Return what a kbnitp_msgs/ModelBelief says, by the names of the numbers.
-
-    Raises
-    ------
-    ValueError
-        If it is in another frame, or an array has not one value for each name.
-
-    """
+    """Return what a kbnitp_msgs/ModelBelief says, by the names of the numbers."""
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     values = {field: list(getattr(message, field)) for field in fields}

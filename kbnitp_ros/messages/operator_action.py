@@ -84,30 +84,13 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
 
 
 def read_action_name(message: Any) -> int:
-    """
-    Return the time that names an action, in nanoseconds.
-
-    Raises
-    ------
-    ValueError
-        If that is none, or it is in another frame.
-
-    """
+    """Return the time that names an action, in nanoseconds."""
     check_frame('header.frame_id', message.header.frame_id)
     return read_name('header.stamp', message.header.stamp)
 
 
 def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
-    """
-    Return the action that a kbnitp_msgs/OperatorAction states.
-
-    Raises
-    ------
-    ValueError
-        If its time or its action is none, a path is none on this grid, or there is not one of each
-        agent of an action that is about robots, and of no other.
-
-    """
+    """Return the action that a kbnitp_msgs/OperatorAction states."""
     stamp = read_action_name(message)
     if message.action not in list(Action):
         raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')

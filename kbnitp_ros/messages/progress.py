@@ -68,12 +68,7 @@ def progress_message(
     out: int,
     standing: Standing = NOT_KNOWN,
 ) -> msg.Progress:
-    """
-    Return the message of how a mission stands.
-
-    `before` is what was believed before the last report, `world` the truth if it is known, `stamp`
-    that of the belief, in nanoseconds; `out` robots have departed and were not reported.
-    """
+    """Return the message of how a mission stands."""
     from kbnitp_msgs import msg
 
     belief = ledger.belief

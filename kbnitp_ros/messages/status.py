@@ -56,18 +56,7 @@ def status_message(
 
 
 def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
-    """
-    Return which deployment a kbnitp_msgs/AgentStatus is about and what it says.
-
-    Whether it can follow what was said before is for `Departures.take` to say.
-
-    Raises
-    ------
-    ValueError
-        If it is in another frame, a time is none, it names another agent, the state is none, or
-        there is a reason and no refusal, or the other way round, or one that is too long.
-
-    """
+    """Return which deployment a kbnitp_msgs/AgentStatus is about and what it says."""
     check_frame('header.frame_id', message.header.frame_id)
     if message.agent != agent:
         raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')

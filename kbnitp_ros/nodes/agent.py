@@ -38,15 +38,7 @@ class AgentNode(FieldNode):
         self.create_poll(self._look)
 
     def _agents_played(self, team: Sequence[str]) -> Sequence[str]:
-        """
-        Return the names of the agents that this node plays.
-
-        Raises
-        ------
-        ValueError
-            If the parameter `agent` names none of the team.
-
-        """
+        """Return the names of the agents that this node plays."""
         name = self.values['agent']
         if name and name not in team:
             raise ValueError(

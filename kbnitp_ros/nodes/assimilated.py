@@ -12,13 +12,10 @@ COMPLETE_EVERY = 64
 
 
 class NewEvidence:
-    """
-    What was assimilated since the belief before.
+    """What was assimilated since the belief before."""
 
-    A belief says how many deployments the one before held, by which a reader notices that one is
-    missing. That number is the same before and after a report that replaced another one, so the
-    belief after such a one names all that it holds.
-    """
+    # A report that replaces another leaves the number of deployments as it was, so the belief
+    # after it names all that it holds.
 
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()
@@ -36,12 +33,7 @@ class NewEvidence:
         self._since = 0
 
     def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:
-        """
-        Return what the belief of a ledger, which is published next, says of its evidence.
-
-        That is the number of deployments in the belief that it adds to, 0 if it is complete; and
-        whose evidence was assimilated since, in deployment order.
-        """
+        """Return what the belief of a ledger, which is published next, says of its evidence."""
         since, held = self._since, len(ledger.deployments)
         named = sorted(self._keys, key=deployment_order) if since else ledger.deployments
         self._until_complete = (self._until_complete if since else COMPLETE_EVERY) - 1

@@ -36,14 +36,7 @@ UNKNOWN = 'no belief is known together with all its evidence'
 
 
 class Decisions:
-    """
-    The decisions of the planner.
-
-    With a goal it publishes one on `decision` for each belief, and the lane on `decision/lane` for
-    people to look at. The service `safest_path` answers for any two places, one call after
-    another. Both are computed in threads of their own, so that the planner goes on listening.
-    `act` is called after each decision.
-    """
+    """The decisions of the planner."""
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
         self.knowledge = Knowledge(grid, node.values, own_robot_types(node.values, grid))
@@ -180,15 +173,7 @@ class Decisions:
         return answer
 
     def _safest_path(self, newest: Snapshot, start: int, to: int) -> SafestPath:
-        """
-        Return the safest path between two cells.
-
-        Raises
-        ------
-        ValueError
-            If there is none, or the evidence of the belief is not known.
-
-        """
+        """Return the safest path between two cells."""
         if (draws := self.knowledge.draws(newest)) is None:
             raise ValueError(UNKNOWN)
         most = self._node.values['max_steps']

@@ -23,15 +23,7 @@ class Detection(NamedTuple):
 
 
 def detection_class(name: str) -> type:
-    """
-    Return the message class of a value of the parameter detection_type.
-
-    Raises
-    ------
-    ValueError
-        If its package is not installed.
-
-    """
+    """Return the message class of a value of the parameter detection_type."""
     try:
         return message_class(TYPES[name])
     except LookupError as error:
@@ -43,15 +35,7 @@ def detection_class(name: str) -> type:
 
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
-    """
-    Return what a message of the detector says, by the parameters of its type.
-
-    Raises
-    ------
-    ValueError
-        If it tells a time that is none.
-
-    """
+    """Return what a message of the detector says, by the parameters of its type."""
     if values['detection_type'] == 'bool':
         return Detection(bool(message.data), None)
     wanted, least = values['detection_class'], values['detection_score']

@@ -34,11 +34,7 @@ from rclpy.subscription import Subscription
 
 
 class Dispatch:
-    """
-    The planner's robots, from their orders to their reports.
-
-    `rounds` and `knowledge` take note of the paths; `act` is called after each report.
-    """
+    """The planner's robots, from their orders to their reports."""
 
     def __init__(
         self,

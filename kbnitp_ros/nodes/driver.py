@@ -119,11 +119,8 @@ class Driver:
         return f'the action server {self.name} (parameters driver and nav_namespace)'
 
     def not_ready(self, place: tuple[float, float], stamp: int) -> str:
-        """
-        Return what Nav2 lacks to take the first goal of a robot at a place; empty when nothing.
-
-        An action server of Nav2 is there before it is active, and rejects goals until then.
-        """
+        """Return what Nav2 lacks to take the first goal of a robot; empty when nothing."""
+        # An action server of Nav2 is there before it is active, and rejects goals until then.
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited
         return '' if self._lifecycle.is_there else self._try_goal(place, stamp)
@@ -150,11 +147,7 @@ class Driver:
             handle.cancel_goal_async()
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
-        """
-        Send the robot from where it is, x and y, along a leg, of which it is in the first cell.
-
-        `is_busy` until that is over, however it ends.
-        """
+        """Send the robot from x, y along a leg that starts in its cell."""
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
         self._number += 1
         number = self._number

@@ -109,11 +109,7 @@ class EstimatorNode(FieldNode):
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _restore(self, log: str) -> None:
-        """
-        Take in what is on record.
-
-        Publishers keep so many messages only, and they may have died with what they said.
-        """
+        """Take in what is on record."""
         check_same_field(log, self._ledger.grid, self._ledger.robot_types)
         self._departures = read_departures(log)
         self._take_in(log)
@@ -215,26 +211,14 @@ class EstimatorNode(FieldNode):
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """
-        Return whether a path of a mission ends the one of the paths held.
-
-        Those heard before the first belief is published may be of several, such as of an old bag
-        that is played: then the newest counts. Whatever it is, a planner that names the time of
-        this estimator's own prior has begun a mission on it.
-        """
+        """Return whether a path of a mission ends the one of the paths held."""
+        # Paths before the first belief may be of several missions, as of an old bag: the newest
+        # counts.
         is_newer = self._mission is not None and mission > self._mission
         return (is_newer and not self._started) or 0 < mission == self._started != self._mission
 
     def _join(self, mission: int) -> None:
-        """
-        Take part in a mission, unless it is another one than that of the paths held.
-
-        Raises
-        ------
-        ValueError
-            If it is another one.
-
-        """
+        """Take part in a mission, unless it is another one than that of the paths held."""
         if self._is_begun_by(mission):
             ledger = self._prior.copy()
             ledger.copy_pending_of(self._ledger)

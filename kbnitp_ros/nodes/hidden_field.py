@@ -20,16 +20,11 @@ from numpy.typing import NDArray
 
 
 class HiddenField:
-    """
-    What becomes of robots in a field, as core's run_mission has it.
+    """What becomes of robots in a field, as core's run_mission has it."""
 
-    Where hazards stay, a robot leaves as soon as it has its path. Where they do not, the field is
-    a fold of all paths in deployment order, and a robot leaves when those before it are known. All
-    agents take part in each round in their order, so robot n of an agent, counted from 0, waits
-    for n + 1 paths of each agent before it and n of each one after it. `models` has what the
-    robots of each agent are like; `generator` returns the randomness of an agent's robot, counted
-    from 0.
-    """
+    # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
+    # before it are known. All agents take part in each round in their order: robot n of an agent,
+    # from 0, waits for n + 1 paths of each agent before it and n of each after it.
 
     def __init__(
         self,

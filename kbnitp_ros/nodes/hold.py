@@ -14,12 +14,7 @@ BOOL = 'std_msgs/msg/Bool'
 
 
 class Hold:
-    """
-    What an agent is told: it lets robots depart once it has heard that none is held.
-
-    `prefix`, which the names of the agent's topics begin with, is empty in a namespace of its own,
-    which is below that of the mission. `act` is called with each message.
-    """
+    """What an agent is told: it lets robots depart once it has heard that none is held."""
 
     def __init__(
         self, node: MissionNode, prefix: str, act: Callable[[], None] = lambda: None
@@ -43,11 +38,7 @@ class Hold:
 
 
 class Holding:
-    """
-    What the planner tells all agents.
-
-    It hears its own words, so that it can contradict others who publish them.
-    """
+    """What the planner tells all agents."""
 
     def __init__(self, node: MissionNode) -> None:
         self._node = node

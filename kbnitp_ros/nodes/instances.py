@@ -36,12 +36,7 @@ class Instance:
 
 
 class Instances:
-    """
-    Listens for diagnostics that name an instance other than the one of this process.
-
-    The node's own diagnostics name its instance if they tell `own` under the key `INSTANCE`.
-    `is_meant` says by the full name and the diagnostics of another whether it matters.
-    """
+    """Listens for diagnostics that name an instance other than the one of this process."""
 
     def __init__(
         self, node: MissionNode, is_meant: Callable[[str, Mapping[str, str]], bool]

@@ -33,12 +33,10 @@ def addresses() -> dict[str, str]:
 
 
 class Links:
-    """
-    What DDS knows of the links of this computer; to be made before the node.
+    """What DDS knows of the links of this computer; to be made before the node."""
 
-    A node that starts without a link listens on lo alone, and stays deaf when one comes up. One
-    whose address changes is not found under the new one.
-    """
+    # A node that starts without a link listens on lo alone, and stays deaf when one comes up. One
+    # whose address changes is not found under the new one.
 
     def __init__(self) -> None:
         self._known = addresses()

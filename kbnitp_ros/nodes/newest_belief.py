@@ -57,11 +57,7 @@ class NewestBelief:
         self._subscription = self._hear()
 
     def listen_anew(self) -> None:
-        """
-        Ask for the belief of the estimators that stay when one of several has left.
-
-        It may have been held to be older than that of the other.
-        """
+        """Ask for the belief of the estimators that stay when one of several has left."""
         self.tracker.forget_newest()
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._hear()

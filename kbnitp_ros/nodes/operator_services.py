@@ -76,12 +76,7 @@ class Proposals:
 
 
 class Operator:
-    """
-    Takes the actions of the operator, one after another.
-
-    An action is published on `operator`. With the parameter `recorded` it holds, and its service
-    answers, when the recorder has it on disk: what an operator was told is so after any crash.
-    """
+    """Takes the actions of the operator, one after another."""
 
     def __init__(
         self,

@@ -36,13 +36,7 @@ Refuse = Callable[[str, object], None]
 
 
 class ParameterWatch:
-    """
-    Asks the nodes of a namespace for their parameters, and never waits for an answer.
-
-    A node is asked when it appears, when another of its name appears, which is how a restart
-    looks, and when it says that a parameter has changed. One that does not answer is left alone,
-    and so is one that nobody knows of.
-    """
+    """Asks the nodes of a namespace for their parameters, and never waits for an answer."""
 
     def __init__(self, node: Node, namespace: str, tell: Tell, refuse: Refuse) -> None:
         self._node = node

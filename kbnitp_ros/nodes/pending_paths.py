@@ -19,13 +19,10 @@ SETTLED = 0.3
 
 
 class PendingPaths:
-    """
-    The paths that a robot was sent and has not left on.
+    """The paths that a robot was sent and has not left on."""
 
-    Paths come again when the robot or the base was restarted. Those in the journal were driven; of
-    the others the robot is sent on the newest only, since the base sends none while it waits for
-    an earlier one.
-    """
+    # Paths come again when the robot or the base was restarted. The base sends none while it waits
+    # for an earlier one, so the robot leaves on the newest that is not in the journal.
 
     def __init__(
         self,
@@ -116,12 +113,7 @@ class PendingPaths:
         return ''
 
     def superseded(self) -> list[Deployment]:
-        """
-        Return the deployments that this robot will not leave on, since a newer one came.
-
-        Of those that were sent before it left for the first time nothing is known: another robot
-        of its name may have.
-        """
+        """Return the deployments that this robot will not leave on, since a newer one came."""
         driven = (
             self._journal.deployments[-1].stamp
             if self._journal.deployments

@@ -266,11 +266,7 @@ class PlannerNode(FieldNode):
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
-        """
-        Return the plans of the robots to leave next; those that are proposed if they are it.
-
-        There are none as long as they are searched for.
-        """
+        """Return the plans of the robots to leave next; those that are proposed if they are it."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = SearchRequest(belief, agents, len(refused), self._changes)
@@ -329,13 +325,8 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
 
     def _next_stamp(self, newest: Snapshot) -> int:
-        """
-        Return the stamp that names the first deployment to be planned on a belief.
-
-        It is the belief's own, so that a planner which was restarted, and no longer knows what it
-        sent, sends the very same message again, which changes nothing. None is used twice, even
-        if the clock jumps back, and none is the time that names the mission.
-        """
+        """Return the stamp that names the first deployment to be planned on a belief."""
+        # It is that of the belief: a restarted planner then sends the same message again.
         held = -1 if newest.newest is None else newest.newest.stamp
         return next_name(newest.stamp, newest.mission, held, self._dispatch.last_stamp)
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paths that an agent is sent, each as it is on record, and its departures."""
+# Of several paths of one stamp all nodes take the one that the recorder names. An acknowledgement
+# before its path is not kept, since anybody can send any number: the publisher keeps it and is
+# asked again.
 
 from __future__ import annotations
 
@@ -23,17 +26,7 @@ ASK_FIRST, ASK_LAST = 1.0, 60.0
 
 
 class RecordedPaths(Generic[P]):
-    """
-    The paths that an agent is sent.
-
-    With the parameter `recorded` a path is taken when the recorder names it by stamp and content
-    on AGENT/recorded: of several paths of one stamp all nodes take the one on disk. An
-    acknowledgement may come before its path and is not kept, since anybody can send any number of
-    them. The recorder's publisher keeps them: they are asked for again as long as a path lacks its
-    own. Without the parameter a path is taken when it comes. `read` returns what a path says, None
-    if it is known; `take` is called with what one says that is on record. Both raise ValueError
-    for one that is to be refused.
-    """
+    """The paths that an agent is sent."""
 
     def __init__(
         self,
@@ -80,12 +73,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, stamp: int, content: int, depart: Callable[[], None]) -> None:
-        """
-        Have a robot move when its departure is on record; at once without that parameter.
-
-        `stamp` is that of its path, `content` the hash of the status, which is published after
-        this.
-        """
+        """Have a robot move when its departure is on record; at once without that parameter."""
         if self._node.values['recorded']:
             self._departures[stamp, content] = depart
         else:

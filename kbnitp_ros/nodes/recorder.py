@@ -278,15 +278,7 @@ class RecorderNode(MissionNode):
             self._settled.add(name)
 
     def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> HeardTopic:
-        """
-        Return a topic, on record from now on.
-
-        Raises
-        ------
-        LookupError
-            If the type is not installed or not that of the topic.
-
-        """
+        """Return a topic, on record from now on."""
         if name in self._topics:
             topic = self._topics[name]
             if type_name != topic.type_name:
@@ -403,15 +395,7 @@ class RecorderNode(MissionNode):
         return any(each.name.startswith(self._namespace) for each in status)
 
     def _check(self, topic: HeardTopic, data: bytes) -> None:
-        """
-        Check that what others act on, also when they read the log, can be of this mission.
-
-        Raises
-        ------
-        ValueError, RuntimeError
-            If it is of another one, too large, or not of the type.
-
-        """
+        """Check that what others act on, also when they read the log, can be of this mission."""
         if topic.type_name not in READ:
             return
         message = deserialize_message(data, message_class(topic.type_name))
@@ -445,20 +429,8 @@ class RecorderNode(MissionNode):
             self._tracker.accept_belief(snapshot, known)
 
     def _check_status(self, topic: HeardTopic, message: Any) -> None:
-        """
-        Check what an agent says of an order, and have a departure told to be on the disk.
-
-        Of two departures of one deployment, as two robots of one name make them, only the first
-        is told, so that only one moves.
-
-        Raises
-        ------
-        PathsUnknownError
-            If the order is not on record, or not yet.
-        ValueError
-            If it cannot follow what is on record.
-
-        """
+        """Check what an agent says of an order, and have a departure told to be on the disk."""
+        # Of two departures of one deployment, by two robots of one name, only the first is told.
         key, status = read_status(message, agent_of(topic.name))
         if key not in self._ordered:
             raise PathsUnknownError(
@@ -469,15 +441,7 @@ class RecorderNode(MissionNode):
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
     def _name(self, topic: HeardTopic, message: Any) -> tuple[int, int]:
-        """
-        Return the stamp of a path or an operator's action, and when its mission began.
-
-        Raises
-        ------
-        ValueError
-            If it is none, or a path of another mission.
-
-        """
+        """Return the stamp of a path or an operator's action, and when its mission began."""
         if topic.type_name == OPERATOR:
             return read_action_name(message), NO_MISSION
         stamp, mission = read_path_name(message), mission_of_path(message)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorders of a namespace: which are alive, and which of several goes on."""
+# A publisher alone may be of a killed process, and anybody can send diagnostics alone.
 
 from __future__ import annotations
 
@@ -33,13 +34,7 @@ COMPARE_UNTIL = 10.0
 
 
 class Recorders:
-    """
-    The recorders of a namespace, without this process.
-
-    One is alive if it publishes `operator/recorded` and is heard on diagnostics: a publisher alone
-    may be of a process that was killed, which DDS knows of for some time, and diagnostics alone
-    may be said by anybody.
-    """
+    """The recorders of a namespace, without this process."""
 
     def __init__(self, node: MissionNode) -> None:
         self._node = node
@@ -93,17 +88,7 @@ class Precedence:
         self._begun_at = self._checked_at = 0.0
 
     def wait(self) -> None:
-        """
-        Look for another recorder before the log is opened.
-
-        Raises
-        ------
-        AnotherRecorderError
-            If one is alive.
-        StoppedError
-            If a signal comes before that is known.
-
-        """
+        """Look for another recorder before the log is opened."""
         looked_since = time.monotonic()
 
         def is_over() -> bool:
@@ -139,18 +124,8 @@ class Precedence:
         self._node.diagnostics.publish()
 
     def check(self) -> None:
-        """
-        Give way to one that has recorded for longer, soon after the beginning; warn later.
-
-        To be called again and again: a process that was stopped for a while begins again, since
-        others could not know of it.
-
-        Raises
-        ------
-        AnotherRecorderError
-            If this one must end.
-
-        """
+        """Give way to one that has recorded for longer, soon after the beginning; warn later."""
+        # Others could not know of a process that was stopped for a while: it begins again.
         now = time.monotonic()
         if now > self._checked_at + SILENT:
             self.begin(self._values[LOG])

@@ -52,13 +52,7 @@ NEW_LINKS = os.EX_TEMPFAIL
 
 
 class RobotNode(FieldNode):
-    """
-    Send one real robot along each path of its agent, by Nav2, and report how that went.
-
-    It writes its orders, its way and its readings to disk before it acts on them, so it can lose
-    its power at any moment: in the field it then goes home. It says that it departs, and moves
-    when the base has that on disk.
-    """
+    """Send one real robot along each path of its agent, by Nav2, and report how that went."""
 
     @property
     def grid(self) -> Grid:
@@ -111,15 +105,7 @@ class RobotNode(FieldNode):
         self.create_poll(self._look)
 
     def _source_of_places(self) -> Transforms | Fixes:
-        """
-        Return what tells where the robot is.
-
-        Raises
-        ------
-        ValueError
-            If that is a receiver, and there is no datum.
-
-        """
+        """Return what tells where the robot is."""
         datum, frame = datum_of(self.values), self.values['base_frame']
         if self.values['position'] == 'tf':
             return Transforms(FRAME, frame)
@@ -271,15 +257,7 @@ class RobotNode(FieldNode):
             self._keep(partial(self._journal.step, self._deployment, number))
 
     def _step_at(self, stamp: int | None) -> int:
-        """
-        Return in which step the robot looked at a time, or now; counted from 1, 0 for none.
-
-        Raises
-        ------
-        ValueError
-            If it was not just now.
-
-        """
+        """Return in which step the robot looked at a time, or now; counted from 1, 0 for none."""
         # Where it is not known, nothing is read: it would count for another cell.
         if self._deployment is None or self._place is None or self._troubles.get(self._source):
             return 0

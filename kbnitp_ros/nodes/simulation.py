@@ -121,12 +121,7 @@ class Simulation:
             self._out[robot] = made
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
-        """
-        Return the randomness of an agent's robot, counted from 0 as they depart.
-
-        Robots leave in rounds, the agents in their order, and the n-th of all robots has the n-th
-        child of the seed, as in core's run_mission.
-        """
+        """Return the randomness of an agent's robot, counted from 0 as they depart."""
         child = robot * len(self.agents) + self.agents.index(agent)
         return np.random.default_rng(
             np.random.SeedSequence(self._seeds.entropy, spawn_key=(child,))
@@ -134,12 +129,7 @@ class Simulation:
 
 
 class AgentPaths:
-    """
-    The paths of one agent, each told to the simulation.
-
-    `mission` is the time at which the mission began that is gone on with; None as long as no robot
-    has left.
-    """
+    """The paths of one agent, each told to the simulation."""
 
     def __init__(
         self, simulation: Simulation, name: str, prefix: str, mission: int | None
@@ -195,12 +185,7 @@ class AgentPaths:
 
 
 class SimulatedAgent(AgentPaths):
-    """
-    Sends a simulated robot along each path that one agent is given, and reports how it ended.
-
-    A robot is at home when its path comes. It departs when it may, and moves when that is on
-    record.
-    """
+    """A simulated robot for each path of one agent, and its reports."""
 
     def __init__(
         self,

@@ -97,18 +97,7 @@ def time_received(message: Message) -> int:
 
 @cache
 def message_class(type_name: str) -> type:
-    """
-    Return the Python class of a message type, such as 'nav_msgs/msg/Path'.
-
-    The ament index is read once for each type that is installed: it takes as long as to write a
-    message.
-
-    Raises
-    ------
-    LookupError
-        If it is not installed.
-
-    """
+    """Return the Python class of a message type, such as 'nav_msgs/msg/Path'."""
     check_installed(type_name)
     package, kind, name = type_name.split('/')
     try:

@@ -29,13 +29,7 @@ PERIOD = 0.1
 
 
 class Views:
-    """
-    The grids and the progress of an estimator, of its last belief at most every `PERIOD`.
-
-    A belief that others follow within that time may have no views; the last one always has. The
-    truth is heard if that is published, to score the belief; nothing else learns of it. Each agent
-    that is a node of its own publishes the same truth.
-    """
+    """The grids and the progress of an estimator, of its last belief at most every `PERIOD`."""
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
         self._node = node

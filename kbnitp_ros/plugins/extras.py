@@ -9,15 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """
-    Name the extra that brings what is imported, where it is not installed.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        In place of one without the name of the extra, or with that of a smaller part.
-
-    """
+    """Name the extra that brings what is imported, where it is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:

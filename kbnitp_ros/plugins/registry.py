@@ -22,13 +22,7 @@ class PluginError(RuntimeError):
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """
-    Entries of a kind by name: the package's own, and entry points of ``kbnitp_ros.<kind>s``.
-
-    The latter are loaded for an unknown name or a list of all. A RuntimeWarning names one that is
-    refused. `check` returns what is added as an entry, or raises TypeError or ValueError. `gone`
-    says of removed names what to use.
-    """
+    """Entries of a kind by name: the package's own, and entry points of ``kbnitp_ros.<kind>s``."""
 
     def __init__(
         self,

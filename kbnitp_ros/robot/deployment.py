@@ -54,12 +54,7 @@ class Deployment:
         return [self.base, *(step.cell for step in self.steps)]
 
     def observation(self, most: int) -> Observation:
-        """
-        Return what the robot that is home tells of its field.
-
-        One that never left the cell of its base has stayed there for a step, in which it looked
-        for nothing. Of a walk of more than `most` steps loops are left out, see `steps_within`.
-        """
+        """Return what the robot that is home tells of its field."""
         kept = steps_within(self.cells, most)
         steps = [self.steps[number - 1] for number in kept] or [Step(self.base, 0)]
         walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)

@@ -15,12 +15,7 @@ FIX, UNKNOWN = 0, 0
 
 
 class Fixes:
-    """
-    The newest place that fixes tell.
-
-    `in_map` returns x and y in metres of a latitude and a longitude in degrees; the antenna is in
-    the `frame`. The standard deviation of a fix, east or north, may be `largest` metres.
-    """
+    """The newest place that fixes tell."""
 
     def __init__(
         self, in_map: Callable[[float, float], tuple[float, float]], frame: str, largest: float
@@ -31,16 +26,7 @@ class Fixes:
         self._newest: Place | None = None
 
     def take(self, message: Any) -> None:
-        """
-        Take in a sensor_msgs/NavSatFix.
-
-        Raises
-        ------
-        ValueError
-            If it is no fix, of another frame than the robot's, no place on the earth, or has no
-            covariance or a larger one.
-
-        """
+        """Take in a sensor_msgs/NavSatFix."""
         frame = message.header.frame_id.lstrip('/')
         if frame != self._frame:
             raise ValueError(
@@ -69,15 +55,7 @@ class Fixes:
         self._newest = Place(x, y, stamp, stamp)
 
     def place(self, now: int, oldest: float) -> Place:
-        """
-        Return where the robot is now, in nanoseconds, by a fix of at most so many seconds ago.
-
-        Raises
-        ------
-        ValueError
-            If it is not known, or only of longer ago.
-
-        """
+        """Return the place of the robot by a fix of at most so many seconds ago."""
         if self._newest is None:
             raise ValueError('no fix was taken in yet')
         if now - self._newest.stamp > oldest * SECOND:

@@ -10,15 +10,10 @@ from kbnitp_ros.robot.way import Leg, legs_of, shortest_way, without_loops
 
 
 class Itinerary:
-    """
-    The legs of a deployment, one after another, and the way home when they cannot be made.
+    """The legs of a deployment, one after another, and the way home when they cannot be made."""
 
-    A leg that fails is tried again from where the robot is. After too many tries in a row that
-    brought it to no new cell, the robot goes home the way it came, without its loops: that far it
-    has survived. When that fails as often, the next goals are the base by the shortest way and the
-    way it came in turns, without end: nothing else is left to do. The path is empty for a robot
-    that only goes home. A leg that makes no progress is tried so many times, at least once.
-    """
+    # After too many tries without a new cell the robot goes home the way it came, without loops,
+    # and then by the shortest way and the way it came in turns.
 
     def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
         self._grid = grid

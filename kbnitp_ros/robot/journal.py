@@ -47,18 +47,7 @@ class JournalError(ValueError):
 
 
 class Journal:
-    """
-    The journal in a file, which is made if it is not there.
-
-    Raises
-    ------
-    JournalError
-        If the file is no journal, that of another agent, of another field that the robot is in, or
-        in use by another process.
-    OSError
-        If it cannot be read or written.
-
-    """
+    """The journal in a file, which is made if it is not there."""
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
@@ -101,15 +90,7 @@ class Journal:
         self._open()
 
     def begin(self, mission: int) -> None:
-        """
-        Have it be that of a mission, named by its beginning in nanoseconds, at home.
-
-        Raises
-        ------
-        OSError
-            If it is not: then it is that of the mission before.
-
-        """
+        """Have it be that of a mission, named by its beginning in nanoseconds, at home."""
         self.write()
         if self.mission not in (None, mission):
             self._set_aside()
@@ -123,11 +104,7 @@ class Journal:
             ) from error
 
     def _read(self, expected: dict[str, Any]) -> bool:
-        """
-        Read what is on the disk; cut off what is corrupt, and keep it beside.
-
-        Return whether it is of this field. If it is of another, its robot must be home from there.
-        """
+        """Read what is on the disk; cut off what is corrupt, and keep it beside."""
         of_another: JournalError | None = None
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
@@ -240,15 +217,7 @@ class Journal:
         return None if newest is None or newest.is_home else newest
 
     def depart(self, deployment: Deployment) -> None:
-        """
-        Begin a deployment: when the robot departs is told by it.
-
-        Raises
-        ------
-        OSError
-            If that is not on the disk: then nothing has begun.
-
-        """
+        """Begin a deployment: when the robot departs is told by it."""
         self.write()
         self._append(
             {
@@ -261,29 +230,13 @@ class Journal:
         self.deployments.append(deployment)
 
     def refuse(self, stamp: int, time: int, reason: str) -> None:
-        """
-        Keep that the robot does not follow an order, for good, and when and why it does not.
-
-        Raises
-        ------
-        OSError
-            If that is not on the disk: then it is not refused.
-
-        """
+        """Keep that the robot does not follow an order, for good, and when and why it does not."""
         self.write()
         self._append({'refused': stamp, 'time': time, 'reason': reason})
         self.refusals[stamp] = time, reason
 
     def step(self, deployment: Deployment, number: int) -> None:
-        """
-        Keep a step of a deployment, or what was read there since.
-
-        Raises
-        ------
-        OSError
-            If it is not on the disk; `write` tries again.
-
-        """
+        """Keep a step of a deployment, or what was read there since."""
         step = deployment.steps[number - 1]
         self._unwritten.append(
             {

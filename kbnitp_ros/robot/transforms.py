@@ -53,15 +53,7 @@ class Transforms:
         self._links: dict[str, Link] = {}
 
     def take(self, message: Any, *, static: bool) -> None:
-        """
-        Take in a tf2_msgs/TFMessage.
-
-        Raises
-        ------
-        ValueError
-            If a transform in it is none, or there are very many frames. Those before it count.
-
-        """
+        """Take in a tf2_msgs/TFMessage."""
         for transform in message.transforms:
             child, pose = transform.child_frame_id.lstrip('/'), transform.transform
             move, turn = pose.translation, pose.rotation
@@ -80,15 +72,7 @@ class Transforms:
             self._links[child] = Link(parent, translation, rotation / length, stamp)
 
     def place(self, now: int, oldest: float) -> Place:
-        """
-        Return where the frame is now, in nanoseconds, by what is at most so many seconds old.
-
-        Raises
-        ------
-        ValueError
-            If it is not known, or only of longer ago.
-
-        """
+        """Return the place of the frame by a transform of at most so many seconds ago."""
         place: NDArray[np.float64] = np.zeros(3)
         frame, stamp = self._of, now
         odometry: int | None = None

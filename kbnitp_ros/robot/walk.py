@@ -16,13 +16,7 @@ MARGIN = 0.2
 
 
 class Walk:
-    """
-    The cell that a robot is in, and the steps that take it to the next.
-
-    A position further than one cell away must last for `patience` seconds: until then it may be an
-    error of who tells positions. A robot drives `max_speed` m/s at most; 0 when that is not
-    checked.
-    """
+    """The cell that a robot is in, and the steps that take it to the next."""
 
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
@@ -38,18 +32,7 @@ class Walk:
         self._away_since: float | None = None
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
-        """
-        Return the cells that a robot has entered which is seen at x, y, in metres, at a time.
-
-        Of a robot that was not seen for more than a cell these are the cells of a shortest way:
-        it must have come by some way, and that it survived is evidence of the shortest at least.
-
-        Raises
-        ------
-        ValueError
-            If no robot can be there, or not yet: then it is still in the cell where it was.
-
-        """
+        """Return the cells that a robot entered up to a position, in metres, at a time."""
         if self._off_middle(x, y) <= 0.5 + MARGIN:
             return self._come_to(self.cell, x, y, time)
         cell = self.cell_at(x, y)
@@ -104,15 +87,7 @@ class Walk:
         return way
 
     def cell_at(self, x: float, y: float) -> int:
-        """
-        Return the cell at a position.
-
-        Raises
-        ------
-        ValueError
-            If it is outside the grid or in a blocked cell.
-
-        """
+        """Return the cell at a position."""
         cell = int(self.grid.cells_at([[x, y]])[0])
         if cell in self.grid.blocked:
             raise ValueError(f'point ({x}, {y}) is in cell {cell}, which is blocked')

@@ -14,15 +14,9 @@ Leg = tuple[int, ...]
 
 
 def legs_of(path: Sequence[int]) -> list[Leg]:
-    """
-    Return a path in legs that one goal of Nav2 each can drive.
-
-    A goal counts as reached when the robot is near its last pose, wherever the others are, so a
-    way that ends where it starts is done before it begins. And a controller takes the nearest
-    point of a path for where the robot is on it. So no leg enters a cell twice, its start
-    included; but for stays, which are legs of their own. Each leg starts in the cell that the one
-    before ends in.
-    """
+    """Return a path in legs that one goal of Nav2 each can drive."""
+    # Nav2 counts a goal as reached near its last pose and takes the nearest point of a path for
+    # the place of the robot. So no leg enters a cell twice; stays are legs of their own.
     legs: list[Leg] = []
     leg = [path[0]]
     for before, cell in pairwise(path):
@@ -52,15 +46,9 @@ def without_loops(cells: Iterable[int]) -> list[int]:
 
 
 def steps_within(cells: Sequence[int], most: int) -> list[int]:
-    """
-    Return which steps of a walk to tell of, if that may be only so many.
-
-    What is left is a walk from the same start to the same end, of steps that were made: the walk
-    as far as it goes, and from there the last way out of each cell, which leads home without
-    loops. A step that is left out is evidence that is not reported; no other takes its place.
-    Steps are counted from 1. All are told of if they are not too many; none if no walk but that of
-    no step is short enough.
-    """
+    """Return which steps of a walk to tell of, if that may be only so many."""
+    # As far as it goes that is the walk; from there the last way out of each cell leads home
+    # without loops. A step that is left out is not reported.
     steps = len(cells) - 1
     if steps <= most:
         return list(range(1, steps + 1))
@@ -79,15 +67,7 @@ def steps_within(cells: Sequence[int], most: int) -> list[int]:
 
 
 def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
-    """
-    Return the cells of a way with the fewest steps, both ends included.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-
-    """
+    """Return the cells of a way with the fewest steps, both ends included."""
     came_from = {start: start}
     frontier = deque([start])
     while frontier and end not in came_from:

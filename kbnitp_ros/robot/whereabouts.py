@@ -29,11 +29,7 @@ class Whereabouts:
         self._spans: deque[Span] = deque()
 
     def note(self, time: int, step: int) -> None:
-        """
-        Take note of the step, from 1, or `NONE`, that the robot was seen in at a time.
-
-        If that is before the last time, the clock was set back, and what was known is forgotten.
-        """
+        """Take note of the step, from 1, or `NONE`, that the robot was seen in at a time."""
         spans = self._spans
         if spans and time < spans[-1].last:
             spans.clear()
@@ -45,11 +41,7 @@ class Whereabouts:
             spans.popleft()
 
     def step_at(self, time: int) -> int:
-        """
-        Return in which step the robot was, or `NONE` if it was between two, or that is not known.
-
-        A robot that was not seen since is where it was.
-        """
+        """Return the step of the robot at a time, or `NONE` between two."""
         for span in reversed(self._spans):
             if span.first <= time:
                 is_within = time <= span.last or span is self._spans[-1]

@@ -162,15 +162,7 @@ class MissionNode(GraphNode):
             self.get_logger().info(awaited)
 
     def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
-        """
-        Pass items on, and say on the console how many, as long as it takes: 'taking in FILE'.
-
-        Raises
-        ------
-        StoppedError
-            If a signal comes before the last.
-
-        """
+        """Pass items on, and print their number while it takes long."""
         say_at = time.monotonic() + SAY_FIRST
         for number, item in enumerate(items):
             stop_on_signal()
