@@ -8,9 +8,9 @@ Compare two versions of the package: their missions, paired, and the times of th
     python3 benchmarks/versions.py plans OLD/.venv/bin/python NEW/.venv/bin/python
 
 `fly` sends 100 robots into fields of 9x9 cells, with a right prior; the same worlds and random
-numbers every time. `compare` prints the mean difference new - old of log losses (nats) and of robots
-lost, its standard error, and the ratio of processor times. `plans` plans on the same beliefs in both
-versions in turn, and prints the ratios new / old of processor times and of information.
+numbers every time. `compare` prints the mean difference new - old of log losses (nats) and of
+robots lost, its standard error, and the ratio of processor times. `plans` plans on the same
+beliefs in both versions in turn, and prints the ratios new / old of times and of information.
 """
 
 from __future__ import annotations
@@ -161,7 +161,8 @@ def beliefs_of_missions(
 
 def ask(worker: subprocess.Popen[str], request: str) -> tuple[float, float]:
     """Return the seconds and the information of a plan that a worker makes."""
-    assert worker.stdin and worker.stdout
+    assert worker.stdin
+    assert worker.stdout
     worker.stdin.write(request + '\n')
     worker.stdin.flush()
     seconds, information = json.loads(worker.stdout.readline())
