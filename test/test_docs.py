@@ -9,17 +9,12 @@ from documented import ROOT, rows, words
 from kbnitp_ros.bag import file_writer
 from kbnitp_ros.configuration import TABLE
 from kbnitp_ros.core import log_loss
-from kbnitp_ros.core.field import unknowns
-from kbnitp_ros.core.inference.sampling import chain_state, chains, sampler
 from kbnitp_ros.core.planning.objective import joint_outcomes, moments
 from kbnitp_ros.core.planning.search import labels
 from kbnitp_ros.core.planning.teams import greedy, voronoi
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.study.scenario import read_scenario
-from laws import for_each
 import numpy as np
 import pytest
-import yaml
 
 IN_WORDS = {
     2: 'two',
@@ -39,23 +34,6 @@ def says(page, *parts):
     """See that a page has a text, each number in it in words or in digits as it has them."""
     text = ''.join(IN_WORDS.get(part, str(part)) for part in parts)
     assert text in words(page), text
-
-
-def test_what_sampling_is_said_to_take():
-    page = 'docs/mathematics.md'
-    says(page, f'in each of {chain_state.CHAINS} chains')
-    says(page, IN_WORDS[chains.SWAPS].capitalize(), ' swaps are proposed: a lost path is drawn')
-    says(page, f'one of {unknowns.VALUES} values')
-    says(
-        page, f'so {chain_state.GROUPS} groups of {chain_state.CHAINS // chain_state.GROUPS} give'
-    )
-    says(page, f'the variance $v / {chain_state.GROUPS}$')
-    says(page, f'\\sum \\frac{{v}}{{{chain_state.GROUPS} \\cdot 2 p}}')
-    says(page, f'until it is below {sampler.CONVERGED:.5f} nats')
-    says(page, f'below {sampler.CONVERGED_LEARNING:.3f} where numbers are learnt')
-    says(page, f'below {sampler.CONVERGED_CLUSTERING} where a coupling is learnt')
-    says(page, f'and {sampler.MOST_SWEEPS} at most')
-    says(page, IN_WORDS[sampler.SWEEPS].capitalize(), ' sweeps are made at a time')
 
 
 def test_what_the_search_is_said_to_take():
@@ -89,14 +67,6 @@ def test_what_the_demo_is_said_to_do():
     says(page, f'The demo deploys {DEFAULTS["robots"]} robots')
     says(page, f'A hundred robots, {100 * DEFAULTS["sensor.lethality"]:.0f} % lethality')
     assert DEFAULTS['robots'] == 100
-
-
-@for_each('page', ['README.md', 'docs/index.md'])
-def test_only_a_loss_is_said_to_tell_of_something_that_destroyed_the_robot(page):
-    telling = re.findall(r'([^.;:]*) destroyed the robot', words(page))
-    assert telling
-    assert not [told for told in telling if 'return' in told]
-    says(page, 'a return says that nothing on the path did')
 
 
 @pytest.mark.slow
@@ -139,30 +109,6 @@ def test_what_the_demo_is_said_to_find():
     assert dark.tolist() == [1, 2, 11, 20, 21, 27, 28]
 
 
-def test_what_a_study_is_said_to_take():
-    scenario = read_scenario(ROOT / 'scenarios/paper.yaml')
-    methods, lethalities = len(scenario.methods), len(scenario.lethalities)
-    says('README.md', methods, ' methods, ', lethalities, ' lethalities')
-    says('README.md', f'{scenario.trials} worlds, {scenario.robots} robots each')
-    field = scenario.grid
-    says('docs/results.md', f'A field of {field.width}\N{MULTIPLICATION SIGN}{field.height} cells')
-    says('docs/results.md', f'{scenario.robots} robots, {scenario.trials} worlds')
-    world = scenario.world.hazard_density
-    says('docs/results.md', f'cells for hazardous where {100 * world:.0f} % are')
-    says('docs/results.md', f'holds {100 * scenario.prior.hazard:.0f} % of the cells')
-    says('docs/results.md', 'kappa says that four of five hazards have one')
-    assert scenario.prior.kappa == 4 / 5
-
-
-def test_what_worlds_and_loss_costs_the_other_studies_are_said_to_have():
-    teams, loss_cost = (
-        read_scenario(ROOT / f'scenarios/{name}.yaml') for name in ('teams', 'loss_cost')
-    )
-    says('docs/results.md', 'Ten worlds')
-    assert teams.trials == 10
-    says('docs/results.md', f'One by one, {loss_cost.trials} worlds')
-
-
 def test_which_quality_of_service_topics_are_said_to_have():
     topics = rows('docs/topics.md', 'QoS')
     for topic, profile in (
@@ -178,13 +124,6 @@ def test_which_quality_of_service_topics_are_said_to_have():
 def test_how_much_a_log_is_said_to_lose():
     assert file_writer.CHUNK == 2**20
     says('docs/log.md', 'at most 1 MiB of them')
-
-
-@for_each('scenario', ['paper', 'calibrated', 'mismatched'])
-def test_the_paper_gives_what_mathematics_says_it_gives(scenario):
-    sensor = yaml.safe_load(ROOT.joinpath(f'scenarios/{scenario}.yaml').read_text())['sensor']
-    says('docs/mathematics.md', '5 % malfunction and 5 % false negatives a step')
-    assert sensor['malfunction'] == sensor['false_negative'] == 0.05
 
 
 def test_the_glossary_is_short_and_names_code_that_is_there():
