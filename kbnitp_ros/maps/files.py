@@ -68,7 +68,7 @@ def read_map(yaml_path: str | Path) -> Map:
     ------
     MapError
         If a file is missing or corrupt, a value is missing or out of range, or the image is of
-        another format or larger than `MOST_PIXELS`.
+        another format.
 
     """
     file = read_map_file(Path(yaml_path))
