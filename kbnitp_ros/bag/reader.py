@@ -244,7 +244,8 @@ def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
 
 def check_cut(file: BinaryIO, end: int, size: int) -> None:
     """Check that no record follows the last whole one: the file ends there or was cut."""
-    if size <= end + len(MCAP0_MAGIC) and ends_finished(file, size):
+    ends_well = ends_finished(file, size)
+    if ends_well and size <= end + len(MCAP0_MAGIC):
         return
     file.seek(end)
     rest = ReadDataStream(file)
@@ -256,15 +257,19 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
                 if block.strip(b'\0'):
                     raise ValueError('a record has no kind')
             return
-        if kind not in KINDS or ends_finished(file, size):
+        if kind not in KINDS or ends_well:
             raise ValueError(f'a record has kind {kind} and {length} bytes')
         if kind == Opcode.CHUNK:
-            file.seek(end + HEAD.size)
-            chunk = ReadDataStream(file)
-            chunk.read(CHUNK_HEAD)
-            chunk.read_prefixed_string()
-            if chunk.read8() + chunk.count != length:
-                raise ValueError(f'a chunk of {length} bytes has another length')
+            rest.read(CHUNK_HEAD)
+            rest.read_prefixed_string()
+            left = rest.read8()
+        elif kind == Opcode.MESSAGE_INDEX:
+            rest.read2()
+            left = rest.read4()
+        else:
+            return
+        if rest.count + left != HEAD.size + length:
+            raise ValueError(f'a record of {length} bytes has another length')
 
 
 def check_start(file: BinaryIO, part: Path) -> int:

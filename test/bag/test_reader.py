@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reader takes what there is, and has one kind of error."""
 
+from itertools import product
 import struct
 
 from extent import FULL
@@ -173,17 +174,16 @@ def test_a_corrupt_record_of_values_is_noticed(tmp_path):
     assert read_metadata(path)['run'] == {'seed': '1234568'}
 
 
-@for_each('name', ['unfinished.mcap', 'finished.mcap'])
-def test_a_corrupt_length_of_a_chunk_passes_neither_for_a_cut_nor_for_the_end(
-    files, tmp_path, name
-):
+@for_each('name, kind', product(['unfinished.mcap', 'finished.mcap'], ['chunk', 'its index']))
+def test_a_corrupt_length_passes_neither_for_a_cut_nor_for_the_end(files, tmp_path, name, kind):
     content = bytearray((files / name).read_bytes())
-    start, _ = chunks(content)[20]
+    start, end = chunks(content)[20]
+    start = start if kind == 'chunk' else end
     content[start + 4] ^= 1
     path = tmp_path / 'corrupt.mcap'
     path.write_bytes(content)
     read, error = messages(path)
-    assert len(read) == 20
+    assert len(read) == (20 if kind == 'chunk' else 21)
     assert 'is corrupt after byte' in str(error)
 
 
