@@ -268,33 +268,6 @@ def test_what_cannot_be_is_one_error_before_any_work(
 
 
 @pytest.mark.processes
-def test_a_scheduler_that_is_none_is_one_error_before_any_work(scenario, tmp_path):
-    pytest.importorskip('distributed')
-    options = ['--backend', 'dask', '--scheduler', 'magic://here']
-    done = run_study(scenario, tmp_path / 'out', *options)
-    assert done.returncode == 2
-    assert re.fullmatch('study: .*no Dask workers.*magic.*\n', done.stderr), done.stderr
-    assert not list(tmp_path.glob('out/trials/*'))
-
-
-def test_a_missing_section_is_one_error(capsys, tmp_path):
-    file = tmp_path / 'mine.yaml'
-    file.write_text(yaml.safe_dump({k: v for k, v in SCENARIO.items() if k != 'sensor'}))
-    said = refusal(capsys, file, tmp_path / 'out')
-    assert re.fullmatch('study: .*mine.yaml: sensor is missing.*\n', said), said
-
-
-@pytest.mark.processes
-def test_a_folder_with_another_scenarios_results_is_one_error(capsys, tmp_path, whole):
-    before = {path: path.stat().st_mtime_ns for path in whole.rglob('*')}
-    assert re.fullmatch(
-        f'study: {whole} holds results of another scenario, with robots 12 and not 13: .*\n',
-        refusal(capsys, write(tmp_path / 'mine.yaml', robots=13), whole),
-    )
-    assert {path: path.stat().st_mtime_ns for path in whole.rglob('*')} == before
-
-
-@pytest.mark.processes
 def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
     done = run_study('magic', tmp_path / 'out')
     assert done.returncode == 2

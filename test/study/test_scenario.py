@@ -108,21 +108,6 @@ def test_teams_are_what_the_file_says_and_robots_go_one_by_one_without(tmp_path,
     assert team_labels(scenario) == {ALONE: ''}
 
 
-def test_the_teams_shipped_send_the_same_robots():
-    scenario = read_scenario(SHIPPED / 'teams.yaml')
-    assert {team.agents for team in scenario.teams} == {1, 2, 4, 8}
-    allocations = {team.allocation for team in scenario.teams if team.agents > 1}
-    assert allocations == {'independent', 'voronoi', 'greedy'}
-
-
-def test_the_loss_costs_shipped_begin_with_none():
-    scenario = read_scenario(SHIPPED / 'loss_cost.yaml')
-    assert {team.agents for team in scenario.teams} == {1}
-    costs = [team.loss_cost for team in scenario.teams]
-    assert costs[0] == 0
-    assert costs == sorted(costs)
-
-
 @for_each('name', ['teams', 'loss_cost', 'last_contact'])
 def test_studies_of_teams_are_of_the_calibrated_robots(name):
     scenario, calibrated = (read_scenario(SHIPPED / f'{n}.yaml') for n in (name, 'calibrated'))
