@@ -45,10 +45,6 @@ def test_functions_are_called_by_their_names():
         for_each('check', [small])(fails)()
 
 
-def test_fixtures_remain_arguments_of_the_law():
-    assert list(inspect.signature(for_each('seed', range(3))(small)).parameters) == ['ran']
-
-
 @pytest.mark.parametrize('fails', [ValueError, pytest.fail.Exception, AssertionError])
 def test_the_first_case_that_fails_is_named(fails):
     ran = []
@@ -61,19 +57,6 @@ def test_the_first_case_that_fails_is_named(fails):
     with pytest.raises(AssertionError, match='case seed=2: no good\nalone: --case seed=2'):
         for_each('seed', range(5))(law)()
     assert ran == [0, 1, 2]
-
-
-def test_a_case_runs_alone(monkeypatch):
-    ran = []
-    monkeypatch.setattr(laws, 'alone', 'seed=2')
-    for_each('seed', range(5))(small)(ran=ran)
-    assert ran == [2]
-    monkeypatch.setattr(laws, 'alone', '1')
-    for_each('seed', range(5))(small)(ran=ran)
-    assert ran == [2, 1]
-    monkeypatch.setattr(laws, 'alone', 'seed=9')
-    with pytest.raises(pytest.skip.Exception, match='seed=9'):
-        for_each('seed', range(5))(small)(ran=ran)
 
 
 def test_each_case_has_a_folder_of_its_own(tmp_path):
@@ -103,8 +86,3 @@ def test_the_first_of_every_so_many_cases_run_always_and_the_rest_as_full():
     some, rest = mark.args[1]
     assert some is False
     assert [each.name for each in rest.marks] == ['full']
-
-
-def test_a_case_sets_as_many_values_as_there_are_names():
-    with pytest.raises(ValueError, match='zip'):
-        for_each('a, b', [(1, 2, 3)])
