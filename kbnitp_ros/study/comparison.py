@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import product
 from operator import attrgetter
 from typing import Any
 
@@ -24,7 +23,7 @@ from kbnitp_ros.study.decisions import (
 from kbnitp_ros.study.goals import DECLARED
 from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
 from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, base_rows, equal_rows
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import Results, Series
 from kbnitp_ros.study.scenario import (
     differ_only_in,
     LEARNING,
@@ -34,13 +33,12 @@ from kbnitp_ros.study.scenario import (
 )
 from kbnitp_ros.study.summary import (
     after_robots,
-    as_json,
-    differences,
     json_row,
     lethality_cell,
     LOG_LOSS,
     Mean,
     mean_of,
+    means_after,
     Row,
     shown,
 )
@@ -48,7 +46,7 @@ from kbnitp_ros.study.table import Cell, Table
 from kbnitp_ros.study.teams import common_rounds, differ_in_size, team_rows
 
 Stated = Callable[[Strategy, Scenario], Any]
-Measured = Callable[[Results, 'float | None', str, Strategy, Strategy], Mean]
+Measured = Callable[[Series, Strategy, Strategy], Mean]
 
 # A column of a table: its head, and the format of a value or the decimals of means.
 Column = tuple[str, 'str | int']
@@ -125,20 +123,15 @@ def with_first(
     def rows(results: Results) -> Iterable[Row]:
         scenario = results.scenario
         base, *others = in_order(scenario)
-        for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
-            one, other = (
-                results.series(lethality, method, *LOG_LOSS, team=of)
-                for of in ((base, team) if is_gain else (team, base))
-            )
-            yield {
-                'lethality': lethality,
-                'method': method,
+        for row, team, series in results.missions(others):
+            this, that = series(*LOG_LOSS), series(*LOG_LOSS, team=base)
+            yield row | {
                 **{name: of(team, scenario) for name, of in stated.items()},
-                difference: differences(one, other, after_robots(robots, scenario.robots)),
-                **{
-                    name: of(results, lethality, method, base, team)
-                    for name, of in (further or {}).items()
-                },
+                difference: means_after(
+                    that - this if is_gain else this - that,
+                    after_robots(robots, scenario.robots),
+                ),
+                **{name: of(series, base, team) for name, of in (further or {}).items()},
             }
 
     return {'head': head, 'rows': rows}
@@ -160,21 +153,14 @@ def learns(scenario: Scenario) -> bool:
     return LEARNING in scenario.methods
 
 
-def lost(
-    results: Results, lethality: float | None, method: str, first: Strategy, team: Strategy
-) -> Mean:
+def lost(series: Series, first: Strategy, team: Strategy) -> Mean:
     """Return the robots lost at the end."""
-    return mean_of(results.series(lethality, method, 'robots_lost', team=team)[:, -1])
+    return mean_of(series('robots_lost')[:, -1])
 
 
-def lost_more(
-    results: Results, lethality: float | None, method: str, first: Strategy, team: Strategy
-) -> Mean:
+def lost_more(series: Series, first: Strategy, team: Strategy) -> Mean:
     """Return how many more robots are lost at the end than with the first strategy."""
-    these, those = (
-        results.series(lethality, method, 'robots_lost', team=of)[:, -1] for of in (team, first)
-    )
-    return mean_of(these - those)
+    return mean_of((series('robots_lost') - series('robots_lost', team=first))[:, -1])
 
 
 def own(name: str) -> Stated:
@@ -199,15 +185,11 @@ def believed_by(team: Strategy, scenario: Scenario) -> str:
 
 def hazard_rows(results: Results) -> Iterable[Row]:
     """Yield how far hazards are from what is believed of them, a row for each contender."""
-    scenario = results.scenario
-    robots = after_robots((25, 50, 100), scenario.robots)
-    for lethality, (method, team) in product(scenario.lethalities, scenario.contenders):
-        series = results.series(lethality, method, 'hazard_log_loss', team=team)
-        yield {
-            'lethality': lethality,
-            'method': method,
-            'believed': believed_by(team, scenario),
-            'hazard_log_loss': [as_json(mean_of(series[:, after])) for after in robots],
+    robots = after_robots((25, 50, 100), results.scenario.robots)
+    for row, team, series in results.missions():
+        yield row | {
+            'believed': believed_by(team, results.scenario),
+            'hazard_log_loss': means_after(series('hazard_log_loss'), robots),
         }
 
 

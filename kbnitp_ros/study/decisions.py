@@ -9,7 +9,7 @@ from itertools import product
 from kbnitp_ros.core.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study.charts import means_chart
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Scenario, Strategy, team_labels
+from kbnitp_ros.study.scenario import Scenario, team_labels
 from kbnitp_ros.study.summary import after_robots, mean_of, Row
 from matplotlib.figure import Figure
 import numpy as np
@@ -37,41 +37,25 @@ def certifies(scenario: Scenario) -> bool:
 def lane_rows(results: Results) -> Iterator[Row]:
     """Yield how often the lane is free, as believed and in truth, of each strategy."""
     scenario, labels = results.scenario, team_labels(results.scenario)
-    first = scenario.teams[0]
-    for lethality, method, team, robots in product(
-        scenario.lethalities,
-        scenario.methods,
-        scenario.teams,
-        after_robots(ROBOTS, scenario.robots),
-    ):
-        free, believed, lost = (
-            results.series(lethality, method, name, team=team)[:, robots]
-            for name in ('free', 'p_free', 'robots_lost')
-        )
-        base = results.series(lethality, method, 'free', team=first)[:, robots]
-        yield {
-            'lethality': lethality,
-            'method': method,
-            'label': labels[team],
-            'robots': robots,
-            'free': mean_of(free),
-            'believed': mean_of(believed),
-            'difference': mean_of(free - base),
-            'lost': mean_of(lost),
-        }
+    for row, team, series in results.missions():
+        free, base = series('free'), series('free', team=scenario.teams[0])
+        for robots in after_robots(ROBOTS, scenario.robots):
+            yield row | {
+                'label': labels[team],
+                'robots': robots,
+                'free': mean_of(free[:, robots]),
+                'believed': mean_of(series('p_free')[:, robots]),
+                'difference': mean_of((free - base)[:, robots]),
+                'lost': mean_of(series('robots_lost')[:, robots]),
+            }
 
 
 def certificate_rows(results: Results) -> Iterator[Row]:
     """Yield how often what is asked for is free in missions that stopped, for each confidence."""
-    scenario, asked = results.scenario, results.scenario.asked
+    asked = results.scenario.asked
     confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
-    for lethality, (method, team), confidence in product(
-        scenario.lethalities, scenario.contenders, confidences
-    ):
-        p_free, free, draws = (
-            results.series(lethality, method, name, team=team)
-            for name in ('p_free', 'free', 'independent_draws')
-        )
+    for (row, _, series), confidence in product(results.missions(), confidences):
+        p_free, free, draws = map(series, ('p_free', 'free', 'independent_draws'))
         are_enough = (1.0 - confidence) * draws >= FEWEST_LEFT_OUT
         is_sure = are_enough & (p_free >= confidence)
         stopped = is_sure.any(axis=1)
@@ -81,9 +65,7 @@ def certificate_rows(results: Results) -> Iterator[Row]:
         stated, true = (
             np.take_along_axis(each[stopped], at, axis=1)[:, 0] for each in (p_free, free)
         )
-        yield {
-            'lethality': lethality,
-            'method': method,
+        yield row | {
             'confidence': confidence,
             'stopped': int(stopped.sum()),
             'sent': mean_of(at[:, 0].astype(np.float64)),
@@ -96,34 +78,25 @@ def certificate_rows(results: Results) -> Iterator[Row]:
 def area_rows(results: Results) -> Iterator[Row]:
     """Yield how many robots it takes to declare most cells of the area free."""
     scenario, labels = results.scenario, team_labels(results.scenario)
-    for lethality, method in product(scenario.lethalities, scenario.methods):
-        first = needed(results, lethality, method, scenario.teams[0])
-        for team in scenario.teams:
-            declared, right, lost = (
-                results.series(lethality, method, name, team=team)
-                for name in ('declared', 'declared_free', 'robots_lost')
-            )
-            robots = needed(results, lethality, method, team)
-            yield {
-                'lethality': lethality,
-                'method': method,
-                'label': labels[team],
-                'reached': mean_of((declared.max(axis=1) >= MOST_CELLS).astype(np.float64)),
-                'needed': mean_of(robots),
-                'difference': mean_of(robots - first),
-                'lost': mean_of(lost[np.arange(len(lost)), robots.astype(np.intp)]),
-                'declared': mean_of(declared[:, -1]),
-                'wrong': mean_of((declared - right)[:, -1]),
-            }
+    for row, team, series in results.missions():
+        declared, right, lost = map(series, ('declared', 'declared_free', 'robots_lost'))
+        robots = needed(declared)
+        yield row | {
+            'label': labels[team],
+            'reached': mean_of((declared.max(axis=1) >= MOST_CELLS).astype(np.float64)),
+            'needed': mean_of(robots),
+            'difference': mean_of(robots - needed(series('declared', team=scenario.teams[0]))),
+            'lost': mean_of(lost[np.arange(len(lost)), robots.astype(np.intp)]),
+            'declared': mean_of(declared[:, -1]),
+            'wrong': mean_of((declared - right)[:, -1]),
+        }
 
 
-def needed(
-    results: Results, lethality: float | None, method: str, team: Strategy
-) -> NDArray[np.float64]:
+def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return after how many robots most cells are declared free, (trials,); all if never."""
-    declared = results.series(lethality, method, 'declared', team=team)
-    declared[:, -1] = 1.0
-    robots: NDArray[np.float64] = np.argmax(declared >= MOST_CELLS, axis=1).astype(np.float64)
+    is_most = declared >= MOST_CELLS
+    is_most[:, -1] = True
+    robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)
     return robots
 
 

@@ -12,9 +12,9 @@ from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import in_percent, LEARNING, NUMBERS
 from kbnitp_ros.study.summary import (
     after_robots,
-    differences,
     LOG_LOSS,
     mean_of,
+    means_after,
     Row,
 )
 from kbnitp_ros.study.trial import LEARNT
@@ -68,7 +68,7 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
         for method in scenario.methods:
             if method != LEARNING:
                 informed = results.series(lethality, method, *LOG_LOSS, team=team)
-                costs = differences(learner, informed, robots)
+                costs = means_after(learner - informed, robots)
                 yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from functools import partial
 
 from kbnitp_ros.figures import Style
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL
 from kbnitp_ros.study.panels import panels_figure
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import Results, Series
 from kbnitp_ros.study.scenario import Contender, Strategy
 from kbnitp_ros.study.summary import (
     interval,
@@ -28,12 +28,9 @@ from numpy.typing import NDArray
 EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference', 'fewer')
 
 
-def trade(
-    results: Results, lethality: float | None, method: str, team: Strategy
-) -> NDArray[np.float64]:
+def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
     """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
-    lost = results.series(lethality, method, 'robots_lost', team=team)
-    return np.stack([lost, results.series(lethality, method, *LOG_LOSS, team=team)], axis=1)
+    return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
 
 
 def at_equal_log_loss(
@@ -58,33 +55,27 @@ def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> dict[str, 
     return {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
 
 
-def at_equal_log_loss_more(
-    results: Results, lethality: float | None, method: str, least: Strategy, this: Strategy
-) -> Mean:
+def at_equal_log_loss_more(series: Series, least: Strategy, this: Strategy) -> Mean:
     """Return how many more robots a strategy has lost at equal log loss."""
-    return compare(*(trade(results, lethality, method, of) for of in (least, this)))['difference']
+    return compare(trade(series, least), trade(series, this))['difference']
 
 
 def equal_rows(results: Results) -> Iterator[Row]:
     """Yield what the least loss cost and each other come to at equal log loss: `EQUAL`."""
-    scenario = results.scenario
-    least, *others = sorted(scenario.teams, key=lambda team: team.loss_cost)
-    for lethality, method, team in product(scenario.lethalities, scenario.methods, others):
-        measured = compare(*(trade(results, lethality, method, of) for of in (least, team)))
+    least, *others = sorted(results.scenario.teams, key=lambda team: team.loss_cost)
+    for row, team, series in results.missions(others):
+        measured = compare(trade(series, least), trade(series, team))
         del measured['fewer']
-        yield {'lethality': lethality, 'method': method, **vars(team), **measured}
+        yield row | vars(team) | measured
 
 
 def base_rows(results: Results) -> Iterator[Row]:
     """Yield by how much each second base lowers the log loss, and the robots at equal log loss."""
-    scenario = results.scenario
-    one, *others = sorted(scenario.teams, key=lambda team: team.second_base)
-    for lethality, method, two in product(scenario.lethalities, scenario.methods, others):
-        missions = [trade(results, lethality, method, team) for team in (one, two)]
+    one, *others = sorted(results.scenario.teams, key=lambda team: team.second_base)
+    for row, two, series in results.missions(others):
+        missions = trade(series, one), trade(series, two)
         equal = compare(*missions)
-        yield {
-            'lethality': lethality,
-            'method': method,
+        yield row | {
             **vars(two),
             'value': mean_of(missions[0][:, 1, -1] - missions[1][:, 1, -1]),
             'log_loss': equal['log_loss'],
@@ -102,7 +93,9 @@ def loss_cost_chart(results: Results) -> Figure:
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
     ) -> None:
-        (lost, log_loss), low, high = mean_of(trade(results, lethality, *contender))
+        (lost, log_loss), low, high = mean_of(
+            trade(partial(results.series, lethality, contender.method), contender.team)
+        )
         at_its_end = {'markevery': [-1], 'markersize': 5}
         axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)
         end = lost[-1], log_loss[-1]

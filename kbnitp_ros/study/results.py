@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from functools import partial
+from itertools import product
+from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.study.scenario import ALONE, LEARNING, Scenario, Strategy
 from kbnitp_ros.study.trial import measures_of, MissionResult, Trial, trials_of
@@ -15,6 +17,9 @@ import pyarrow as pa
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+# Sums of measures by their names, shape (trials, robots + 1); `team` is that of the missions.
+Series = Callable[..., NDArray[np.float64]]
 
 # The most bytes that a mission may take, of which each worker has one, and the results of all.
 MOST_OF_A_MISSION = 1 << 30
@@ -99,6 +104,17 @@ class Results:
         places = [measures_of(self.scenario).index(measure) for measure in measures]
         outcomes = self._of(lethality, method, team)
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
+
+    def missions(
+        self, teams: Sequence[Strategy] | None = None
+    ) -> Iterator[tuple[dict[str, Any], Strategy, Series]]:
+        """Yield lethality and method, the team, and the series of missions, in their order."""
+        scenario = self.scenario
+        for lethality, method, team in product(
+            scenario.lethalities, scenario.methods, scenario.teams if teams is None else teams
+        ):
+            series = partial(self.series, lethality, method, team=team)
+            yield {'lethality': lethality, 'method': method}, team, series
 
     def final_maps(
         self, lethality: float | None, method: str, team: Strategy = ALONE

@@ -51,11 +51,11 @@ def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
     return sorted({*(each for each in robots if each < all_of_them), all_of_them})
 
 
-def differences(
-    one: NDArray[np.float64], other: NDArray[np.float64], robots: Sequence[int]
+def means_after(
+    series: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
-    """Return one series less another of the same trials after so many robots, for JSON."""
-    return [as_json(mean_of((one - other)[:, after])) for after in robots]
+    """Return the means of a series after so many robots, for JSON."""
+    return [as_json(mean_of(series[:, after])) for after in robots]
 
 
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,23 +80,18 @@ def summarise(results: Results) -> dict[str, Any]:
     reference = scenario.methods[-1]
     labels = team_labels(scenario)
     rows = []
-    for lethality in scenario.lethalities:
-        for method, team in scenario.contenders:
-            row: Row = {'lethality': lethality, 'method': method, **vars(team)}
-            row['label'] = labels[team]
-            for name, measures in SUMMARISED.items():
-                final = results.series(lethality, method, *measures, team=team)[:, -1]
-                row[name] = mean_of(final)
-            believed, truth = results.final_maps(lethality, method, team)
-            hazard_alone = truth[:, 0] & ~truth[:, 1]
-            row['false_targets'] = mean_of((believed[:, 1] * hazard_alone).sum(axis=1))
-            if method != reference:
-                nearest, this = (
-                    results.series(lethality, name, *LOG_LOSS, team=team)[:, -1]
-                    for name in (reference, method)
-                )
-                row['difference'] = mean_of(nearest - this)
-            rows.append(json_row(row))
+    for row, team, series in results.missions():
+        lethality, method = row.values()
+        row |= {**vars(team), 'label': labels[team]}
+        for name, measures in SUMMARISED.items():
+            row[name] = mean_of(series(*measures)[:, -1])
+        believed, truth = results.final_maps(lethality, method, team)
+        hazard_alone = truth[:, 0] & ~truth[:, 1]
+        row['false_targets'] = mean_of((believed[:, 1] * hazard_alone).sum(axis=1))
+        if method != reference:
+            nearest = results.series(lethality, reference, *LOG_LOSS, team=team)
+            row['difference'] = mean_of((nearest - series(*LOG_LOSS))[:, -1])
+        rows.append(json_row(row))
     return {
         'trials': scenario.trials,
         'robots': scenario.robots,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
 
 from kbnitp_ros.study.charts import LOG_LOSS_LABEL, means_chart
 from kbnitp_ros.study.results import Results
@@ -38,24 +37,20 @@ def team_rows(results: Results) -> Iterator[Row]:
     scenario = results.scenario
     labels, common = team_labels(scenario), common_rounds(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)
-    for lethality, (method, team) in product(scenario.lethalities, scenario.contenders):
-        entropy = results.series(lethality, method, 'joint_entropy', team=team)
+    for row, team, series in results.missions():
+        entropy, log_loss, lost = series('joint_entropy'), series(*LOG_LOSS), series('robots_lost')
         information = entropy[:, :1] - entropy
-        log_loss = results.series(lethality, method, *LOG_LOSS, team=team)
-        lost = results.series(lethality, method, 'robots_lost', team=team)
         rounds = after_rounds(information, team.agents).shape[1] - 1
-        of_smallest = results.series(lethality, method, *LOG_LOSS, team=smallest)
         measured = {
             'information_a_robot': information[:, -1] / scenario.robots,
             'information_a_round': information[:, -1] / rounds,
             'log_loss': log_loss[:, -1],
-            'difference': log_loss[:, -1] - of_smallest[:, -1],
+            'difference': (log_loss - series(*LOG_LOSS, team=smallest))[:, -1],
             'early_information': after_rounds(information, team.agents)[:, common],
             'early_log_loss': after_rounds(log_loss, team.agents)[:, common],
             'early_robots_lost': after_rounds(lost, team.agents)[:, common],
         }
-        row = {'lethality': lethality, 'method': method, **vars(team)}
-        row |= {'label': labels[team], 'rounds': rounds}
+        row |= {**vars(team), 'label': labels[team], 'rounds': rounds}
         yield row | {name: mean_of(values) for name, values in measured.items()}
 
 

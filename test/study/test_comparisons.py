@@ -2,6 +2,7 @@
 """Strategies are compared with the first in the same worlds, as pandas does it from the table."""
 
 from dataclasses import astuple, replace
+from functools import partial
 
 from kbnitp_ros.core import continue_mission
 from kbnitp_ros.study import trial as running
@@ -75,7 +76,8 @@ def test_objectives_are_compared_at_equal_log_loss(scenario):
         'information, loss cost 0.5',
     ]
     for row, team in zip(summary['rows'], OBJECTIVES[1:]):
-        both = (trade(results, 0.9, 'kappa_bnitp', each) for each in (NONE, team))
+        series = partial(results.series, 0.9, 'kappa_bnitp')
+        both = trade(series, NONE), trade(series, team)
         more = compare(*both)['difference'].mean
         assert row['lost_at_equal']['mean'] == pytest.approx(more, abs=1e-6)
 
