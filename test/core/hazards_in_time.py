@@ -53,6 +53,12 @@ def moved_to(weight, target, where):
     return moved
 
 
+def chance(joint, dynamics, model, path, readings, lost_at):
+    """Return the probability of one outcome in a field that has not changed yet."""
+    weight = weights(joint, dynamics, [(model, path, readings, lost_at)])
+    return weight[0].sum()
+
+
 def posterior(joint, dynamics, *deployments, possible=None):
     """
     Take in deployments, each a sensor model, a path, readings or None and `lost_at` or None.
@@ -60,6 +66,19 @@ def posterior(joint, dynamics, *deployments, possible=None):
     The cells' joints of their hazards after the last one and their targets, (cells, 2, 2); None if
     no state explains them. Which cells are possible hazards is read off the joint unless given.
     """
+    weight = weights(joint, dynamics, deployments, possible)
+    if not weight.any():
+        return None
+    cells = len(joint)
+    states = states_of(cells)
+    after = np.empty_like(joint)
+    for cell, z in product(range(cells), (0, 1)):
+        after[cell, z] = weight[cell][:, states[:, cell] == z].sum(axis=1)
+    return after / after.sum(axis=(1, 2), keepdims=True)
+
+
+def weights(joint, dynamics, deployments, possible=None):
+    """Return for each cell and each target in it the weights of all states, (cells, 2, states)."""
     cells = len(joint)
     states = states_of(cells)
     read = np.ones((cells, 2))
@@ -69,7 +88,6 @@ def posterior(joint, dynamics, *deployments, possible=None):
                 read[cell, x] *= 1.0 if reading == -1 else positive if reading else 1 - positive
     seen = joint * read[:, None, :]
     each = seen.sum(axis=2)[np.arange(cells), states]
-    # For each cell and each target in it: the weights of all states beforehand.
     weight = np.empty((cells, 2, len(states)))
     for cell, x in product(range(cells), (0, 1)):
         rest = np.delete(each, cell, axis=1).prod(axis=1)
@@ -81,10 +99,6 @@ def posterior(joint, dynamics, *deployments, possible=None):
         lost_at = np.ones(len(path) - 1) if lost_at is None else lost_at
         used_up = dynamics.kind == 'used_up'
         weight = deployed(weight, states, model, used_up, path, readings is None, lost_at)
-        if not weight.any():
-            return None
-        weight = weight / weight.sum()
-    after = np.empty_like(joint)
-    for cell, z in product(range(cells), (0, 1)):
-        after[cell, z] = weight[cell][:, states[:, cell] == z].sum(axis=1)
-    return after / after.sum(axis=(1, 2), keepdims=True)
+        if number < len(deployments) - 1 and weight.any():
+            weight = weight / weight.sum()
+    return weight

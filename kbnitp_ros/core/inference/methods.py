@@ -21,6 +21,7 @@ from kbnitp_ros.core.field import (
     STATIC,
     Unknowns,
 )
+from kbnitp_ros.core.inference.bank import Bank
 from kbnitp_ros.core.inference.filtering import (
     lost_likelihood,
     multi_universe_likelihood,
@@ -146,11 +147,16 @@ METHODS = Registry(
     as_method,
     {
         'relaxed_itp': OnePass(
-            multi_universe_likelihood, correlated=False, dynamics=('changing', 'used_up')
+            multi_universe_likelihood,
+            correlated=False,
+            dynamics=('changing', 'used_up'),
+            bank=Bank,
         ),
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
-        'kappa_bnitp': OnePass(lost_likelihood, correlated=True, dynamics=('changing', 'used_up')),
+        'kappa_bnitp': OnePass(
+            lost_likelihood, correlated=True, dynamics=('changing', 'used_up'), bank=Bank
+        ),
         'kappa_bnitp_sampled': Sampler,
     },
     gone={'kappa_bnitp_smoothed': 'it is gone: 0.3.0 reads its logs; use kappa_bnitp'},

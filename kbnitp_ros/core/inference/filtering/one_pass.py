@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
@@ -84,6 +84,8 @@ class OnePass:
     dynamics : tuple of str
         The kinds of `Dynamics` that it takes besides static hazards. That of hazards that are used
         up is the exact likelihood, whatever `lost` is.
+    bank : callable, optional
+        Makes the inference of a mission that learns numbers, such as `Bank`.
 
     """
 
@@ -92,7 +94,7 @@ class OnePass:
     ]
     correlated: bool
     dynamics: tuple[str, ...] = ('changing',)
-    learns: ClassVar[bool] = False
+    bank: Callable[..., Any] | None = None
     takes_lost_at: ClassVar[bool] = True
     version: ClassVar[int] = 1
 
@@ -103,14 +105,21 @@ class OnePass:
         unknowns: Unknowns = ALL_KNOWN,
         seed: int = 0,
         dynamics: Dynamics = STATIC,
-    ) -> OnePassEstimate:
+    ) -> Any:
         """Return the estimate before the first deployment."""
         prior = belief if self.correlated else belief.independent()
+        if self.bank is not None and unknowns.priors:
+            return self.bank(prior, model, unknowns, seed, dynamics, self.correlated)
         if dynamics.effect == 'changing':
             return ChangingEstimate(prior, model, self, dynamics)
         if dynamics.effect == 'used_up':
             return UsedUpEstimate(prior, model, self)
         return OnePassEstimate(prior, model, self)
+
+    @property
+    def learns(self) -> bool:
+        """Return whether it can learn numbers that are not known."""
+        return self.bank is not None
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
         """

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bank of filters: each as the one-pass method, their evidence by enumeration, and the mixture."""
+
+import brute_force
+import hazards_in_time
+from kbnitp_ros.core import (
+    Belief,
+    Beta,
+    Dynamics,
+    Estimator,
+    Grid,
+    log_loss,
+    Observation,
+    ORDINARY,
+    RobotType,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.core.inference.bank import Bank, Evidence
+from laws import for_each
+import numpy as np
+import pytest
+
+METHODS = ('kappa_bnitp', 'relaxed_itp')
+KINDS = ('static', 'changing', 'used_up')
+GRID = Grid(3, 2)
+TWO = Unknowns(lethality=(0.0, 1.0), malfunction=Beta(2.0, 30.0))
+SEVEN = Unknowns(
+    lethality=(0.0, 1.0),
+    malfunction=Beta(2.0, 30.0),
+    hazard_density=Beta(1.5, 5.0),
+    kappa=(0.0, 1.0),
+    target_background=(0.0, 0.5),
+    true_positive=(0.5, 1.0),
+    false_positive=(0.0, 0.5),
+)
+
+
+def dynamics_of(kind):
+    return Dynamics(kind, 0.02, 0.1) if kind == 'changing' else Dynamics(kind)
+
+
+def drawn(seed, deployments=4):
+    """Draw a prior, a sensor model and outcomes of robots, some of a type of their own."""
+    rng = np.random.default_rng(seed)
+    joint = brute_force.random_joint(rng, 6, 0)
+    model = SensorModel(0.5, 0.1, 0.1, 0.9, 0.1)
+    outcomes = []
+    for _ in range(deployments):
+        path = brute_force.random_path(rng, 3, 2, 0, int(rng.integers(1, 8)))
+        steps = len(path) - 1
+        if rng.random() < 0.5:
+            observation = Observation(path, True, rng.integers(-1, 2, steps))
+        else:
+            heard = int(rng.integers(steps))
+            fits = rng.random(steps) + 0.01 if rng.random() < 0.5 else None
+            observation = Observation(path, False, None, heard, fits)
+        own = RobotType(lethality=0.9, malfunction=0.2) if rng.random() < 0.3 else ORDINARY
+        outcomes.append((observation, own))
+    return Belief(joint), model, outcomes
+
+
+def sensors_of(numbers):
+    """Return the sensor model of a particle of `TWO`."""
+    return SensorModel(*numbers, 0.1, 0.9, 0.1)
+
+
+@for_each(
+    'seed, kind, method', [(s, k, m) for s in range(300) for k in KINDS for m in METHODS], every=12
+)
+def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
+    belief, model, outcomes = drawn(seed)
+    prior = belief if method == 'kappa_bnitp' else belief.independent()
+    bank = Bank(prior, model, TWO, 0, dynamics_of(kind), method == 'kappa_bnitp')
+    numbers = bank._numbers[:3]
+    evidence = [Evidence.of(*each) for each in outcomes]
+    joints, _ = bank._fold(bank._first_joints(numbers), numbers, evidence)
+    for place, own in enumerate(numbers):
+        estimator = Estimator(belief, sensors_of(own), method, dynamics=dynamics_of(kind))
+        for observation, robot_type in outcomes:
+            estimator.assimilate(observation, robot_type)
+        np.testing.assert_allclose(joints[..., place], estimator.belief.joint, rtol=0, atol=1e-12)
+
+
+@for_each('seed, kind', [(seed, kind) for seed in range(300) for kind in KINDS], every=10)
+def test_an_outcome_has_the_probability_of_all_states(seed, kind):
+    belief, model, outcomes = drawn(seed, 1)
+    bank = Bank(belief, model, TWO, 0, dynamics_of(kind))
+    (observation, robot_type), numbers = outcomes[0], bank._numbers[:3]
+    evidence = [Evidence.of(observation, robot_type)]
+    _, log_chance = bank._fold(bank._first_joints(numbers), numbers, evidence)
+    lost_at = observation.lost_at
+    if lost_at is None:
+        lost_at = np.arange(observation.steps) >= observation.steps_survived
+    for place, own in enumerate(numbers):
+        expected = hazards_in_time.chance(
+            belief.joint,
+            dynamics_of(kind),
+            robot_type.model(sensors_of(own)),
+            observation.path.tolist(),
+            observation.readings,
+            lost_at,
+        )
+        assert np.exp(log_chance[place]) == pytest.approx(expected, abs=1e-12)
+
+
+@for_each('seed, kind', [(seed, kind) for seed in range(20) for kind in KINDS], every=5)
+def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
+    """Weighed by the product of what each filter gave each outcome beforehand."""
+    belief, model, outcomes = drawn(seed, 3)
+    bank = Bank(belief, model, TWO, 0, dynamics_of(kind))
+    monkeypatch.setattr(Bank, '_resample', lambda *_: None)
+    weights, joints = [], []
+    for own in bank._numbers:
+        estimator = Estimator(belief, sensors_of(own), dynamics=dynamics_of(kind))
+        weight = 1.0
+        for number, (observation, robot_type) in enumerate(outcomes):
+            before = estimator.belief.joint
+            if number and kind == 'changing':
+                before = dynamics_of(kind).joint_after(before, belief.hazard > 0.0)
+            lost_at = observation.lost_at
+            if lost_at is None:
+                lost_at = np.arange(observation.steps) >= observation.steps_survived
+            weight *= hazards_in_time.chance(
+                before,
+                dynamics_of(kind),
+                robot_type.model(sensors_of(own)),
+                observation.path.tolist(),
+                observation.readings,
+                lost_at,
+            )
+            estimator.assimilate(observation, robot_type)
+        weights.append(weight)
+        joints.append(estimator.belief.joint)
+    for outcome in outcomes:
+        bank = bank.copy()
+        bank.assimilate(*outcome)
+    expected = np.average(joints, axis=0, weights=weights)
+    np.testing.assert_allclose(bank.belief.joint, expected, rtol=0, atol=1e-9)
+
+
+def mission_of(lethality, seed, robots=40, kind='static'):
+    """Return the outcomes of a mission with a right prior, and its last field."""
+    grid, rng = Grid(6, 6), np.random.default_rng(seed)
+    prior = Belief.prior(grid, 0.15, 0.205, 0.8)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    mission = run_mission(
+        grid,
+        prior,
+        SensorModel(lethality),
+        world,
+        robots,
+        rng,
+        options=SearchOptions('relaxed', 12),
+        dynamics=Dynamics(kind),
+    )
+    return prior, [each.observation for each in mission], mission[-1].world
+
+
+def learnt(prior, observations, unknowns, method='kappa_bnitp', kind='static', seed=0):
+    estimator = Estimator(prior, SensorModel(0.5), method, unknowns, seed, dynamics=Dynamics(kind))
+    for observation in observations:
+        estimator.assimilate(observation)
+    return estimator
+
+
+@pytest.mark.slow
+@for_each('lethality', [0.1, 0.5, 0.9])
+def test_numbers_are_learnt_as_by_sampling(lethality):
+    prior, observations, _ = mission_of(lethality, 1)
+    bank = learnt(prior, observations, TWO).parameters
+    sampled = learnt(prior, observations, TWO, 'kappa_bnitp_sampled').parameters
+    for name in ('lethality', 'malfunction'):
+        assert bank[name].mean == pytest.approx(sampled[name].mean, abs=0.06)
+        assert bank[name].sd == pytest.approx(sampled[name].sd, abs=0.05)
+
+
+@pytest.mark.slow
+def test_intervals_cover_numbers_drawn_from_the_prior():
+    inside, missions = 0, 30
+    for seed in range(missions):
+        lethality = (seed + 0.5) / missions
+        prior, observations, _ = mission_of(lethality, seed)
+        known = learnt(prior, observations, TWO, seed=seed).parameters['lethality']
+        inside += known.quantile(0.05) <= lethality <= known.quantile(0.95)
+    assert inside >= 22
+
+
+@pytest.mark.slow
+def test_a_lethality_that_nobody_knows_costs_little_where_hazards_are_used_up():
+    lost = []
+    for seed in range(6):
+        prior, observations, world = mission_of(0.5, seed, kind='used_up')
+        told = Estimator(prior, SensorModel(0.5), dynamics=Dynamics('used_up'))
+        for observation in observations:
+            told.assimilate(observation)
+        lethality = Unknowns(lethality=(0.0, 1.0))
+        estimators = told, learnt(prior, observations, lethality, kind='used_up')
+        losses = [log_loss(each.belief.hazard, world.hazard) for each in estimators]
+        lost.append(losses[1] - losses[0])
+    assert np.mean(lost) < 1.5
+
+
+def test_the_seed_and_the_evidence_make_the_belief():
+    prior, observations, _ = mission_of(0.5, 3, 20)
+    beliefs = [
+        learnt(prior, observations, SEVEN, seed=seed).belief.joint.tobytes() for seed in (1, 1, 2)
+    ]
+    assert beliefs[0] == beliefs[1] != beliefs[2]
+
+
+def test_draws_are_of_particles():
+    prior, observations, _ = mission_of(0.5, 3, 20)
+    estimator = learnt(prior, observations, TWO)
+    assert not estimator.draws_are_exact
+    hazardous, independent = estimator.draws(4000, np.random.default_rng(0))
+    assert independent <= 4000
+    np.testing.assert_allclose(hazardous.mean(axis=0), estimator.belief.hazard, atol=0.04)
+    worlds = estimator.worlds(200, np.random.default_rng(0))
+    mean = np.mean([model.lethality for _, model in worlds])
+    assert mean == pytest.approx(estimator.parameters['lethality'].mean, abs=0.05)
+    assert len({model.lethality for _, model in worlds}) > 20
+
+
+def test_where_all_particles_die_more_are_drawn():
+    """A sure hazard was survived thirty times, which hardly any particle allows."""
+    belief = Belief.from_maps([0.0, 1.0], [0.5, 0.5], [0.5, 0.5])
+    model = SensorModel(0.5, malfunction=0.0, false_negative=0.0)
+    estimator = Estimator(belief, model, unknowns=Unknowns(lethality=(0.0, 1.0)))
+    for _ in range(30):
+        estimator.assimilate(Observation([0, 1, 0], True, [-1, -1]))
+    assert estimator.parameters['lethality'].mean < 0.1
+
+
+def test_the_impossible_is_refused_and_changes_nothing():
+    belief = Belief.from_maps([0.0, 0.0], [0.5, 0.5], [0.5, 0.5])
+    model = SensorModel(0.5, malfunction=0.0)
+    estimator = Estimator(belief, model, unknowns=Unknowns(lethality=(0.0, 1.0)))
+    before = estimator.belief.joint.tobytes()
+    with pytest.raises(ValueError, match='impossible'):
+        estimator.assimilate(Observation([0, 1, 0], False))
+    assert estimator.belief.joint.tobytes() == before
+
+
+@for_each(
+    'method, unknowns, message',
+    [
+        ('relaxed_itp', {'kappa': (0.0, 1.0)}, 'kappa cannot be unknown to a method that keeps'),
+        ('relaxed_bnitp', {'lethality': (0.0, 1.0)}, 'lethality cannot be unknown to relaxed_bn'),
+        ('kappa_bnitp_published', {'lethality': (0.0, 1.0)}, 'lethality cannot be unknown to kap'),
+    ],
+)
+def test_numbers_that_a_method_cannot_learn_are_refused(method, unknowns, message):
+    prior = Belief.prior(Grid(2, 2), 0.3, 0.3, 0.5)
+    with pytest.raises(ValueError, match=message):
+        Estimator(prior, SensorModel(0.5), method, Unknowns(**unknowns))
