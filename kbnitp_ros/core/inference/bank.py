@@ -189,7 +189,7 @@ class Bank:
 
     @cached_property
     def belief(self) -> Belief:
-        """The weighted mean of the filters."""
+        """Return the weighted mean of the filters."""
         joint = self._joints @ self.weights
         return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 

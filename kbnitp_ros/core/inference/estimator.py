@@ -48,7 +48,8 @@ class Estimator:
     method : str or callable
         One of `METHODS`, or what makes an `Inference` as those do, such as a class.
     unknowns : Unknowns
-        Which numbers of the two are not known, for a method that can learn them.
+        Which numbers of the two are not known: for 'kappa_bnitp', 'relaxed_itp' (all but kappa),
+        and 'kappa_bnitp_sampled' in static fields.
     seed : int
         Of the random numbers that a method draws, at least 0. The same evidence in the same order
         gives the same belief, bit for bit.
@@ -218,7 +219,8 @@ class Estimator:
         Draw the hazards of all cells together, as they may be given all deployments so far.
 
         'kappa_bnitp_sampled' draws from the joint posterior. One-pass methods, and those of other
-        packages without `draws` of their own, draw each cell independently.
+        packages without `draws` of their own, draw each cell independently; where they learn
+        numbers, given the numbers that they draw first. No certificate rests on such draws.
 
         Parameters
         ----------
@@ -261,8 +263,7 @@ class Estimator:
         Draw fields and robots as they may be given all deployments so far.
 
         The hazards are drawn as by `draws`, and targets independently given the hazards of their
-        cells. 'kappa_bnitp_sampled' draws numbers of the sensor model that are not known together
-        with the hazards; otherwise the model is that to plan with.
+        cells. Numbers of the sensor model that are not known are drawn together with the hazards.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bank of filters: each as the one-pass method, their evidence by enumeration, and the mixture."""
+"""A bank of filters: each as the one-pass method, evidence by enumeration, and the mixture."""
 
 import brute_force
 import hazards_in_time
