@@ -3,8 +3,9 @@
 A bound on the value of every path, by a Lagrangian dual with cuts.
 
 The steps are those of docs/mathematics.md: the value of a path, :eq:`bound-value`, is at most a
-function of three sums over its cells, :eq:`bound-path`; Lagrangian multipliers cut off sums that no closed walk
-has, :eq:`bound-cut`; the function is maximised over what the cuts leave, :eq:`bound-maximum`.
+function of three sums over its cells, :eq:`bound-path`; Lagrangian multipliers cut off sums that
+no closed walk has, :eq:`bound-cut`; the function is maximised over what the cuts leave,
+:eq:`bound-maximum`.
 """
 
 from __future__ import annotations
