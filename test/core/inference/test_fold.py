@@ -29,8 +29,6 @@ MODEL = SensorModel(0.5)
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MAX_STEPS = 6
 ADJACENT = brute_force.adjacent(3, 3)
-# Of a long mission.
-ROBOTS = 200 if FULL else 80
 
 
 class Evidence:
@@ -136,23 +134,6 @@ def mission(robots, rng):
         readings = tuple((cell, bool(rng.random() < 0.5)) for cell in path[1:])
         report = Report(True, readings) if survived else Report(False)
         yield DeploymentKey('scout', number), path, report
-
-
-@pytest.mark.slow
-@for_each('method', ['kappa_bnitp', 'kappa_bnitp_published'], every=5)
-@for_each('lateness', [2, 30, 1000])
-def test_a_long_mission_may_come_in_any_disorder(method, lateness):
-    rng = np.random.default_rng(lateness)
-    deployments = list(mission(ROBOTS, rng))
-    ledger = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL, method))
-    evidence = Evidence(method)
-    for index in np.argsort(np.arange(ROBOTS) + rng.uniform(0, lateness, ROBOTS)):
-        key, *both = deployments[index]
-        for said in both:
-            tell(ledger, key, said)
-            evidence.take(key, said)
-    assert ledger.deployments == [key for key, _, _ in deployments]
-    assert ledger.belief.joint.tobytes() == evidence.joint()
 
 
 def test_disorder_is_cheap(monkeypatch):

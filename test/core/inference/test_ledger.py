@@ -75,29 +75,6 @@ def test_a_report_waits_for_its_path(ledger):
     assert state(ledger) == (folded(LOST_SEEN), [A], (A, 0), 0, 0, 0)
 
 
-def test_deployments_count_in_their_order_not_in_that_of_arrival(ledger):
-    for key in (A, B, C):
-        ledger.record_path(key, PATH)
-    for key, report in ((C, LOST), (A, RETURNED), (B, LOST)):
-        assert ledger.record_report(key, report)
-        assert ledger.newest == key
-    assert ledger.deployments == [A, B, C]
-    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN, LOST_SEEN, LOST_SEEN)
-    assert folded(RETURNED_SEEN, LOST_SEEN, LOST_SEEN) != folded(
-        LOST_SEEN, RETURNED_SEEN, LOST_SEEN
-    )
-
-
-def test_agents_are_told_apart_by_name(ledger):
-    other = DeploymentKey('scout_2', A.stamp)
-    ledger.record_path(A, PATH)
-    ledger.record_path(other, [4, 8, 4])
-    assert ledger.record_report(other, LOST)
-    assert ledger.record_report(A, RETURNED)
-    assert ledger.deployments == [A, other]
-    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN, Observation([4, 8, 4], False))
-
-
 def test_a_late_return_replaces_the_loss(ledger):
     for key, report in ((A, LOST), (B, LOST)):
         ledger.record_path(key, PATH)
@@ -109,17 +86,6 @@ def test_a_late_return_replaces_the_loss(ledger):
     assert state(ledger) == (folded(RETURNED_SEEN, LOST_SEEN), [A, B], (A, 7), 2, 0, 0)
 
 
-@for_each('reports', [(LOST, RETURNED), (RETURNED, LOST)])
-def test_of_a_loss_and_a_return_that_wait_the_return_counts(reports):
-    ledger = new_ledger()
-    for report in reports:
-        ledger.record_report(A, report)
-    assert ledger.pending == 2
-    assert ledger.record_path(A, PATH)
-    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
-    assert (ledger.deployments, ledger.pending, ledger.in_flight) == ([A], 0, 0)
-
-
 def test_duplicates_change_nothing_but_their_count(ledger):
     ledger.record_path(A, PATH)
     assert ledger.record_path(A, np.array(PATH)) is False
@@ -127,14 +93,6 @@ def test_duplicates_change_nothing_but_their_count(ledger):
     assert ledger.record_report(A, Report(True, tuple(RETURNED.readings))) is False
     assert ledger.record_path(A, PATH) is False
     assert state(ledger) == (folded(RETURNED_SEEN), [A], (A, 0), 3, 0, 0)
-
-
-def test_a_waiting_report_said_again_still_counts_once(ledger):
-    ledger.record_report(A, LOST)
-    assert ledger.record_report(A, LOST) is False
-    assert ledger.duplicates == 1
-    ledger.record_path(A, PATH)
-    assert state(ledger) == (folded(LOST_SEEN), [A], (A, 0), 1, 0, 0)
 
 
 @for_each(
