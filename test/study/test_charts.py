@@ -7,8 +7,6 @@ from disk import room_for
 from kbnitp_ros.study.charts import reliability
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import run_trial, trials_of
 from laws import for_each
 import numpy as np
 import pytest
@@ -49,11 +47,3 @@ def test_every_study_has_its_report(results, tmp_path, pictures, lethalities, tr
 def test_a_disk_that_has_no_room_for_the_report_is_named(results, tmp_path):
     with room_for(1000), pytest.raises(OSError, match=f'File too large: {str(tmp_path)!r}'):
         write_report(results, tmp_path)
-
-
-def test_a_study_of_teams_has_its_report(scenario, tmp_path):
-    scenario = replace(
-        scenario, teams=(Strategy(), Strategy(3)), methods=('kappa_bnitp',), trials=1
-    )
-    outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
-    assert all(path.stat().st_size for path in write_report(Results(scenario, outcomes), tmp_path))
