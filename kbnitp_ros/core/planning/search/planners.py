@@ -290,6 +290,7 @@ PLANNERS = Registry(
         'coverage': coverage,
         'shortest_unvisited': shortest_unvisited,
     },
+    gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
 )
 
 # Those that seek no information.
