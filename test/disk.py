@@ -10,11 +10,7 @@ import pytest
 
 @contextmanager
 def room_for(size):
-    """
-    Have every file of this process end at `size` bytes, as if the disk were full.
-
-    The file that the tests' own output may go to is one of them: nothing may be told meanwhile.
-    """
+    """Have every file of this process end at `size` bytes, as if the disk were full."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:

@@ -16,30 +16,7 @@ alone: str | None = None
 
 
 def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any], Any]:
-    """
-    Run a test for all cases one after another, as one item.
-
-    In contrast to ``pytest.mark.parametrize`` the cases share one collected item and its fixtures,
-    and the first case that fails ends the test. Where the test takes `tmp_path`, each case has a
-    folder of its own below it; what a case sets by `monkeypatch` is undone after it. Of several of
-    these decorators on one test all combinations are cases, and `every` is given to the first.
-
-    Parameters
-    ----------
-    names : str
-        The arguments that a case sets, separated by commas.
-    cases : iterable
-        Their values, as a tuple where there are several names.
-    every : int
-        The first of every so many cases runs before every change, and the rest as an item marked
-        `full`.
-
-    Raises
-    ------
-    AssertionError
-        From the decorated test, with the values of the case that failed.
-
-    """
+    """Run a test for all cases one after another, as one item."""
     keys = [name.strip() for name in names.split(',')]
     own_cases = [
         dict(zip(keys, case if len(keys) > 1 else (case,), strict=True)) for case in cases

@@ -79,11 +79,7 @@ def reports_in(log):
 
 
 def run_until_over(folder, reports, missions):
-    """
-    Launch missions, and check that each ends by itself when it has so many reports.
-
-    The missions are the arguments of the launch file by the names of their logs.
-    """
+    """Launch missions, and check that each ends by itself when it has so many reports."""
     with free_domain() as domain:
         running = [launched(folder, domain, *arguments) for arguments in missions.values()]
         try:

@@ -60,12 +60,7 @@ def chance(joint, dynamics, model, path, readings, lost_at):
 
 
 def posterior(joint, dynamics, *deployments, possible=None):
-    """
-    Take in deployments, each a sensor model, a path, readings or None and `lost_at` or None.
-
-    The cells' joints of their hazards after the last one and their targets, (cells, 2, 2); None if
-    no state explains them. Which cells are possible hazards is read off the joint unless given.
-    """
+    """Take in deployments, each a sensor model, a path, readings or None and `lost_at` or None."""
     weight = weights(joint, dynamics, deployments, possible)
     if not weight.any():
         return None

@@ -210,23 +210,7 @@ class Apart:
 
 @contextmanager
 def apart(folder, robots, namesakes=1, discovery=None, **planner):
-    """
-    Have a mission run whose base is apart from its robots; it is over when this is left.
-
-    Parameters
-    ----------
-    folder : Path
-        Where everything is kept.
-    robots : int
-        How many leave, one after another.
-    namesakes : int
-        How many robots there are of the one name, 1 or 2.
-    discovery : dict, optional
-        The variables by which nodes find each other; if there are any there is no multicast.
-    **planner
-        Parameters of the planner.
-
-    """
+    """Have a mission run whose base is apart from its robots; it is over when this is left."""
     with ExitStack() as stack:
         try:
             made = stack.enter_context(networks(namesakes, multicast=not discovery))

@@ -42,31 +42,7 @@ NEAR = 0.25
 
 
 class Fleet:
-    """
-    Robots on a field, with everything they do truly on record.
-
-    Parameters
-    ----------
-    field : Field
-        The domain, and the node of the test.
-    names : sequence of str
-        Of the robots, which all begin in the middle of the base.
-    speed : float
-        Of the robots, in m/s.
-    mission : str
-        Namespace of the nodes, in which each robot has its own; the simulator says and hears all
-        in the namespace of the robot alone.
-    detection_type : str
-        What robots and their detectors are set to.
-    lifecycle : bool
-        Whether the nodes of Nav2 tell their states.
-    placed : tuple of three float
-        Where the corner of the simulated world lies in the frame map, x and y in metres, and how
-        the world is turned there in rad.
-    datum : tuple of three float
-        As the parameter; receivers tell fixes by it, and none if it is empty.
-
-    """
+    """Robots on a field, with everything they do truly on record."""
 
     SOURCES = Path(__file__).parent
 
@@ -173,11 +149,7 @@ class Fleet:
         return moves(cells)
 
     def see_that_it_is_true(self, report, since=0, name='scout_1'):
-        """
-        Compare a report with where the simulator drove a robot, and with what is there.
-
-        A robot was in every cell that it reports, and it reports every cell that it was well in.
-        """
+        """Compare a report with where the simulator drove a robot, and with what is there."""
         self.see_that_all_is_true([report], since, name)
 
     def see_that_all_is_true(self, reports, since=0, name='scout_1'):

@@ -63,12 +63,7 @@ def sent_by_single(robots=6, with_truth=True, grid=GRID, steps=8):
 
 
 def team(path, agents=8, rounds=3):
-    """
-    Write the log of a team that leaves in rounds, whose lost robots say nothing.
-
-    Every robot is given up. Of those that survived every second one returns after that, a round
-    later.
-    """
+    """Write the log of a team that leaves in rounds, whose lost robots say nothing."""
     whole = Shown()
     whole.publish_truth()
     late = []

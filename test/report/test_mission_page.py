@@ -60,11 +60,7 @@ def tabs(browser):
 
 @pytest.fixture
 def opened(tabs, shown):
-    """
-    Return what opens the page without a network; nothing may be said on the console.
-
-    It is loaded anew in the same tab, where the browser need not compile Plotly again.
-    """
+    """Return what opens the page without a network; nothing may be said on the console."""
     pages, said = tabs
 
     def open_page(width=1600, height=1000, scheme='light', file=shown[1], is_strict=False):

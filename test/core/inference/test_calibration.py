@@ -37,11 +37,7 @@ PRIOR = Belief.prior(FIELD, 0.3, 0.4, 0.7)
 
 
 def ranks(number):
-    """
-    Draw numbers, a world and a mission, and return the rank of the truth in each posterior.
-
-    A rank is uniform in [0, 1) where a value is one of a few: it lies anywhere within its weight.
-    """
+    """Draw numbers, a world and a mission, and return the rank of the truth in each posterior."""
     rng = np.random.default_rng([17, number])
     drawn = {}
     for name, prior in UNKNOWNS.priors.items():

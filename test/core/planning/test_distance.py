@@ -56,11 +56,7 @@ def kind_of_step(grid, one, other):
 
 @cache
 def every_path(grid, most_steps, max_visits):
-    """
-    Return visits and lengths of all closed paths, and how many labels a cell may need.
-
-    Paths of the same visits, the same length and the same end are gone on with once.
-    """
+    """Return visits and lengths of all closed paths, and how many labels a cell may need."""
     # Straight and diagonal steps are counted, so that no sum is rounded.
     ends, closed, needed = {(grid.base, (0,) * grid.cells, 0, 0)}, set(), 1
     for _ in range(most_steps):

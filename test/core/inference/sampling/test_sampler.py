@@ -184,11 +184,7 @@ def exposures(path):
 
 
 def weight_of_hazards(joint, model, observations):
-    """
-    Enumerate the hazards of 4x4 cells, none at the base; targets are told by them alone.
-
-    Returns the probability of the hazards and the evidence, and the local joints.
-    """
+    """Enumerate the hazards of 4x4 cells, none at the base; targets are told by them alone."""
     survive, on = np.array(brute_force.step_survival(model)), brute_force.detection(model)
     local, weight = joint.copy(), np.ones(len(HAZARDS))
     for observation in observations:
