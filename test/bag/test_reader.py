@@ -129,8 +129,16 @@ def test_a_corrupt_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_fa
     content = bytearray((files / 'finished.mcap').read_bytes())
     start, end = data.draw(st.sampled_from(list(records(content[:-8]))))
     # Lengths and kinds of records are rare among the bytes and matter most.
-    place = start + data.draw(st.integers(0, 60) | st.integers(0, end - start - 1))
-    content[min(place, end - 1)] ^= data.draw(st.integers(1, 255))
+    place = min(start + data.draw(st.integers(0, 60) | st.integers(0, end - start - 1)), end - 1)
+    what = data.draw(st.sampled_from(['flip', 'delete', 'insert', 'repeat']))
+    if what == 'flip':
+        content[place] ^= data.draw(st.integers(1, 255))
+    elif what == 'delete':
+        del content[place : place + data.draw(st.integers(1, 5000))]
+    elif what == 'insert':
+        content[place:place] = data.draw(st.binary(min_size=1, max_size=40))
+    else:
+        content[place:place] = content[start:end]
     path = tmp_path_factory.getbasetemp() / 'corrupt.mcap'
     path.write_bytes(content)
     read, error = messages(path)

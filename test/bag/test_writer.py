@@ -4,9 +4,6 @@
 from itertools import product
 import os
 from pathlib import Path
-import signal
-import subprocess
-import sys
 
 from disk import room_for
 from extent import FULL
@@ -96,46 +93,6 @@ def test_a_sync_reaches_the_disk(tmp_path, whole_mission, monkeypatch):
         assert synced[-1] == (path, path.stat().st_size)
         assert synced[-1][1] > synced[0][1]
     assert (path, path.stat().st_size) in synced
-
-
-WRITE_UNTIL_KILLED = """
-import sys
-from mission_log import mission, record_to
-from kbnitp_ros.bag import LogWriter
-
-sent = mission(robots=3).sent
-log = LogWriter(sys.argv[1])
-written = 0
-while True:
-    for each in sent:
-        if written < len(sent):
-            record_to(log, [each])
-        else:
-            log.write(each.topic, each.data, each.time, each.time)
-        log.sync()
-        written += 1
-        print(written, flush=True)
-"""
-
-
-@pytest.mark.processes
-@for_each('count', [1, 17, 200])
-def test_a_kill_loses_nothing_that_was_synced(tmp_path, count):
-    path = tmp_path / 'mission.mcap'
-    writer = subprocess.Popen(
-        [sys.executable, '-c', WRITE_UNTIL_KILLED, path],
-        cwd=Path(__file__).parents[1] / 'log',
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    for line in writer.stdout:
-        if int(line) >= count:
-            break
-    writer.send_signal(signal.SIGKILL)
-    told = count + sum(1 for _ in writer.stdout)
-    assert writer.wait() == -signal.SIGKILL
-    assert not is_finished(path)
-    assert len(list(read_log(path))) in (told, told + 1)
 
 
 def test_the_file_is_finished_after_an_error(tmp_path):

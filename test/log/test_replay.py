@@ -1147,26 +1147,3 @@ def test_the_command_says_what_it_found(whole_mission, tmp_path, capsys):
         '/belief/target: 9 of 9 messages reproduced',
     ]
     assert captured.err == ''
-
-
-@for_each('share', [0.2, 0.5, 0.8, 0.99])
-def test_a_log_that_was_cut_says_what_is_missing(whole_mission, tmp_path, share):
-    path = tmp_path / 'mission.mcap'
-    with LogWriter(path) as log:
-        record_to(log, whole_mission.sent, synced=True)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    report = replay(path)
-    assert not report.finished
-    assert report.mismatches == []
-    assert report.reproduced
-    assert 0 < report.compared['/belief'] <= ROBOTS + 1
-    unread = len(report.evidence.reports) - (report.compared['/belief'] - 1)
-    assert len(report.not_yet_held) == unread in (0, 1)
-
-
-def test_the_start_of_a_log_is_no_log_of_beliefs(whole_mission, tmp_path):
-    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(LogError, match='no beliefs on record'):
-        replay(path)

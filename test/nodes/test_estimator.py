@@ -9,7 +9,6 @@ from kbnitp_ros.configuration import LEARN
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message
-from kbnitp_ros.messages.headers import from_stamp, header
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
@@ -72,18 +71,6 @@ def test_a_report_waits_for_its_path_and_is_shown_waiting(estimator):
     estimator.until(lambda: estimator.count('/estimator', 'waiting') == 0, 'end of waiting')
 
 
-def test_what_comes_twice_counts_once(estimator):
-    for _ in range(3):
-        estimator.paths.publish(path(1))
-        estimator.reports.publish(lost(1))
-    estimator.until(lambda: estimator.count('/estimator', 'accepted') == 6, 'six messages')
-    assert estimator.count('/estimator', 'refused') == 0
-    assert [belief.deployments for belief in estimator.beliefs] == [0, 1]
-    estimator.until(
-        lambda: '4 messages said nothing new' in estimator.state('/estimator'), 'count'
-    )
-
-
 BLIND_TARGETS = [
     TargetReading(cell=cell, detected=cell == 2, not_looked=True) for cell in HOME[1:]
 ]
@@ -135,31 +122,6 @@ def test_the_evidence_is_what_really_happened(estimator, reported_first):
     assert estimator.count('/estimator', 'refused') == 0
 
 
-def test_of_two_losses_the_later_contact_counts(estimator):
-    estimator.paths.publish(path(1))
-    for steps in (0, 2, 1):
-        estimator.reports.publish(changed(lost(1), steps_survived=steps))
-    estimator.until(lambda: len(estimator.beliefs) == 3, 'belief with the later contact')
-    estimator.until(lambda: estimator.count('/estimator', 'accepted') == 4, 'the third report')
-    expected = update(PRIOR, MODEL, Observation(HOME, False, steps_survived=2))
-    assert until_held(estimator, 1).tobytes() == expected.joint.tobytes()
-    assert len(estimator.beliefs) == 3
-
-
-def test_a_late_return_replaces_the_loss_and_counts_in_its_place(estimator):
-    came_back = Observation(HOME, True, [True, False, True, False])
-    for number in (1, 2):
-        estimator.paths.publish(path(number))
-        estimator.reports.publish(lost(number))
-    until_held(estimator, 2)
-    estimator.reports.publish(changed(returned(1), header=header(77)))
-    estimator.until(lambda: len(estimator.beliefs) == 4, 'belief with the return')
-    belief = read_belief_maps(estimator.beliefs[-1])
-    assert (belief.deployments, belief.newest, belief.stamp) == (2, key(1), 77)
-    expected = update(update(PRIOR, MODEL, came_back), MODEL, Observation(HOME, False))
-    assert belief.belief.joint.tobytes() == expected.joint.tobytes()
-
-
 def test_a_robot_that_read_nothing_on_its_last_steps_is_told(estimator):
     steps = len(HOME) - 1
     for number, unread in enumerate(range(steps + 1), 1):
@@ -171,20 +133,6 @@ def test_a_robot_that_read_nothing_on_its_last_steps_is_told(estimator):
         until_held(estimator, number)
         told = f'{key(number)} has read nothing after step {steps - unread} of {steps}'
         assert (told in estimator.said('/estimator')) == (unread > 1)
-
-
-def test_a_restarted_estimator_says_the_same_of_the_same_evidence(estimator):
-    estimator.paths.publish(path(1))
-    estimator.reports.publish(changed(returned(1), header=header(77)))
-    until_held(estimator, 1)
-    prior, before = from_stamp(estimator.beliefs[0].header.stamp), estimator.beliefs[1]
-    estimator.processes.started['/estimator'].kill()
-    estimator.start('estimator', PARAMETERS)
-    estimator.until(
-        lambda: len(estimator.beliefs) > 2 and estimator.beliefs[-1].deployments, 'belief again'
-    )
-    assert estimator.beliefs[-1] == before
-    assert all(from_stamp(again.header.stamp) > prior for again in estimator.beliefs[2:-1])
 
 
 def test_bad_input_is_refused_counted_and_changes_nothing(estimator):

@@ -227,27 +227,6 @@ def test_missions_in_two_namespaces_do_not_meet(field):
         assert replay(log).reproduced
 
 
-@pytest.mark.full
-def test_the_same_seed_gives_the_same_deployments(field):
-    parameters = {**SMALL, 'seed': 5, 'robots': 12}
-    heard = {}
-    for namespace in ('/first', '/second'):
-        heard[namespace] = listen(field, namespace)
-        field.start_mission(parameters, namespace)
-    for messages in heard.values():
-        wait_for_end(field, parameters, messages)
-
-    def made(namespace):
-        paths, reports, beliefs = heard[namespace]
-        return (
-            [[(p.pose.position.x, p.pose.position.y) for p in path.poses] for path in paths],
-            [(report.survived, report.readings) for report in reports],
-            [belief.joint for belief in beliefs],
-        )
-
-    assert made('/first') == made('/second')
-
-
 def test_viewers_see_all_maps(field):
     beliefs = field.listen(BeliefMaps, '/m/belief')
     field.start_mission({**SMALL, 'robots': 3}, '/m')

@@ -7,7 +7,6 @@ from array import array
 from collections import defaultdict
 import os
 import pathlib
-import resource
 import shutil
 import signal
 
@@ -20,10 +19,8 @@ from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.topic import message_class
 from mcap.reader import make_reader
 from nav_msgs.msg import Path
-import numpy as np
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -263,21 +260,6 @@ def test_a_log_has_one_recorder_at_a_time(field):
     assert list(log.parent.glob('*.mcap')) == [log]
 
 
-def test_a_log_is_split_and_compressed(field):
-    log = record(field, max_file_size=2**20, compression='zstd')
-    talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
-    noise = np.random.default_rng(1)
-    for number in range(50):
-        data = bytes([number]) + noise.bytes(100_000)
-        talker.publish(UInt8MultiArray(data=array('B', data)))
-    field.until(lambda: len(values(log, '/m/bytes')) == 50, 'last message')
-    field.processes.stop()
-    parts = sorted(log.parent.glob('*.mcap'))
-    assert 4 < len(parts) < 8
-    assert all(is_finished(part) and part.stat().st_size < 2**21 for part in parts)
-    assert [message.data[0] for message in recorded(log)['/m/bytes']] == list(range(50))
-
-
 @pytest.mark.parametrize('size', [1, 90_000, 2**20 - 1])
 def test_files_smaller_than_what_they_begin_with_are_refused(field, size):
     told = refusal(field, {'file': str(field.folder / 'mission.mcap'), 'max_file_size': size})
@@ -398,17 +380,6 @@ def test_a_type_that_is_defined_in_idl_alone_is_refused_and_the_rest_goes_on(
     field.until(lambda: '/m/latched' in recorded(log), 'message')
 
 
-def test_a_message_larger_than_a_chunk_is_recorded(field):
-    log = record(field)
-    data = bytes(range(256)) * 20_000
-    talker = field.talk(UInt8MultiArray, '/m/image', RELIABLE)
-    talker.publish(UInt8MultiArray(data=array('B', data)))
-    field.until(lambda: '/m/image' in recorded(log), 'image')
-    field.processes.stop()
-    (image,) = recorded(log)['/m/image']
-    assert bytes(image.data) == data
-
-
 def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
     log = record(field)
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
@@ -509,13 +480,6 @@ def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, tmp_pat
     assert told == f'recorder: {log}: No space left on device (free some space on that disk)'
 
 
-def test_a_file_that_may_not_grow_ends_the_recorder_and_what_was_written_stays(field):
-    log = record(field)
-    recorder = field.processes.started['/m/recorder']
-    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
-    assert f'{log}: File too large (raise' in report_until_it_fails(field, log)
-
-
 @pytest.mark.parametrize('what', ['folder', 'file', 'replaced'])
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     log, told, paths = record_path(field)
@@ -534,13 +498,6 @@ def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     assert f'{log} is gone' in until_failed(field, '/m/recorder', 1)
     assert log.exists() == (what == 'replaced')
     assert [from_stamp(each.stamp) for each in told] == [key(1).stamp]
-
-
-def test_message_types_are_found_by_name():
-    assert message_class('nav_msgs/msg/Path') is Path
-    for unknown in ('nav_msgs/msg/Nothing', 'nothing_msgs/msg/Path', 'Path'):
-        with pytest.raises(LookupError, match=unknown):
-            message_class(unknown)
 
 
 def test_a_belief_that_comes_before_its_path_is_recorded_after_it(field):
