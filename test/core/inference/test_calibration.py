@@ -11,7 +11,7 @@ from math import erfc, exp, gamma, sqrt
 import brute_force
 from extent import LONG
 from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
-from kbnitp_ros.core.inference.sampling import gibbs
+from kbnitp_ros.core.inference.sampling import gibbs_kernels
 from kbnitp_ros.core.inference.sampling.chains import Chains
 import numpy as np
 import pytest
@@ -140,11 +140,11 @@ def test_an_error_in_the_draw_of_a_number_is_found(name, size, monkeypatch):
 @pytest.mark.full
 def test_an_error_in_the_draw_of_hazards_is_found(monkeypatch):
     """All hazards are drawn at twice their odds."""
-    draw = gibbs.draw_hazards
+    draw = gibbs_kernels.draw_hazards
 
     def wrong(chains, chances, *others):
         draw(chains, chances._replace(odds=chances.odds * 2.0), *others)
 
-    monkeypatch.setattr(gibbs, 'draw_hazards', wrong)
+    monkeypatch.setattr(gibbs_kernels, 'draw_hazards', wrong)
     p, _ = worst(*FEW)
     assert p < SIGNIFICANT
