@@ -116,20 +116,24 @@ def read_log(
             )
 
 
-def read_metadata(path: str | Path) -> dict[str, dict[str, str]]:
+def read_metadata(
+    path: str | Path, corrupt: list[LogError] | None = None
+) -> dict[str, dict[str, str]]:
     """Return the values of metadata records by name; later files replace, later records add."""
     records: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
         own: dict[str, dict[str, str]] = {}
-        for item in metadata_of_part(part):
+        for item in metadata_of_part(part, corrupt):
             own[item.name] = {**own.get(item.name, {}), **item.values}
         records |= own
     return records
 
 
-def metadata_of_part(part: Path) -> Iterator[RecordedMetadata]:
-    """Yield the metadata records of a file, of a corrupt one those before the error."""
-    return (item for item in read_part(part, []) if isinstance(item, RecordedMetadata))
+def metadata_of_part(
+    part: Path, corrupt: list[LogError] | None = None
+) -> Iterator[RecordedMetadata]:
+    """Return the metadata records of a file; `corrupt` as for `read_log`."""
+    return (item for item in read_part(part, corrupt) if isinstance(item, RecordedMetadata))
 
 
 def is_finished(path: str | Path) -> bool:

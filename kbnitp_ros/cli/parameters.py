@@ -78,7 +78,7 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
 
 def recorded_planner(log: Path) -> dict[str, Any]:
     """Return the values of the planner of a mission on record."""
-    recorded = read_parameters(log)
+    recorded = read_parameters(log, [])
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:
         raise ValueError(f'{log} does not have the parameters of one planner on record')

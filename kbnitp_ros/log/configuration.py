@@ -38,7 +38,7 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
 
 def recorded_environment(path: str | Path) -> dict[str, str]:
     """Return what a log was made with: the same, and the version of kbnitp_ros."""
-    run = read_metadata(path).get(RUN, {})
+    run = read_metadata(path, []).get(RUN, {})
     names = ('kbnitp_ros', *numerical_environment())
     return {name: run.get(name, 'not on record') for name in names}
 
@@ -53,7 +53,7 @@ def read_changes(path: str | Path) -> Iterator[str]:
     """Yield in words which parameters of nodes changed in a run, and from what to what."""
     known: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
-        for record in metadata_of_part(part):
+        for record in metadata_of_part(part, []):
             if not record.name.startswith(f'{PARAMETERS}/'):
                 continue
             node = record.name.removeprefix(PARAMETERS)
@@ -64,10 +64,12 @@ def read_changes(path: str | Path) -> Iterator[str]:
             before |= record.values
 
 
-def read_parameters(path: str | Path) -> dict[str, dict[str, Any]]:
+def read_parameters(
+    path: str | Path, corrupt: list[LogError] | None = None
+) -> dict[str, dict[str, Any]]:
     """Return the parameters that the nodes of a run had at its end."""
     parameters = {}
-    for name, record in read_metadata(path).items():
+    for name, record in read_metadata(path, corrupt).items():
         if name.startswith(f'{PARAMETERS}/'):
             try:
                 values = {key: json.loads(text) for key, text in record.items()}

@@ -176,7 +176,7 @@ def read_mission(
     first = history.heard[0].snapshot
     departures = read_departures(log, [])
     in_flight = sum(not departures.is_at_base(key) for key in evidence.without_report)
-    parameters = read_parameters(log)
+    parameters = read_parameters(log, [])
     site, unseen = site_of(parameters, history.grid)
     return Mission(
         log=Path(log),
@@ -190,7 +190,7 @@ def read_mission(
         moments=moments,
         deployments=deployments_of(history, keys, moments),
         world=history.world,
-        run=read_metadata(log).get(RUN, {}),
+        run=read_metadata(log, []).get(RUN, {}),
         parameters=parameters,
         notes=[*notes, *notes_of(log, history, in_flight), *filter(None, [unseen])],
         corrupt=history.corrupt,

@@ -10,6 +10,7 @@ from bags import write_bag
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.cli.demo import main as demo_command
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.cli.report import main as report_command
 from kbnitp_ros.log.replay import replay
@@ -246,4 +247,7 @@ def test_commands_show_what_is_before_an_error_and_fail(sent, tmp_path, damaged,
     assert 'is corrupt after byte' in page
     with pytest.raises(LogError, match='is corrupt after byte'):
         LogWriter(path, resume=True)
+    assert demo_command(['--resume', str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f'demo: {path} is corrupt after byte')
     assert path.read_bytes() == content
