@@ -4,10 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import itertools
 from typing import Any
 
 from kbnitp_ros.configuration.table import LEARN
-from kbnitp_ros.core import Beta, Clustering, Dynamics, Execution, Grid, SensorModel, Unknowns
+from kbnitp_ros.core import (
+    Beta,
+    Clustering,
+    Dynamics,
+    Execution,
+    Grid,
+    HAZARD_RATES,
+    SensorModel,
+    Unknowns,
+)
 
 
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
@@ -41,9 +51,9 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
 def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
     """Return how hazards change by these parameters."""
     try:
-        return Dynamics(
-            values['hazards.dynamics'], values['hazards.appear'], values['hazards.vanish']
-        )
+        names = itertools.chain(*HAZARD_RATES.values())
+        rates = {name: values[f'hazards.{name}'] for name in names}
+        return Dynamics(values['hazards.dynamics'], **rates)
     except ValueError as error:
         raise ValueError(f'parameter hazards.{error}') from error
 

@@ -183,9 +183,9 @@ TABLE = (
     Parameter(
         'hazards.dynamics',
         'static',
-        'What becomes of hazards: they stay, come and go from one deployment to the next, or are '
-        'used up when they strike. That of the agent is the truth, that of the estimator what '
-        'estimator and planner believe.',
+        'What becomes of hazards: they stay, come and go from one deployment to the next, move to '
+        'cells around, or are used up when they strike. That of the agent is the truth, that of '
+        'the estimator what estimator and planner believe.',
         SENSING,
         choices=HAZARDS,
     ),
@@ -200,6 +200,14 @@ TABLE = (
         'hazards.vanish',
         0.0,
         'Probability per deployment that a hazard disappears, of changing hazards.',
+        SENSING,
+        limits=PROBABILITY,
+    ),
+    Parameter(
+        'hazards.move',
+        0.0,
+        'Probability per deployment that a hazard goes to a free neighbouring cell, of moving '
+        'hazards.',
         SENSING,
         limits=PROBABILITY,
     ),

@@ -166,6 +166,7 @@ def belief_fields(
         dynamics=estimator.dynamics.kind,
         appear=estimator.dynamics.appear,
         vanish=estimator.dynamics.vanish,
+        move=estimator.dynamics.move,
         clustering=np.nan if coupling == LEARNT_COUPLING else float(coupling),
         deployments=len(ledger.deployments),
         agent=newest.agent,
@@ -259,7 +260,10 @@ def read_belief_maps(message: Any) -> Snapshot:
         method=message.method,
         version=message.method_version,
         seed=message.seed,
-        dynamics=Dynamics(message.dynamics, message.appear, message.vanish),
+        # Logs of 0.3.0 know of no moving hazards.
+        dynamics=Dynamics(
+            message.dynamics, message.appear, message.vanish, getattr(message, 'move', 0.0)
+        ),
         clustering=read_clustering(message.clustering, grid),
         deployments=message.deployments,
         newest=newest_deployment(message),
@@ -276,7 +280,7 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
             f'{name} has {joint.size} values: it must have 4 * width * height = {4 * grid.cells}'
         )
     try:
-        return Belief(joint.reshape(-1, 2, 2))
+        return Belief(joint.reshape(-1, 2, 2), grid)
     except ValueError as error:
         raise ValueError(str(error).replace('joint', name, 1)) from error
 

@@ -21,6 +21,7 @@ from kbnitp_ros.core import (
     Goal,
     GOALS,
     Grid,
+    HAZARD_RATES,
     HAZARDS,
     METHODS,
     OBJECTIVES,
@@ -211,17 +212,17 @@ class Hazards:
 
     # Their kind, of `HAZARDS`.
     dynamics: Annotated[str, HAZARDS] = 'static'
-    # Rates of changing hazards, those of the worlds and those that are believed in.
+    # Rates of changing and of moving hazards, in the worlds and as believed.
     appear: Probability = 0.0
     vanish: Probability = 0.0
+    move: Probability = 0.0
     # Of `LAYOUTS`.
     layout: Annotated[str, LAYOUTS] = 'independent'
 
     def of_kind(self, kind: str) -> Dynamics:
         """Return how hazards of a kind change; empty: as they do."""
-        rates = {'appear': self.appear, 'vanish': self.vanish}
         kind = kind or self.dynamics
-        return Dynamics(kind, **(rates if kind == 'changing' else {}))
+        return Dynamics(kind, **{name: getattr(self, name) for name in HAZARD_RATES.get(kind, ())})
 
 
 INDEPENDENT = Hazards()
@@ -349,12 +350,13 @@ class Scenario:
         """Refuse rates that no hazards have, and methods that do not take those believed in."""
         hazards, truth = self.hazards, self.truth(self.lethalities[0], 0)
         kinds = {hazards.dynamics, *(team.dynamics for team in self.teams)}
-        rates = {name: getattr(hazards, name) for name in ('appear', 'vanish')}
-        for name, rate in rates.items():
-            if rate and 'changing' not in kinds:
-                raise ValueError(f'{name} is {rate}: no hazards are changing or believed to be')
-        if 'changing' in kinds and not any(rates.values()):
-            raise ValueError('changing ones need a rate: appear, vanish or both')
+        for kind, names in HAZARD_RATES.items():
+            rates = {name: getattr(hazards, name) for name in names}
+            for name, rate in rates.items():
+                if rate and kind not in kinds:
+                    raise ValueError(f'{name} is {rate}: no hazards are {kind} or believed to be')
+            if kind in kinds and not any(rates.values()):
+                raise ValueError(f'{kind} ones need a rate: {" or ".join(names)}')
         for method, team in self.contenders:
             if hazards.of_kind(team.dynamics).effect != 'static' or team.clustering:
                 self.estimator(method, team, self.belief(truth), self.model(truth))

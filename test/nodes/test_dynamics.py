@@ -30,9 +30,15 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
         {'contact_probability': 0.5},
         {'hazards.dynamics': 'used_up'},
         {'hazards.dynamics': 'changing', 'hazards.appear': 0.05, 'hazards.vanish': 0.2},
+        {'hazards.dynamics': 'moving', 'hazards.move': 0.1},
+        {
+            'hazards.dynamics': 'used_up',
+            'learn': ['lethality', 'hazard_density'],
+            'method': 'kappa_bnitp',
+        },
         {'prior.clustering': 'learn', 'method': 'kappa_bnitp_sampled', 'learn': ['lethality']},
     ],
-    ids=['heard', 'used_up', 'changing', 'clustered'],
+    ids=['heard', 'used_up', 'changing', 'moving', 'learnt', 'clustered'],
 )
 def test_a_mission_that_was_killed_is_that_of_core(field, hazards):
     log = field.folder / 'mission.mcap'

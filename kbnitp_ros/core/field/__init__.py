@@ -5,7 +5,13 @@ from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
 from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.compiled import compiled, inlined, while_compiling
-from kbnitp_ros.core.field.dynamics import Dynamics, HAZARDS, STATIC
+from kbnitp_ros.core.field.dynamics import (
+    Dynamics,
+    HAZARD_RATES,
+    HAZARDS,
+    neighbors_to_move_to,
+    STATIC,
+)
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.metrics import binary_entropy, brier_score, log_loss, surprisal
@@ -26,6 +32,7 @@ __all__ = [
     'ALL_KNOWN',
     'AS_ORDERED',
     'HAZARDS',
+    'HAZARD_RATES',
     'LEARNT_COUPLING',
     'ORDINARY',
     'STATIC',
@@ -57,6 +64,7 @@ __all__ = [
     'log_predicted_survival',
     'longest',
     'lost_after_contact',
+    'neighbors_to_move_to',
     'of_each',
     'probability',
     'sum_of_others',

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from kbnitp_ros.core.field.check import frozen, probability_map
@@ -31,6 +31,8 @@ class Belief(Value):
     ----------
     joint : array_like, shape (cells, 2, 2)
         P(Z = z, X = x), indexed [cell, z, x].
+    grid : Grid, optional
+        Whose cells these are, as far as it is known: where hazards move they move on it.
 
     Raises
     ------
@@ -40,6 +42,7 @@ class Belief(Value):
     """
 
     joint: NDArray[np.float64]
+    grid: Grid | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         joint = np.array(self.joint, dtype=np.float64)
@@ -144,7 +147,7 @@ class Belief(Value):
                 )
             joint[base] /= safe
         joint[~grid.free] = [[1.0, 0.0], [0.0, 0.0]]
-        return Belief(joint)
+        return Belief(joint, grid)
 
     @property
     def cells(self) -> int:
@@ -196,4 +199,6 @@ class Belief(Value):
         x = np.stack([1.0 - self.target, self.target], axis=-1)
         product = z[:, :, None] * x[:, None, :]
         # One that is so already keeps its bits, as often as this is asked of it.
-        return self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product)
+        return (
+            self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product, self.grid)
+        )

@@ -105,7 +105,7 @@ class Execution:
         dynamics : Dynamics
             How they do.
         changing : ndarray of bool, shape (cells,), optional
-            Which cells of a changing field do before the robot leaves; None before the first.
+            Where hazards change or move before the robot leaves; None before the first.
 
         Raises
         ------
@@ -116,8 +116,8 @@ class Execution:
         ordered = grid.check_path(path)
         rng = np.random.default_rng(rng)
         own = rng.spawn(1)[0]
-        if changing is not None and dynamics.effect == 'changing':
-            world = world.after_change(dynamics, changing, rng.spawn(1)[0])
+        if changing is not None and dynamics.effect in ('changing', 'moving'):
+            world = world.after_change(dynamics, grid, changing, rng.spawn(1)[0])
         walk, passed = self._walk(grid, ordered, own)
         survived, readings, after = world.steps(walk, model, rng, dynamics)
         if survived.all():

@@ -28,8 +28,8 @@ class Value:
 
 
 def names(value: Any) -> list[str]:
-    """Return the names of the fields of a dataclass."""
-    return [field.name for field in fields(value)]
+    """Return the names of the fields of a dataclass that are compared."""
+    return [field.name for field in fields(value) if field.compare]
 
 
 def is_equal(one: Any, other: Any) -> bool:

@@ -195,22 +195,34 @@ class World(Value):
         return survived, readings, replace(self, hazard=hazard)
 
     def after_change(
-        self, dynamics: Dynamics, possible: NDArray[np.bool_], rng: np.random.Generator
+        self, dynamics: Dynamics, grid: Grid, possible: NDArray[np.bool_], rng: np.random.Generator
     ) -> World:
         """
-        Draw the field after a change of a changing field: one uniform number a cell.
+        Draw the field after hazards changed or moved.
 
-        Equation :eq:`hazard-change`.
+        Equation :eq:`hazard-change`, with one uniform number a cell. Moving hazards go one after
+        another, in random order.
 
         Parameters
         ----------
         dynamics : Dynamics
             How it changes.
+        grid : Grid
+            Where hazards move.
         possible : ndarray of bool, shape (cells,)
             Which cells may have a hazard; the others stay as they are.
         rng : numpy.random.Generator
             The only source of randomness.
 
         """
-        there = rng.random(self.hazard.size) < dynamics.hazard_after(self.hazard.astype(float))
-        return replace(self, hazard=np.where(possible, there, self.hazard))
+        if dynamics.kind == 'changing':
+            there = rng.random(self.hazard.size) < dynamics.hazard_after(self.hazard.astype(float))
+            return replace(self, hazard=np.where(possible, there, self.hazard))
+        hazard = self.hazard.copy()
+        for cell in rng.permutation(np.flatnonzero(hazard & possible)):
+            if rng.random() < dynamics.move:
+                around = grid.neighbors(cell)
+                free = around[possible[around] & ~hazard[around]]
+                if free.size:
+                    hazard[cell], hazard[rng.choice(free)] = False, True
+        return replace(self, hazard=hazard)

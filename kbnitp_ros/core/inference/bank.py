@@ -28,7 +28,7 @@ from kbnitp_ros.core.field import (
     Visits,
 )
 from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.filtering.evidence import IMPOSSIBLE, loss_weights
+from kbnitp_ros.core.inference.filtering.evidence import change_of, IMPOSSIBLE, loss_weights
 from kbnitp_ros.core.inference.sampling.prior_map import expit, offsets
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ class Bank:
     ) -> None:
         self._prior, self._known, self._seed = belief, model, seed
         self._dynamics, self._correlated = dynamics, correlated
-        self._maps = prior_maps(belief)
+        self._maps, self._change = prior_maps(belief), change_of(belief, dynamics)
         self._names = tuple(unknowns.priors)
         self._priors = tuple(unknowns.priors.values())
         self._check()
@@ -301,8 +301,8 @@ class Bank:
         joints, log_likelihood = np.array(joints), np.zeros(len(numbers))
         steps: dict[RobotType, Steps] = {}
         for evidence in deployments:
-            if has_begun and self._dynamics.effect == 'changing':
-                self._change(joints)
+            if has_begun:
+                joints = self._change(joints)
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
@@ -326,14 +326,6 @@ class Bank:
             for name in RATES
         }
         return Steps.of(rates, model.false_negative, self._dynamics.kind == 'used_up')
-
-    def _change(self, joints: Floats) -> None:
-        """Have hazards come and go (equation :eq:`hazard-change`)."""
-        possible = self._prior.hazard > 0.0
-        appear, vanish = self._dynamics.appear, self._dynamics.vanish
-        safe, hazardous = joints[possible, 0], joints[possible, 1]
-        joints[possible, 0] = safe * (1.0 - appear) + hazardous * vanish
-        joints[possible, 1] = safe * appear + hazardous * (1.0 - vanish)
 
     def _resample(self, rng: np.random.Generator) -> None:
         """Draw the particles anew by their weights, and move them."""

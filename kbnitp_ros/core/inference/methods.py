@@ -149,13 +149,13 @@ METHODS = Registry(
         'relaxed_itp': OnePass(
             multi_universe_likelihood,
             correlated=False,
-            dynamics=('changing', 'used_up'),
+            dynamics=('changing', 'used_up', 'moving'),
             bank=Bank,
         ),
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
         'kappa_bnitp': OnePass(
-            lost_likelihood, correlated=True, dynamics=('changing', 'used_up'), bank=Bank
+            lost_likelihood, correlated=True, dynamics=('changing', 'used_up', 'moving'), bank=Bank
         ),
         'kappa_bnitp_sampled': Sampler,
     },

@@ -3,7 +3,18 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import Belief, Observation, SensorModel, times_log, Visits
+from collections.abc import Callable
+from functools import partial
+
+from kbnitp_ros.core.field import (
+    Belief,
+    Dynamics,
+    neighbors_to_move_to,
+    Observation,
+    SensorModel,
+    times_log,
+    Visits,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,3 +90,22 @@ def condition(
     posterior: NDArray[np.float64] = np.exp(log_joint - peak)
     posterior /= posterior.sum(axis=(1, 2), keepdims=True)
     return posterior
+
+
+def change_of(
+    prior: Belief, dynamics: Dynamics
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the change of joints, (cells, 2, 2, ...), from one deployment to the next."""
+    possible = prior.hazard > 0.0
+    if dynamics.effect == 'changing':
+        return partial(dynamics.joint_after, possible=possible)
+    if dynamics.effect == 'moving':
+        if prior.grid is None:
+            raise ValueError(
+                'hazards are moving, and the prior has no grid for them to move on: make it with '
+                'Belief.prior(grid, ...) or belief.on(grid)'
+            )
+        return partial(
+            dynamics.joint_after_moves, neighbors=neighbors_to_move_to(prior.grid, possible)
+        )
+    return lambda joint: joint

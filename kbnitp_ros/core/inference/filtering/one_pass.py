@@ -22,6 +22,7 @@ from kbnitp_ros.core.field import (
     Visits,
 )
 from kbnitp_ros.core.inference.filtering.evidence import (
+    change_of,
     check_cells,
     given,
     returned_log_likelihood,
@@ -110,7 +111,7 @@ class OnePass:
         prior = belief if self.correlated else belief.independent()
         if self.bank is not None and unknowns.priors:
             return self.bank(prior, model, unknowns, seed, dynamics, self.correlated)
-        if dynamics.effect == 'changing':
+        if dynamics.effect in ('changing', 'moving'):
             return ChangingEstimate(prior, model, self, dynamics)
         if dynamics.effect == 'used_up':
             return UsedUpEstimate(prior, model, self)
@@ -166,21 +167,20 @@ class OnePassEstimate(KnownModel):
 
 
 class ChangingEstimate(OnePassEstimate):
-    """A belief about hazards that change before every deployment but the first."""
+    """A belief about hazards that change or move before every deployment but the first."""
 
     def __init__(
         self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics
     ) -> None:
         super().__init__(belief, model, method)
-        self._dynamics = dynamics
-        self._possible = belief.hazard > 0.0
+        self._change = change_of(belief, dynamics)
         self._has_begun = False
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Have hazards change, and assimilate one more deployment."""
+        """Have hazards change or move, and assimilate one more deployment."""
         now = self.belief
         if self._has_begun:
-            now = Belief(self._dynamics.joint_after(now.joint, self._possible))
+            now = Belief(self._change(now.joint))
         self.belief = self._method.update(now, robot_type.model(self.model), observation)
         self._has_begun = True
 
