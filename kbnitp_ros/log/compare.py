@@ -41,6 +41,9 @@ def differences(
 ) -> Iterator[Difference]:
     """Yield where a recorded message differs in the fields that were computed."""
     for name, ours in vars(computed).items():
+        # Logs of earlier versions lack fields that were added.
+        if not hasattr(recorded, name):
+            continue
         theirs = getattr(recorded, name)
         if name in rounded:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
@@ -56,7 +59,8 @@ def content_digest(message: Any, like: Fields) -> bytes:
 def _leaves(value: Any, like: Any) -> Iterator[Any]:
     if isinstance(like, Fields):
         for name, each in vars(like).items():
-            yield from _leaves(getattr(value, name), each)
+            if hasattr(value, name):
+                yield from _leaves(getattr(value, name), each)
     elif isinstance(like, np.ndarray):
         yield np.asarray(value, like.dtype).tobytes()
     else:

@@ -66,10 +66,14 @@ def first_belief(log: str | Path) -> Snapshot | None:
     return None
 
 
+# Fields of beliefs that 0.3.0 did not have.
+ADDED = {'move'}
+
+
 def check_version(log: str | Path, belief: Any) -> None:
     """Check that the messages of a log are those of this version."""
     known, fields = belief_field_names(), set(belief.__slots__)
-    if lacking := known - fields:
+    if lacking := known - fields - ADDED:
         raise LogError(
             f'{log} was recorded before version 0.3.0, its beliefs have no {min(lacking)}: '
             'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'

@@ -107,7 +107,7 @@ class Dynamics:
         """
         Return the cells' joints after hazards moved, cells taken for independent: targets stay.
 
-        Equations :eq:`hazard-leaves` to :eq:`hazard-moves`.
+        Equations :eq:`hazard-leaves`, :eq:`hazard-arrives` and :eq:`hazard-moves`.
 
         Parameters
         ----------
