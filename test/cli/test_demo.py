@@ -513,7 +513,7 @@ def reports_in(log):
     (['--set', 'world.file=no.yaml'], 'no.yaml.*No such file or directory'),
     (['--set', 'learn=[lethalty]'], "learn is 'lethalty': did you mean lethality"),
     (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
-    (['--method', 'kappa_bnitp', '--set', 'learn=[kappa]'], 'kappa cannot be unknown to kappa_b'),
+    (['--method', 'relaxed_itp', '--set', 'learn=[kappa]'], 'kappa cannot be unknown to a meth'),
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
     (['--out', '/proc/here'], r'folder /proc/here cannot be made \(No such file.*name another'),
