@@ -73,8 +73,8 @@ CANNOT_START = [
     ),
     (
         'estimator',
-        'learn:=[kappa]',
-        'kappa cannot be unknown to kappa_bnitp, which takes all',
+        'hazards.move:=0.1',
+        'parameter hazards.move is 0.1 and hazards are static: only moving ones have it',
     ),
     ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
     ('recorder', 'file:=/', "'/'"),
