@@ -161,10 +161,7 @@ def test_deployments_survive_every_restart(field, before, depth):
     field.kill('/m/estimator')
     start(field, 'estimator', log, robots, resumed=False)
     field.until(
-        lambda: (
-            'restart the estimator with the parameter resume'
-            in field.diagnosed('/m/planner').message
-        ),
+        lambda: 'restart the estimator with the parameter resume' in field.state('/m/planner'),
         'word of what is lost',
     )
     field.kill('/m/planner')
