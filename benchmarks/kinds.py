@@ -19,10 +19,14 @@ MISSIONS = 10
 KINDS: dict[str, dict[str, Dynamics | Clustering]] = {
     'static': {},
     'changing': {'dynamics': Dynamics('changing', appear=0.002, vanish=0.01)},
+    'moving': {'dynamics': Dynamics('moving', move=0.02)},
     'used up': {'dynamics': Dynamics('used_up')},
     'clustered': {'clustering': Clustering(Grid(SIDE, SIDE), 'learn')},
 }
-METHODS = {'kappa_bnitp': list(KINDS)[:3], 'kappa_bnitp_sampled': list(KINDS)}
+METHODS = {
+    'kappa_bnitp': ['static', 'changing', 'moving', 'used up'],
+    'kappa_bnitp_sampled': ['static', 'clustered'],
+}
 
 
 @cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether hazards stay, come and go, move, or are used up by the robots that they strike."""
+"""Dynamics of hazards: static, changing, moving, or used up by the robots that they strike."""
 
 from __future__ import annotations
 

@@ -201,7 +201,7 @@ class Bank:
 
     @property
     def parameters(self) -> Mapping[str, Learnt]:
-        """Return what is known of each number."""
+        """Return the posterior of each number."""
         weights, learnt = self.weights, {}
         for name, prior, values in zip(self._names, self._priors, self._numbers.T):
             order = np.argsort(values, kind='stable')
@@ -390,7 +390,7 @@ def prior_maps(belief: Belief) -> dict[str, Map]:
 @dataclass(frozen=True, eq=False)
 class Steps:
     """
-    What a step into a cell does in each particle.
+    Effects of a step into a cell, by particle.
 
     Attributes
     ----------
