@@ -116,7 +116,8 @@ class LabelSearch:
             outcomes,
             objective.loss_cost,
             10.0**DECIMALS,
-            unread_after(gains, powers, max_steps),
+            # A search of width 1 drops no labels.
+            unread_after(gains, powers, max_steps) if self._width > 1 else np.zeros(max_steps + 1),
         )
 
     def closed(self, count: int) -> tuple[Places, Places]:
