@@ -53,15 +53,21 @@ def test_deployments_are_in_their_order_and_a_return_outdoes_a_loss(tmp_path):
 
 def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
     whole = Mission(namespace='/north')
-    lost, out = (whole.send_out(NEAR, 'scout_2') for _ in range(2))
-    whole.come_back(lost, Observation(NEAR, False))
+    lost, out = whole.deploy(Observation(NEAR, False), 'scout_2'), whole.send_out(NEAR, 'scout_2')
     for key in (lost, out):
         back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
         whole.publish('scout_1/report', back)
-    deployments = read_deployments(record(tmp_path / 'mission.mcap', whole.sent), GRID, MAX_STEPS)
+    log = record(tmp_path / 'mission.mcap', whole.sent)
+    deployments = read_deployments(log, GRID, MAX_STEPS)
     assert deployments.keys() == {lost, out}
     assert not deployments[lost].observation.survived
     assert deployments[out].observation is None
+    report = replay(log)
+    assert report.reproduced
+    assert report.not_yet_held == []
+    assert report.evidence.survived == 0
+    assert all("/scout_1/report: agent is 'scout_2'" in each for each in report.evidence.refused)
+    assert len(report.evidence.refused) == 2
 
 
 def reports_that_do_not_fit(key, whole):

@@ -5,7 +5,7 @@ from array import array
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from itertools import product
 import re
 
@@ -16,7 +16,6 @@ from kbnitp_msgs.msg import UnknownNumber
 from kbnitp_ros.bag import writer
 from kbnitp_ros.bag.reader import LogError
 from kbnitp_ros.bag.schema import describe
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import (
     AS_ORDERED,
@@ -42,14 +41,13 @@ from mcap_ros2 import writer as ros2
 from mission_log import (
     GRID,
     instead,
+    KNOWN,
     MAX_STEPS,
     Mission,
     mission,
     observations,
     on,
-    QOS,
     record,
-    record_to,
     Sent,
     START,
     without,
@@ -57,9 +55,11 @@ from mission_log import (
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
+from samples import changed
 
 ROBOTS = 8
 WILFUL = Execution(detour=0.3, early_return=0.1, contact=0.5, camera_failure=0.2)
+LEARNT = Unknowns(lethality=(0.1, 1.0), hazard_density=(0.02, 0.8), kappa=Beta(3, 2))
 VIEWS = ('/belief/hazard', '/belief/target', '/belief/kappa')
 REPRODUCED = dict.fromkeys(('/belief', *VIEWS), ROBOTS + 1)
 
@@ -67,12 +67,13 @@ REPRODUCED = dict.fromkeys(('/belief', *VIEWS), ROBOTS + 1)
 @pytest.fixture
 def replayed(tmp_path_factory):
     """Return a function that records messages and replays the log."""
+    return lambda sent: replay(record(tmp_path_factory.mktemp('log') / 'mission.mcap', sent))
 
-    def replayed(sent, folder=None):
-        folder = folder or tmp_path_factory.mktemp('log')
-        return replay(record(folder / 'mission.mcap', sent))
 
-    return replayed
+@pytest.fixture(scope='module')
+def learnt_mission():
+    """Return a mission that learns numbers; not to be changed."""
+    return mission(ROBOTS, method='kappa_bnitp_sampled', unknowns=LEARNT, method_seed=5)
 
 
 def keys(sent):
@@ -86,177 +87,92 @@ def beliefs(sent):
     return on(sent, '/belief')
 
 
+def indices(findings):
+    """Return which beliefs some findings are about."""
+    return [each.index for each in findings if each.topic == '/belief']
+
+
 def flipped(message, field, index, bit):
     """Return a copy of a message with one bit of an array changed."""
-    changed = deepcopy(message)
-    values = getattr(changed, field)
+    values = getattr(message, field)
     content = bytearray(values.tobytes())
     content[index * values.itemsize + bit // 8] ^= 1 << bit % 8
-    setattr(changed, field, array(values.typecode, bytes(content)))
-    return changed
+    return changed(message, **{field: array(values.typecode, bytes(content))})
 
 
-@for_each('method', METHODS)
-def test_a_mission_is_reproduced(replayed, method):
-    report = replayed(mission(ROBOTS, method=method).sent)
+@pytest.mark.slow
+@for_each('options', [
+    *({'method': method, 'conduct': conduct}
+      for method, conduct in product(METHODS, [AS_ORDERED, WILFUL])),
+    {'namespace': '/field/north'},
+    {'method': 'kappa_bnitp_sampled', 'unknowns': LEARNT},
+    {'grid': Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3))},
+    {'grid': Grid(5, 4, base=2, blocked=(8, 11), through_corners=False)},
+    {'grid': Grid(5, 4, base=2, blocked=(8, 11), connectivity=4)},
+])  # fmt: skip
+def test_a_mission_is_reproduced(replayed, options):
+    robots = 2 * ROBOTS if options.get('conduct') is WILFUL else ROBOTS
+    whole = mission(robots, **options)
+    report = replayed(whole.sent)
     assert report.reproduced
-    assert report.mismatches == []
-    assert report.compared == REPRODUCED
-    assert report.method == method
     assert report.finished
-    observed = [deployment.observation for deployment in observations(ROBOTS, method=method)]
-    assert len(report.evidence.reports) == ROBOTS
-    assert report.evidence.survived == sum(each.survived for each in observed)
-    assert 0 < report.evidence.survived < ROBOTS
+    topics = [*REPRODUCED, *['/model'] * ('unknowns' in options)]
+    assert report.compared == {whole.namespace + topic: robots + 1 for topic in topics}
+    assert report.method == whole.method
+    told = [each.message for each in whole.sent if each.topic.endswith('/report')]
+    assert len(report.evidence.reports) == robots
+    assert report.evidence.survived == sum(each.survived for each in told) < robots
     assert report.passed_over == report.not_yet_held == report.evidence.without_report == []
     assert report.evidence.without_path == report.evidence.refused == []
+    assert (report.evidence.grid.neighbor_table == whole.grid.neighbor_table).all()
+    if options.get('conduct') is WILFUL:
+        assert any(each.steps_survived for each in told)
+        assert any(reading.not_looked for each in told for reading in each.readings)
+
+
+@for_each('kind, gone', product(['contact', 'return'], [(), (2,), (3,), (2, 3)]))
+def test_what_is_heard_later_is_reproduced(replayed, kind, gone):
+    """Beliefs before it have what was heard first; some may be missing."""
+    whole, tour, other = Mission(), [2, 7, 12, 7, 2], Observation([2, 7, 6, 2], False)
+    first, then = {
+        'contact': [Observation(tour, False, steps_survived=steps) for steps in (1, 3)],
+        'return': [Observation(tour, False), Observation(tour, True, [True, False] * 2)],
+    }[kind]
+    key = whole.deploy(first)
+    whole.deploy(other)
+    whole.assimilate(tour, *whole.come_back(key, then))
+    whole.come_back(key, Observation(tour, False))
+    whole.deploy(other, 'scout_2')
+    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 2, 2, 3]
+    report = replayed(without(whole.sent, *(beliefs(whole.sent)[index] for index in gone)))
+    assert report.mismatches == report.not_yet_held == report.evidence.refused == []
+    assert report.reproduced
+    found = report.evidence.observation(key)
+    assert (found.survived, found.steps_survived) == (then.survived, then.steps_survived)
+    assert len(report.evidence.reports) == 3
 
 
 @pytest.mark.slow
 @for_each('method', METHODS)
-def test_what_robots_make_of_their_orders_is_reproduced(replayed, method):
-    """Walks, last contacts and failed cameras."""
-    whole = mission(2 * ROBOTS, method=method, conduct=WILFUL)
-    told = [each.message for each in on(whole.sent, '/scout_1/report')]
-    assert any(each.steps_survived for each in told)
-    assert any(reading.not_looked for each in told for reading in each.readings)
-    report = replayed(whole.sent)
-    assert report.reproduced
-    assert report.compared['/belief'] == 2 * ROBOTS + 1
-    assert report.evidence.refused == []
-
-
-@for_each('recorded', [(), (1,), (2,), (1, 2)])
-def test_a_later_contact_is_reproduced(replayed, recorded):
-    """Beliefs before it have the earlier one; some may be missing."""
-    whole = Mission()
-    tour = [2, 7, 12, 7, 2]
-    key = whole.deploy(Observation(tour, False))
-    for steps in (1, 3):
-        heard = Observation(tour, False, steps_survived=steps)
-        whole.assimilate(tour, *whole.come_back(key, heard))
-    whole.come_back(key, Observation(tour, False, steps_survived=2))
-    whole.deploy(Observation([2, 7, 2], True, [True, False]))
-    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 1, 1, 2]
-    missing = [beliefs(whole.sent)[index] for index in recorded]
-    report = replayed(without(whole.sent, *missing))
-    assert report.mismatches == report.passed_over == report.not_yet_held == []
-    assert report.evidence.refused == []
-    assert report.evidence.observation(key).steps_survived == 3
-
-
-LEARNT = Unknowns(lethality=(0.1, 1.0), hazard_density=(0.02, 0.8), kappa=Beta(3, 2))
-
-
-@pytest.fixture(scope='module')
-def learnt_mission():
-    """Return a mission that learns numbers; not to be changed."""
-    return mission(ROBOTS, method='kappa_bnitp_sampled', unknowns=LEARNT, method_seed=5)
-
-
-def test_what_was_learnt_is_reproduced(learnt_mission, replayed):
-    report = replayed(learnt_mission.sent)
-    assert report.reproduced
-    assert report.compared == {**REPRODUCED, '/model': ROBOTS + 1}
-
-
-def test_the_order_of_learning_is_that_of_the_deployments(replayed):
-    whole = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
-    told = []
-    for deployment in observations(5):
+def test_the_order_of_assimilation_is_that_of_the_deployments(replayed, method):
+    """However late the reports come, and for a restarted estimator too."""
+    unknowns = LEARNT if method == 'kappa_bnitp_sampled' else KNOWN
+    whole, told = Mission(method, unknowns=unknowns), []
+    for deployment in observations(6, seed=3):
         path = deployment.observation.path
         key = whole.send_out(path)
         told.append((path, *whole.come_back(key, deployment.observation)))
-    for index in (1, 4, 0, 3, 2):
+    for index in (5, 1, 4, 0, 3, 2):
         whole.assimilate(*told[index])
-    in_order = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
-    for deployment in observations(5):
-        in_order.deploy(deployment.observation)
-    assert whole.ledger.belief.joint.tobytes() == in_order.ledger.belief.joint.tobytes()
+    joint = whole.ledger.belief.joint.tobytes()
+    whole.start_estimator()
+    for each in told:
+        whole.assimilate(*each)
+    assert whole.ledger.belief.joint.tobytes() == joint
     report = replayed(whole.sent)
     assert report.reproduced
-    assert report.compared['/model'] == 6
-
-
-def test_an_estimator_that_was_restarted_has_learnt_the_same(replayed):
-    whole = Mission('kappa_bnitp_sampled', unknowns=LEARNT)
-    heard = []
-    for number, deployment in enumerate(observations(6)):
-        if number == 4:
-            told = whole.ledger
-            whole.start_estimator()
-            for each in heard:
-                whole.assimilate(*each)
-            assert whole.ledger.belief.joint.tobytes() == told.belief.joint.tobytes()
-        path = deployment.observation.path
-        heard.append((path, *whole.come_back(whole.send_out(path), deployment.observation)))
-        whole.assimilate(*heard[-1])
-    assert replayed(whole.sent).reproduced
-
-
-@pytest.mark.slow
-@for_each(
-    'field, bit, grade',
-    [
-        (field, *flip)
-        for field in ('mean', 'sd', 'quantile_5', 'effective_sample_size')
-        for flip in ((0, Grade.EQUAL), (50, Grade.DIFFERENT))
-    ],
-)
-def test_one_flipped_bit_of_what_was_learnt_is_found(learnt_mission, replayed, field, bit, grade):
-    original = on(learnt_mission.sent, '/model')[5]
-    spoiled = flipped(original.message, field, 1, bit)
-    report = replayed(instead(learnt_mission.sent, original, spoiled))
-    assert report.grade == grade
-    (mismatch,) = report.mismatches + report.roundings
-    assert (mismatch.topic, mismatch.index) == ('/model', 5)
-    assert mismatch.deployment == keys(learnt_mission.sent)[4]
-    (difference,) = mismatch.differences
-    assert difference.field == field
-    assert 'in value 1' in difference.text
-
-
-@for_each(
-    'field, value, told',
-    [
-        ('low', 0.2, 'unknowns[0].low is 0.2, computed is 0.1'),
-        ('name', 'malfunction', "unknowns[0].name is 'malfunction', computed is 'lethality'"),
-    ],
-)
-def test_another_interval_is_found(learnt_mission, replayed, field, value, told):
-    original = beliefs(learnt_mission.sent)[5]
-    spoiled = deepcopy(original.message)
-    setattr(spoiled.unknowns[0], field, value)
-    report = replayed(instead(learnt_mission.sent, original, spoiled))
-    (mismatch,) = report.mismatches
-    assert told in str(mismatch)
-
-
-def test_a_model_of_others_is_none_of_the_mission(learnt_mission, replayed):
-    others = [
-        Sent('/model', Path(), START),
-        Sent('/other/model', on(learnt_mission.sent, '/model')[0].message, START),
-    ]
-    assert replayed([*others[1:], *learnt_mission.sent]).reproduced
-    assert replayed([others[0], *mission(ROBOTS).sent]).reproduced
-
-
-@for_each('grid', [
-    Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3)),
-    Grid(5, 4, base=2, blocked=(8, 11), through_corners=False),
-    Grid(5, 4, base=2, blocked=(8, 11), connectivity=4),
-])  # fmt: skip
-def test_another_grid_is_reproduced(replayed, grid):
-    report = replayed(mission(5, grid=grid).sent)
-    assert report.reproduced
-    assert (report.evidence.grid.neighbor_table == grid.neighbor_table).all()
-
-
-def test_a_mission_in_a_namespace_is_reproduced(replayed):
-    report = replayed(mission(ROBOTS, namespace='/field/north').sent)
-    assert report.reproduced
-    assert report.compared['/field/north/belief'] == ROBOTS + 1
-    assert len(report.evidence.reports) == ROBOTS
+    assert report.compared['/belief'] == 14
+    assert report.compared['/model'] == (14 if unknowns is LEARNT else 0)
 
 
 @pytest.mark.slow
@@ -277,68 +193,25 @@ def test_the_order_between_topics_does_not_matter(whole_mission, tmp_path_factor
     assert report.compared == REPRODUCED
 
 
-def two_out():
-    """Return a mission whose two robots are out and report, and how to take their reports in."""
-    whole = Mission()
-    first, second = Observation([2, 7, 12, 7, 2], False), Observation([2, 7, 6, 2], False)
-    keys = [whole.send_out(first.path, 'scout_1'), whole.send_out(second.path, 'scout_2')]
-    reports = [whole.come_back(key, each) for key, each in zip(keys, (first, second))]
-    take = [
-        partial(whole.assimilate, each.path, *report)
-        for each, report in zip((first, second), reports)
-    ]
-    return whole, take
-
-
 @for_each('order', [(0, 1), (1, 0)])
 def test_the_estimators_order_counts_not_the_recorders(replayed, order):
-    whole, take = two_out()
+    whole, paths = Mission(), [[2, 7, 12, 7, 2], [2, 7, 6, 2]]
+    out = [whole.send_out(path, f'scout_{number}') for number, path in enumerate(paths, 1)]
+    told = [
+        (path, *whole.come_back(key, Observation(path, False))) for key, path in zip(out, paths)
+    ]
     for index in order:
-        take[index]()
+        whole.assimilate(*told[index])
     assert replayed(whole.sent).reproduced
     _, after_one, after_both = beliefs(whole.sent)
     assert after_one.message.agent == f'scout_{order[0] + 1}'
 
     # The other one's belief is another one, and of both there is only one.
-    wrong = deepcopy(after_one.message)
-    wrong.agent, wrong.deployment = after_both.message.agent, after_both.message.deployment
-    wrong.header, wrong.taken_in = after_both.message.header, after_both.message.taken_in
+    own = ('agent', 'deployment', 'header', 'taken_in')
+    wrong = changed(after_one.message, **{name: getattr(after_both.message, name) for name in own})
     (mismatch,) = replayed(instead(whole.sent, after_one, wrong)).mismatches[:1]
     assert 'joint' in [difference.field for difference in mismatch.differences]
     assert replayed(without(whole.sent, after_one)).reproduced
-
-
-@for_each('recorded', [(), (2,), (3,), (2, 3)])
-def test_a_late_return_is_reproduced(replayed, recorded):
-    """Beliefs before it have the loss and those after it the return; some may be missing."""
-    whole = Mission()
-    lost, other, back = (
-        Observation([2, 7, 12, 7, 2], False),
-        Observation([2, 7, 6, 2], False),
-        Observation([2, 7, 12, 7, 2], True, [True, False, True, False]),
-    )
-    key = whole.deploy(lost)
-    whole.deploy(other)
-    whole.assimilate(back.path, *whole.come_back(key, back))
-    whole.deploy(other, 'scout_2')
-    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 2, 2, 3]
-    missing = [beliefs(whole.sent)[index] for index in recorded]
-    report = replayed(without(whole.sent, *missing))
-    assert report.mismatches == report.not_yet_held == report.evidence.refused == []
-    assert report.reproduced
-    assert report.evidence.survived == 1
-    assert len(report.evidence.reports) == 3
-
-
-def test_a_late_return_that_no_belief_has_is_said(replayed):
-    whole = Mission()
-    key = whole.deploy(Observation([2, 7, 2], False))
-    whole.come_back(key, Observation([2, 7, 2], True, [True, False]))
-    assert replayed(whole.sent).not_yet_held == [key]
-    whole.deploy(Observation([2, 7, 2], False))
-    report = replayed(whole.sent)
-    assert (report.passed_over, report.mismatches) == ([key], [])
-    assert not report.reproduced
 
 
 @pytest.mark.slow
@@ -349,8 +222,7 @@ def test_a_late_return_that_no_belief_has_is_said(replayed):
 ])  # fmt: skip
 def test_counts_of_a_restarted_estimator_are_its_own(replayed, gone, is_sent_anew):
     """It holds two deployments again, as the one before did, and not yet their late returns."""
-    whole = Mission()
-    told = []
+    whole, told = Mission(), []
     for tour in ([2, 7, 12, 7, 2], [2, 7, 6, 2]):
         key = whole.send_out(tour)
         back = Observation(tour, True, [True] * (len(tour) - 1))
@@ -417,6 +289,8 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
         whole.hear_path(key, path)
         # A loss says nothing new after the return.
         whole.hear_report(key, report)
+    if data.draw(st.booleans()):
+        whole.deploy(Observation([2, 7, 2], False))
     again = [each for each in whole.sent[first_run:] if each.topic == '/belief']
     # The last one is latched, so that a recorder hears it.
     gone = [again[index] for index in data.draw(st.sets(st.integers(0, len(again) - 2)))]
@@ -431,22 +305,8 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
     assert gone or not report.not_compared + report.repeated
 
 
-@pytest.mark.slow
-@for_each('method', METHODS)
-def test_reports_out_of_order_are_reproduced(replayed, method):
-    """All robots are out at once, and their reports come the other way round."""
-    whole = Mission(method=method)
-    observed = [each.observation for each in observations(6, seed=3)]
-    keys = [whole.send_out(each.path) for each in observed]
-    for key, observation in reversed([*zip(keys, observed)]):
-        whole.assimilate(observation.path, *whole.come_back(key, observation))
-    report = replayed(whole.sent)
-    assert report.reproduced
-    assert report.compared['/belief'] == 7
-
-
 @for_each('field, method', product(['joint', 'hazard', 'target', 'kappa'], METHODS), every=3)
-def test_one_flipped_bit_is_found(whole_mission, tmp_path, capsys, method, field):
+def test_one_flipped_bit_is_found(tmp_path, capsys, method, field):
     sent = mission(ROBOTS, method=method).sent
     original = beliefs(sent)[5]
     cell = 7
@@ -470,16 +330,78 @@ def test_one_flipped_bit_is_found(whole_mission, tmp_path, capsys, method, field
     assert main([str(path)]) == (report.grade == Grade.DIFFERENT)
     told = capsys.readouterr().out.splitlines()
     if report.grade == Grade.EQUAL:
-        assert (
-            f'/belief: {ROBOTS + 1} of {ROBOTS + 1} messages reproduced, 1 of them equal to 1e-09'
-            in told
-        )
+        assert '/belief: 9 of 9 messages reproduced, 1 of them equal to 1e-09' in told
         return
-    assert f'/belief: {ROBOTS} of {ROBOTS + 1} messages reproduced' in told
+    assert '/belief: 8 of 9 messages reproduced' in told
     (line,) = [line for line in told if line.startswith('not reproduced')]
-    assert '/belief message 5' in line
-    assert str(mismatch.deployment) in line
+    assert f'/belief message 5 (after {mismatch.deployment})' in line
     assert f'{field} differs in 1 values, by up to {difference.largest:.3g} in cell 7' in line
+
+
+@pytest.mark.slow
+@given(st.data())
+@settings(max_examples=60 if FULL else 20, deadline=None)
+def test_any_flipped_bit_is_found(whole_mission, learnt_mission, tmp_path_factory, data):
+    """One of the last bits of a joint or a number may look like rounding, and is said anyway."""
+    sent = data.draw(st.sampled_from([whole_mission, learnt_mission])).sent
+    original = data.draw(st.sampled_from(on(sent, '/belief', *VIEWS, '/model')))
+    numbers = ['mean', 'sd', 'quantile_5', 'effective_sample_size']
+    names = {'/belief': ['joint', 'hazard', 'target', 'kappa'], '/model': numbers}
+    field = data.draw(st.sampled_from(names.get(original.topic, ['data'])))
+    # A prior's joint is where the replay starts: the last bit may get lost in the first update.
+    assume((original, field) != (beliefs(sent)[0], 'joint'))
+    values = getattr(original.message, field)
+    index = data.draw(st.integers(0, len(values) - 1))
+    bit = data.draw(st.integers(0, 8 * values.itemsize - 1))
+    spoiled = flipped(original.message, field, index, bit)
+    path = tmp_path_factory.mktemp('flipped') / 'mission.mcap'
+    report = replay(record(path, instead(sent, original, spoiled)))
+    found = report.mismatches + report.roundings
+    assert not report.reproduced
+    assert report.grade == Grade.DIFFERENT or field in ('joint', *numbers)
+    place = next(n for n, one in enumerate(on(sent, original.topic)) if one is original)
+    assert (found[0].topic, found[0].index) == (original.topic, place)
+
+
+def interval(**values):
+    """Return the first unknown number of a belief with other values."""
+    return lambda unknowns: [changed(unknowns[0], **values), *unknowns[1:]]
+
+
+@pytest.mark.slow
+@for_each(
+    'field, value, told',
+    [
+        ('base', 3, 'base is 3, computed is 2'),
+        ('blocked', [8], ''),
+        ('max_steps', 9, ''),
+        ('method', 'relaxed_itp', ''),
+        ('lethality', 0.6000000000000001, ''),
+        ('seed', 6, ''),
+        ('unknowns', [UnknownNumber(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0)], ''),
+        ('unknowns', interval(low=0.2), 'unknowns[0].low is 0.2, computed is 0.1'),
+        ('unknowns', interval(name='malfunction'), "unknowns[0].name is 'malfunction', computed"),
+        ('prior', array('d', [0.25] * 80), ''),
+        ('false_positive', 0.0, ''),
+        ('deployments', 4, ''),
+        ('deployments', 6, ''),
+        ('deployments', 4_000_000_000, ''),
+        ('deployments', 0, ''),
+        ('agent', 'scout_2', ''),
+        ('agent', '', ''),
+        ('info', lambda info: changed(info, width=10), 'info.width'),
+        ('info', lambda info: changed(info, height=8), 'info.height'),
+        ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
+        ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
+    ],
+)
+def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
+    original = beliefs(learnt_mission.sent)[5]
+    value = value(getattr(original.message, field)) if callable(value) else value
+    spoiled = changed(original.message, **{field: value})
+    report = replayed(instead(learnt_mission.sent, original, spoiled))
+    assert told in str(report.mismatches[indices(report.mismatches).index(5)])
+    assert not report.reproduced
 
 
 @for_each('field', ['hazard', 'target', 'kappa'])
@@ -490,137 +412,179 @@ def test_the_sign_of_a_zero_in_a_map_is_found(whole_mission, replayed, field):
     spoiled = flipped(original.message, field, blocked, bit=63)
     report = replayed(instead(whole_mission.sent, original, spoiled))
     assert report.grade == Grade.DIFFERENT
-    assert [(each.topic, each.index) for each in report.mismatches] == [('/belief', 4)]
+    assert indices(report.mismatches) == [4]
+
+
+# Whole logs that lack something, or have more than they should
+
+
+def drop(topic, *which):
+    """Return a change that takes messages of a topic away."""
+    return lambda whole: without(whole.sent, *(on(whole.sent, topic)[each] for each in which))
+
+
+def edit(topic, which, change):
+    """Return a change of a message, as a function of it."""
+
+    def edited(whole):
+        original = on(whole.sent, topic)[which]
+        spoiled = deepcopy(original.message)
+        change(spoiled)
+        return instead(whole.sent, original, spoiled)
+
+    return edited
+
+
+def swapped(whole):
+    _, _, second, third, *_ = beliefs(whole.sent)
+    sent = without(whole.sent, second)
+    sent.insert(sent.index(third) + 1, second)
+    return sent
+
+
+def heard_again(which):
+    """Return what a restarted recorder hears: the last belief, latched paths and reports."""
+    return lambda whole: [
+        *whole.sent,
+        *on(whole.sent, '/scout_1/path', '/scout_1/report'),
+        beliefs(whole.sent)[which],
+    ]
+
+
+def reported_later(whole):
+    sent = whole.sent
+    for number in range(ROBOTS):
+        later = deepcopy(on(sent, '/scout_1/report')[number].message)
+        later.header.stamp.sec += 3600
+        sent = instead(sent, on(sent, '/scout_1/report')[number], later)
+    return sent
+
+
+def sent_out(whole):
+    whole.send_out([2, 2])
+    return whole.sent
+
+
+def not_held(late, then):
+    """Return a change: the estimator takes no return in, perhaps a late one, but what follows."""
+
+    def change(whole):
+        key = whole.deploy(Observation([2, 7, 2], False)) if late else whole.send_out([2, 7, 2])
+        whole.come_back(key, Observation([2, 7, 2], True, [True, False]))
+        if then:
+            whole.deploy(Observation([2, 7, 2], False))
+        return whole.sent
+
+    return change
+
+
+def with_others(*others):
+    return lambda whole: [*(Sent(topic, each, START) for topic, each in others), *whole.sent]
+
+
+def contradicted(whole):
+    """Publish another return and a loss of a robot that returned, a second path, and no name."""
+    returned = next(e.message for e in on(whole.sent, '/scout_1/report') if e.message.survived)
+    key = read_report(returned)[0]
+    cells = [2, *(reading.cell for reading in returned.readings)]
+    readings = [not reading.detected for reading in returned.readings]
+    whole.come_back(key, Observation(cells, True, readings))
+    whole.come_back(key, Observation(cells, False))
+    whole.publish('scout_1/path', path_message(whole.grid, [2, 2], key.stamp))
+    unnamed = report_message(DeploymentKey('', 5), Observation([2, 2], False), 5)
+    whole.publish('scout_1/report', unnamed)
+    return whole.sent
+
+
+def misfit(whole):
+    """Publish reports without their last reading: the first of a deployment, and the only one."""
+    first = Observation([2, 3, 2], True, [True] * 2)
+    for correct in (True, False):
+        key = whole.send_out(first.path)
+        whole.come_back(key, first)
+        whole.sent[-1].message.readings.pop()
+        if correct:
+            whole.assimilate(first.path, *whole.come_back(key, first))
+    whole.deploy(Observation([2, 7, 2], False))
+    return whole.sent
+
+
+def flip_reading(report):
+    report.readings[0].detected = not report.readings[0].detected
+
+
+TRUTH = occupancy_grid(GRID, np.zeros(20), START)
+ADDS = 'deployments that it adds to is missing'
+# Exit code, beliefs compared, different and not compared, and what is printed.
+CHANGES = {
+    'nothing': (lambda whole: whole.sent, 0, 9, [], [], [
+        '/belief: 9 of 9 messages reproduced\n/belief/hazard: 9 of 9 messages reproduced\n'
+        '/belief/kappa: 9 of 9 messages reproduced\n/belief/target: 9 of 9 messages reproduced\n'
+    ]),
+    'some beliefs': (drop('/belief', 2, 3, 6), 0, 2, [], [2, 3, 4, 5], [
+        ADDS, 'not compared: 1 more', 'deployment {1} is in no belief yet']),
+    'most beliefs': (drop('/belief', *range(1, 8)), 0, 1, [], [1], [
+        ADDS, 'deployment {0} is in no belief yet']),
+    'the last belief': (drop('/belief', 8), 0, 8, [], [], ['deployment {7} is in no belief yet']),
+    'the order': (swapped, 0, 2, [], [*range(2, 9)], ['not compared: 4 more']),
+    'the first belief twice': (heard_again(0), 0, 9, [], [], ['repeated: ']),
+    'a belief twice': (heard_again(4), 0, 9, [], [], ['repeated: ']),
+    'the last belief twice': (heard_again(8), 0, 9, [], [], ['repeated: ']),
+    'the prior': (drop('/belief', 0), 1, 8, [*range(8)], [], [
+        'method not on record', 'prior it started from is not on record']),
+    'a path': (drop('/scout_1/path', 3), 1, 5, [4], [*range(5, 9)], [
+        'not reproduced: /belief message 4 (after {3}): path of deployment {3} is not on record',
+        'deployment {3} has no path on record']),
+    'a report': (drop('/scout_1/report', 3), 1, 5, [4], [*range(5, 9)], [
+        'report of deployment {3} is not on record',
+        'deployment {3} has no report on record: the robot was still out']),
+    'a reading': (edit('/scout_1/report', 3, flip_reading), 1, 5, [4], [*range(5, 9)], [
+        'report of deployment {3} is not on record']),
+    'the readings': (edit('/scout_1/report', 3, lambda told: told.readings.pop()), 1, 5, [4],
+                     [*range(5, 9)], ['report of deployment {3} is not on record', 'refused: ']),
+    'all reports': (reported_later, 0, 1, [], [*range(1, 9)], [
+        '/belief: 1 of 1 messages reproduced, 8 not compared\n', '{0} is in no belief yet']),
+    'a robot out': (sent_out, 0, 9, [], [], [
+        '{8} has no report on record: the robot was still out']),
+    'a return not held yet': (not_held(False, False), 0, 9, [], [], ['{8} is in no belief yet']),
+    'a return passed over': (not_held(False, True), 1, 10, [], [], [
+        'not reproduced: deployment {8} is in no belief']),
+    'a late return not held yet': (not_held(True, False), 0, 10, [], [], [
+        '{8} is in no belief yet']),
+    'a late return passed over': (not_held(True, True), 1, 11, [], [], [
+        'not reproduced: deployment {8} is in no belief']),
+    'paths of others': (with_others(('/plan', Path()), ('path', Path()), ('/path', Path())),
+                        0, 9, [], [], ['8 deployments']),
+    'maps of others': (with_others(('/truth/hazard', TRUTH)), 0, 9, [], [], ['8 deployments']),
+    'a model of others': (with_others(('/model', Path())), 0, 9, [], [], ['8 deployments']),
+    'contradictions': (contradicted, 0, 9, [], [], [
+        'differ: that with more readings counts', 'is known and differs: the first holds',
+        "/scout_1/report: agent is ''"]),
+    'misfits': (misfit, 0, 11, [], [], ['refused: ', 'readings of deployment {9} has 1 values']),
+}  # fmt: skip
 
 
 @pytest.mark.slow
-@given(st.data())
-@settings(max_examples=60 if FULL else 20, deadline=None)
-def test_any_flipped_bit_of_a_map_is_found(whole_mission, tmp_path_factory, data):
-    """One of the last bits of a joint may look like rounding; it is said all the same."""
-    which = on(whole_mission.sent, '/belief', *VIEWS)
-    original = data.draw(st.sampled_from(which))
-    names = ['data'] if original.topic in VIEWS else ['joint', 'hazard', 'target', 'kappa']
-    field = data.draw(st.sampled_from(names))
-    # A prior's joint is where the replay starts: the last bit may get lost in the first update.
-    assume((original, field) != (which[0], 'joint'))
-    values = getattr(original.message, field)
-    index = data.draw(st.integers(0, len(values) - 1))
-    bit = data.draw(st.integers(0, 8 * values.itemsize - 1))
-    spoiled = flipped(original.message, field, index, bit)
-    path = tmp_path_factory.mktemp('flipped') / 'mission.mcap'
-    report = replay(record(path, instead(whole_mission.sent, original, spoiled)))
-    found = report.mismatches + report.roundings
-    assert not report.reproduced
-    assert report.grade == Grade.DIFFERENT or field == 'joint'
-    place = next(
-        n for n, one in enumerate(on(whole_mission.sent, original.topic)) if one is original
-    )
-    assert (found[0].topic, found[0].index) == (original.topic, place)
-
-
-@pytest.mark.slow
-@for_each(
-    'field, value',
-    [
-        ('base', 3),
-        ('blocked', [8]),
-        ('max_steps', 9),
-        ('method', 'relaxed_itp'),
-        ('lethality', 0.6000000000000001),
-        ('seed', 5),
-        ('unknowns', [UnknownNumber(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0)]),
-        ('prior', array('d', [0.25] * 80)),
-        ('false_positive', 0.0),
-        ('deployments', 4),
-        ('deployments', 6),
-        ('deployments', 4_000_000_000),
-        ('deployments', 0),
-        ('agent', 'scout_2'),
-        ('agent', ''),
-    ],
-)
-def test_a_changed_field_is_found(whole_mission, replayed, field, value):
-    original = beliefs(whole_mission.sent)[5]
-    spoiled = deepcopy(original.message)
-    setattr(spoiled, field, value)
-    report = replayed(instead(whole_mission.sent, original, spoiled))
-    assert 5 in [mismatch.index for mismatch in report.mismatches]
-    assert not report.reproduced
-
-
-@for_each('field', ['width', 'height', 'resolution'])
-def test_another_geometry_is_found(whole_mission, replayed, field):
-    original = beliefs(whole_mission.sent)[5]
-    spoiled = deepcopy(original.message)
-    setattr(spoiled.info, field, getattr(spoiled.info, field) * 2)
-    (mismatch,) = replayed(instead(whole_mission.sent, original, spoiled)).mismatches
-    assert [difference.field for difference in mismatch.differences] == [f'info.{field}']
-
-
-def test_a_belief_of_another_size_is_found(whole_mission, replayed):
-    original = beliefs(whole_mission.sent)[5]
-    spoiled = deepcopy(original.message)
-    spoiled.hazard = spoiled.hazard[:-1]
-    (mismatch,) = replayed(instead(whole_mission.sent, original, spoiled)).mismatches
-    assert str(mismatch).endswith('hazard has 19 values, computed are 20')
-
-
-def test_changed_evidence_changes_what_follows(whole_mission, replayed):
-    """A belief names evidence by its content: what has another is not what it assimilated."""
-    index, original = next(
-        (index, each)
-        for index, each in enumerate(on(whole_mission.sent, '/scout_1/report'))
-        if each.message.survived and index > 1
-    )
-    spoiled = deepcopy(original.message)
-    spoiled.readings[0].detected = not spoiled.readings[0].detected
-    report = replayed(instead(whole_mission.sent, original, spoiled))
-    (mismatch,) = report.mismatches
-    assert mismatch.index == index + 1
-    assert mismatch.reason == f'report of deployment {mismatch.deployment} is not on record'
-    assert [each.index for each in report.not_compared] == [*range(index + 2, ROBOTS + 1)]
-
-
-def test_a_log_without_the_prior_cannot_be_reproduced(whole_mission, replayed):
-    report = replayed(without(whole_mission.sent, beliefs(whole_mission.sent)[0]))
-    assert not report.reproduced
-    assert len(report.mismatches) == ROBOTS
-    assert all('prior it started from is not on record' in str(m) for m in report.mismatches)
-    assert report.method == ''
-
-
-@for_each(
-    'method, why', [('guessing', 'known are'), ('kappa_bnitp_smoothed', '0.3.0 reads .*use')]
-)
-def test_a_log_of_a_method_that_is_none_is_refused(whole_mission, replayed, method, why):
-    original = beliefs(whole_mission.sent)[0]
-    spoiled = deepcopy(original.message)
-    spoiled.method = method
-    with pytest.raises(LogError, match=f'cannot be computed: method is {method!r}: .*{why}'):
-        replayed(instead(whole_mission.sent, original, spoiled))
-
-
-@for_each('gone', [(2, 3, 6), (8,), (1, 2, 3, 4, 5, 6, 7)])
-def test_beliefs_after_one_that_is_missing_are_not_compared(whole_mission, tmp_path, capsys, gone):
-    """Beliefs are kept one deep: under load one may be gone before the recorder gets it."""
-    sent = without(whole_mission.sent, *(beliefs(whole_mission.sent)[index] for index in gone))
-    path = record(tmp_path / 'mission.mcap', sent)
+@for_each('changed', CHANGES)
+def test_what_is_changed_in_a_log_is_said(whole_mission, tmp_path, capsys, changed):
+    change, code, compared, different, left, told = CHANGES[changed]
+    whole = deepcopy(whole_mission)
+    path = record(tmp_path / 'mission.mcap', change(whole))
     report = replay(path)
-    assert report.reproduced
-    assert report.compared['/belief'] == gone[0]
-    assert len(report.not_compared) == ROBOTS + 1 - gone[0] - len(gone)
-    assert report.passed_over == []
-    first = gone[0] - 1
-    assert report.not_yet_held == keys(whole_mission.sent)[first:]
-    assert main([str(path)]) == 0
-    told = capsys.readouterr().out
-    for each in report.not_compared[:3]:
-        assert f'not compared: {each}' in told
-        assert 'deployments that it adds to is missing' in str(each)
-    assert (f'not compared: {len(report.not_compared) - 3} more' in told) == (
-        len(report.not_compared) > 3
-    )
+    assert report.reproduced == (code == 0)
+    assert report.compared['/belief'] == compared
+    assert (indices(report.mismatches), indices(report.not_compared)) == (different, left)
+    assert len(report.repeated) == changed.endswith('twice')
+    assert main([str(path)]) == code
+    printed, complaint = capsys.readouterr()
+    assert complaint == ''
+    for each in told:
+        assert each.format(*keys(whole.sent)) in printed
+
+
+def test_a_model_of_another_namespace_is_none_of_the_mission(learnt_mission, replayed):
+    other = Sent('/other/model', on(learnt_mission.sent, '/model')[0].message, START)
+    assert replayed([other, *learnt_mission.sent]).reproduced
 
 
 def test_a_belief_that_names_all_ends_a_gap(replayed):
@@ -635,7 +599,7 @@ def test_a_belief_that_names_all_ends_a_gap(replayed):
     report = replayed(without(whole.sent, others[1]))
     assert report.reproduced
     assert report.compared['/belief'] == ROBOTS - 1
-    assert [each.index for each in report.not_compared] == [2]
+    assert indices(report.not_compared) == [2]
     report = replayed(without(whole.sent, *others[1:6]))
     assert (report.compared['/belief'], report.not_compared) == (4, [])
     assert report.passed_over == report.not_yet_held == []
@@ -649,34 +613,6 @@ def test_one_belief_of_a_few_dozen_names_all():
     assert [held for held, each in enumerate(since) if each == 0] == [
         0, 1, COMPLETE_EVERY + 1, 2 * COMPLETE_EVERY + 1
     ]  # fmt: skip
-
-
-def test_beliefs_out_of_order_are_said_and_those_after_them(whole_mission, replayed):
-    _, _first, second, third, *_ = beliefs(whole_mission.sent)
-    sent = without(whole_mission.sent, second)
-    sent.insert(sent.index(third) + 1, second)
-    report = replayed(sent)
-    assert report.reproduced
-    assert [each.index for each in report.not_compared] == [2, 3, 4, 5, 6, 7, 8]
-    assert report.compared['/belief'] == 2
-
-
-@for_each('index', [0, 4, ROBOTS])
-def test_a_belief_on_record_twice_is_said_and_the_rest_is_compared(
-    whole_mission, tmp_path, capsys, index
-):
-    """A restarted recorder hears the last one again, with the latched paths and reports."""
-    again = on(whole_mission.sent, '/scout_1/path', '/scout_1/report')
-    path = tmp_path / 'mission.mcap'
-    record(path, [*whole_mission.sent, *again, beliefs(whole_mission.sent)[index]])
-    report = replay(path)
-    assert report.reproduced
-    assert len(report.evidence.reports) == ROBOTS
-    assert report.evidence.refused == []
-    assert report.compared == REPRODUCED
-    (repeated,) = report.repeated
-    assert main([str(path)]) == 0
-    assert f'repeated: {repeated}' in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -707,22 +643,20 @@ def test_beliefs_of_a_report_that_was_made_again_are_not_compared(
     _, one, two, _ = beliefs(sent)
     if is_complete:
         # Then it names the report itself, as the one before does.
-        complete = deepcopy(two.message)
-        complete.since, complete.taken_in = 0, one.message.taken_in + two.message.taken_in
-        sent = instead(sent, two, complete)
+        taken_in = one.message.taken_in + two.message.taken_in
+        sent = instead(sent, two, changed(two.message, since=0, taken_in=taken_in))
     if is_heard_late:
         (again,) = (
             each for each in on(sent, '/scout_1/report') if read_report(each.message)[0] == key
         )
-        sent = without(sent, again)
-        sent.insert(0, again)
+        sent = [again, *without(sent, again)]
     path = record(tmp_path / 'mission.mcap', sent)
     report = replay(path)
     assert report.reproduced
     assert report.passed_over == report.not_yet_held == []
-    assert [each.index for each in report.not_compared] == [1, 2]
+    assert indices(report.not_compared) == [1, 2]
     missing = f'report of deployment {key} is not on record, but a later one'
-    builds_on = 'the belief of 1 deployments that it adds to is missing'
+    builds_on = f'the belief of 1 {ADDS}'
     reasons = [each.reason for each in report.not_compared]
     assert reasons == [missing, missing if is_complete else builds_on]
     assert main([str(path)]) == 0
@@ -732,120 +666,21 @@ def test_beliefs_of_a_report_that_was_made_again_are_not_compared(
 
 
 def test_what_follows_a_report_that_was_made_again_is_compared(reported_twice, replayed):
-    whole, _key, first = reported_twice
+    whole, key, first = reported_twice
     last = beliefs(whole.sent)[-1]
     spoiled = instead(whole.sent, last, flipped(last.message, 'hazard', 7, bit=0))
-    report = replayed(without(spoiled, first))
-    assert [each.index for each in report.mismatches] == [3]
-
-
-def test_a_log_with_later_reports_only_says_how_much_is_not_compared(
-    whole_mission, tmp_path, capsys
-):
-    sent = whole_mission.sent
-    for each in on(sent, '/scout_1/report'):
-        later = deepcopy(each.message)
-        later.header.stamp.sec += 3600
-        sent = instead(sent, each, later)
-    path = record(tmp_path / 'mission.mcap', sent)
-    assert replay(path).not_yet_held == keys(sent)
-    assert main([str(path)]) == 0
-    told = capsys.readouterr().out
-    assert f'/belief: 1 of 1 messages reproduced, {ROBOTS} not compared\n' in told
-
-
-def test_a_report_with_other_contents_is_found_though_it_was_made_again(reported_twice, replayed):
-    whole, key, first = reported_twice
-    spoiled = deepcopy(first.message)
-    spoiled.readings[0].detected = False
-    report = replayed(instead(whole.sent, first, spoiled))
-    (mismatch, *_) = report.mismatches
+    assert indices(replayed(without(spoiled, first)).mismatches) == [3]
+    # Other contents are found as well.
+    other = deepcopy(first.message)
+    flip_reading(other)
+    (mismatch, *_) = replayed(instead(whole.sent, first, other)).mismatches
     assert (mismatch.index, mismatch.reason) == (1, f'report of deployment {key} is not on record')
-
-
-@for_each('finished', [True, False])
-def test_a_mission_may_end_before_the_last_belief(whole_mission, tmp_path, capsys, finished):
-    last = [on(whole_mission.sent, topic)[-1] for topic in ('/belief', *VIEWS)]
-    log = LogWriter(tmp_path / 'mission.mcap')
-    record_to(log, without(whole_mission.sent, *last))
-    log.sync()
-    if finished:
-        log.close()
-    report = replay(log.path)
-    assert report.finished == finished
-    assert report.not_yet_held == keys(whole_mission.sent)[-1:]
-    assert report.passed_over == []
-    assert report.reproduced
-    assert main([str(log.path)]) == 0
-    told = capsys.readouterr().out
-    assert f'deployment {keys(whole_mission.sent)[-1]} is in no belief yet' in told
-    assert ('the log is unfinished' in told) != finished
-    if not finished:
-        log.close()
-
-
-def test_a_deployment_that_later_beliefs_pass_over_is_lost(replayed, tmp_path, capsys):
-    """The estimator never took it in, and all else is right."""
-    whole = Mission()
-    first, second, third = (deployment.observation for deployment in observations(3))
-    whole.deploy(first)
-    key = whole.send_out(second.path)
-    whole.come_back(key, second)
-    whole.deploy(third)
-    report = replayed(whole.sent, tmp_path)
-    assert report.mismatches == []
-    assert report.passed_over == [key]
-    assert not report.reproduced
-    assert main([str(tmp_path / 'mission.mcap')]) == 1
-    assert f'not reproduced: deployment {key} is in no belief' in capsys.readouterr().out
-
-
-def test_a_robot_that_is_still_out_is_said(whole_mission, replayed, tmp_path, capsys):
-    whole = deepcopy(whole_mission)
-    key = whole.send_out([2, 2])
-    report = replayed(whole.sent, tmp_path)
-    assert report.evidence.without_report == [key]
-    assert report.reproduced
-    assert main([str(tmp_path / 'mission.mcap')]) == 0
-    assert f'{key} has no report on record: the robot was still out' in capsys.readouterr().out
-
-
-@for_each('kind', ['path', 'report'])
-def test_lost_evidence_is_said_for_every_belief_that_needs_it(whole_mission, replayed, kind):
-    sent = without(whole_mission.sent, on(whole_mission.sent, f'/scout_1/{kind}')[3])
-    report = replayed(sent)
-    (mismatch,) = report.mismatches
-    assert mismatch.index == 4
-    assert [each.index for each in report.not_compared] == [5, 6, 7, 8]
-    lost = keys(whole_mission.sent)[3]
-    assert mismatch.reason == f'{kind} of deployment {lost} is not on record'
-    listed = {'path': report.evidence.without_path, 'report': report.evidence.without_report}
-    assert listed[kind] == [lost]
-
-
-def test_a_restarted_estimator_is_reproduced(whole_mission, replayed):
-    """It publishes its prior, takes in all that is latched and goes on."""
-    whole = deepcopy(whole_mission)
-    evidence = [deployment.observation for deployment in observations(ROBOTS)]
-    reports = on(whole.sent, '/scout_1/report')
-    whole.start_estimator()
-    for key, observation in zip(keys(whole.sent), evidence):
-        whole.assimilate(observation.path, *whole.come_back(key, observation))
-    whole.deploy(evidence[0])
-    assert len(reports) == ROBOTS
-    report = replayed(whole.sent)
-    assert report.reproduced
-    assert report.compared['/belief'] == 2 * (ROBOTS + 1) + 1
-
-    prior_again = beliefs(whole.sent)[ROBOTS + 1]
-    assert prior_again.message.deployments == 0
-    assert replayed(without(whole.sent, prior_again)).reproduced
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('first', ['path', 'reports'])
 def test_any_number_of_reports_of_one_deployment_is_read_once_each(
-    whole_mission, replayed, tmp_path, capsys, monkeypatch, first
+    whole_mission, tmp_path, capsys, monkeypatch, first
 ):
     """However many there are, each is compared with few others."""
     whole = deepcopy(whole_mission)
@@ -869,40 +704,21 @@ def test_any_number_of_reports_of_one_deployment_is_read_once_each(
         return (one.survived, one.readings) == (other.survived, other.readings)
 
     monkeypatch.setattr(Report, '__eq__', equal)
-    sent = [*whole.sent, path, *junk] if first == 'path' else [*whole.sent, *junk, path]
-    report = replayed(sent, tmp_path)
+    more = [path, *junk] if first == 'path' else [*junk, path]
+    log = record(tmp_path / 'mission.mcap', [*whole.sent, *more])
+    report = replay(log)
     assert report.reproduced
     assert report.not_yet_held == [key]
-    assert report.evidence.survived == 1 + replayed(whole.sent).evidence.survived
+    returned = sum(each.message.survived for each in on(whole.sent, '/scout_1/report'))
+    assert report.evidence.survived == 1 + returned
     assert compared < 2 * len(junk)
-    assert main([str(tmp_path / 'mission.mcap')]) == 0
+    assert main([str(log)]) == 0
     refused = [line for line in capsys.readouterr().out.splitlines() if 'refused: ' in line]
     if first == 'path':
         # Of each instant the return that does not fit, and none of the losses.
         assert len(report.evidence.refused) == len(junk) / 3
         assert len(refused) == 21
         assert refused[-1] == f'refused: {len(junk) // 3 - 20} more'
-
-
-def test_what_contradicts_is_refused_as_the_estimator_does(whole_mission, replayed):
-    whole = deepcopy(whole_mission)
-    returned = next(
-        each for each in on(whole.sent, '/scout_1/report') if each.message.survived
-    ).message
-    key = read_report(returned)[0]
-    cells = [2, *(reading.cell for reading in returned.readings)]
-    readings = [not reading.detected for reading in returned.readings]
-    whole.come_back(key, Observation(cells, True, readings))
-    whole.come_back(key, Observation(cells, False))
-    whole.publish('scout_1/path', path_message(whole.grid, [2, 2], key.stamp))
-    unnamed = report_message(DeploymentKey('', 5), Observation([2, 2], False), 5)
-    whole.publish('scout_1/report', unnamed)
-    report = replayed(whole.sent)
-    assert report.reproduced
-    second_return, second_path, no_agent = report.evidence.refused
-    assert f'reports of deployment {key} differ: that with more readings counts' in second_return
-    assert f'path of deployment {key} is known and differs: the first holds' in second_path
-    assert "/scout_1/report: agent is ''" in no_agent
 
 
 @for_each('heard, at_once', product([(0, 1), (1, 0)], [False, True]))
@@ -930,66 +746,7 @@ def test_of_two_returns_the_same_counts_however_they_were_heard(replayed, heard,
     assert report.compared['/belief'] == (5 if heard == (0, 1) else 6)
 
 
-def test_who_answers_for_another_agent_is_refused_as_the_estimator_does(replayed):
-    whole = Mission(namespace='/north')
-    path = [2, 7, 2]
-    key = whole.deploy(Observation(path, False), 'scout_2')
-    forged = report_message(key, Observation(path, True, [True, False]), whole.now)
-    whole.publish('scout_1/report', forged)
-    report = replayed(whole.sent)
-    assert report.reproduced
-    assert report.not_yet_held == []
-    assert report.evidence.survived == 0
-    (refused,) = report.evidence.refused
-    assert "/north/scout_1/report: agent is 'scout_2'" in refused
-
-
-def test_what_the_estimator_refused_is_refused_again(replayed, tmp_path, capsys):
-    """Reports without their last reading: of one deployment the first, of another the only one."""
-    whole = Mission()
-    first, second = Observation([2, 3, 2], True, [True] * 2), Observation([2, 7, 2], False)
-    for correct in (True, False):
-        key = whole.send_out(first.path)
-        whole.come_back(key, first)
-        whole.sent[-1].message.readings.pop()
-        if correct:
-            whole.assimilate(first.path, *whole.come_back(key, first))
-    whole.deploy(second)
-    report = replayed(whole.sent, tmp_path)
-    assert report.mismatches == report.passed_over == report.not_yet_held == []
-    assert report.reproduced
-    assert report.compared['/belief'] == 3
-    assert len(report.evidence.refused) == 2
-    misfit = report.evidence.refused[-1]
-    assert f'readings of deployment {key} has 1 values' in misfit
-    assert main([str(tmp_path / 'mission.mcap')]) == 0
-    assert f'refused: {misfit}' in capsys.readouterr().out
-
-
-def test_a_belief_of_what_cannot_be_taken_in_is_said(whole_mission, replayed):
-    original = next(
-        each for each in on(whole_mission.sent, '/scout_1/report') if each.message.survived
-    )
-    spoiled = deepcopy(original.message)
-    spoiled.readings = spoiled.readings[:-1]
-    report = replayed(instead(whole_mission.sent, original, spoiled))
-    assert 'is not on record' in report.mismatches[0].reason
-    assert not report.reproduced
-
-
-def test_paths_of_others_are_none_of_the_mission(whole_mission, replayed):
-    others = [Sent('/plan', Path(), START), Sent('path', Path(), START), Sent('/path', Path(), 7)]
-    report = replayed([*others, *whole_mission.sent])
-    assert report.reproduced
-    assert len(report.evidence.reports) == ROBOTS
-    assert len(report.evidence.without_report) <= 1
-
-
-def test_maps_of_others_are_none_of_the_mission(whole_mission, replayed):
-    truth = occupancy_grid(whole_mission.grid, np.zeros(20), START)
-    report = replayed([Sent('/truth/hazard', truth, START), *whole_mission.sent])
-    assert report.reproduced
-    assert report.compared == REPRODUCED
+# What is refused
 
 
 def refused(path, capsys):
@@ -1001,39 +758,44 @@ def refused(path, capsys):
     return line
 
 
-def test_two_missions_in_a_log_are_refused(whole_mission, tmp_path, capsys):
-    other = mission(2, namespace='/other')
-    path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *other.sent])
-    assert re.search('beliefs are on record from /belief and /other/belief', refused(path, capsys))
+def every_belief(**fields):
+    """Return a change of all beliefs."""
+    return lambda sent: [
+        replace(each, message=changed(each.message, **fields)) if each.topic == '/belief' else each
+        for each in sent
+    ]
 
 
-def test_a_log_without_beliefs_is_refused(whole_mission, tmp_path, capsys):
-    path = record(tmp_path / 'mission.mcap', on(whole_mission.sent, '/scout_1/path'))
-    assert 'mission.mcap has no beliefs on record: ' in refused(path, capsys)
+@for_each('change, told', [
+    (lambda sent: sent + mission(2, namespace='/other').sent,
+     'beliefs are on record from /belief and /other/belief'),
+    (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no beliefs on record: '),
+    (every_belief(method_version=2), 'beliefs are on record by version 2 of kappa_bnitp: '),
+    (every_belief(method='guessing'), "cannot be computed: method is 'guessing': .*known are"),
+    (every_belief(method='kappa_bnitp_smoothed'), "'kappa_bnitp_smoothed': .*0.3.0 reads .*use"),
+])  # fmt: skip
+def test_a_log_that_cannot_be_replayed_is_refused(whole_mission, tmp_path, capsys, change, told):
+    path = record(tmp_path / 'mission.mcap', change(whole_mission.sent))
+    assert re.search(told, refused(path, capsys))
 
 
-def test_what_is_no_log_is_refused(whole_mission, tmp_path, capsys):
+def test_what_is_no_log_is_refused(tmp_path, capsys):
     assert 'cannot be read: No such file' in refused(tmp_path / 'gone.mcap', capsys)
     assert 'holds no log: there is no file' in refused(tmp_path, capsys)
     path = tmp_path / 'notes.txt'
     path.write_text('scout_1 did not come back')
     assert 'notes.txt is no MCAP file' in refused(path, capsys)
-    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    assert 'mission.mcap is corrupt after byte' in refused(path, capsys)
 
 
-def rewritten(path, sent, type_name, edit):
-    """Write messages as a program does that has another definition of one of their types."""
+def rewritten(path, sent, edit):
+    """Write messages as a program does that has another definition of beliefs."""
     with path.open('wb') as file:
         log = ros2.Writer(file)
         schemas = {}
         for name in {BELIEF, *(each.type_name for each in sent if each.topic != '/belief')}:
             definition = describe(name).definition
             schemas[name] = log.register_msgdef(
-                name, edit(definition) if name == type_name else definition
+                name, edit(definition) if name == BELIEF else definition
             )
         for each in sent:
             schema = schemas[BELIEF if each.topic == '/belief' else each.type_name]
@@ -1042,41 +804,12 @@ def rewritten(path, sent, type_name, edit):
     return path
 
 
-READERS = (
-    replay,
-    read_history,
-    lambda log: read_deployments(log, GRID, MAX_STEPS),
-)
+def deployments(path):
+    return read_deployments(path, GRID, MAX_STEPS)
 
 
-@for_each('read', READERS)
-def test_a_log_of_before_this_version_is_refused_and_told_what_reads_it(
-    whole_mission, tmp_path, capsys, read
-):
-    def before(definition):
-        return re.sub(r'^uint32 method_version .*\n', '', definition, flags=re.MULTILINE)
-
-    path = rewritten(tmp_path / 'mission.mcap', whole_mission.sent, BELIEF, before)
-    told = 'recorded before version 0.3.0, its beliefs have no method_version: kbnitp_ros 0.2.0 '
-    with pytest.raises(LogError, match=re.escape(f'{told}(commit 2e485c7) reads it')):
-        read(path)
-    assert told in refused(path, capsys)
-
-
-@for_each('read', READERS)
-def test_a_log_of_a_version_to_come_is_refused(whole_mission, tmp_path, capsys, read):
-    def later(definition):
-        return definition.replace('\nfloat64[] prior ', '\nuint8 relays\nfloat64[] prior ', 1)
-
-    sent = [
-        replace(each, message=Later(each.message)) if each.topic == '/belief' else each
-        for each in whole_mission.sent
-    ]
-    path = rewritten(tmp_path / 'mission.mcap', sent, BELIEF, later)
-    told = 'was recorded by a later version, its beliefs have relays: read it with that version'
-    with pytest.raises(LogError, match=told):
-        read(path)
-    assert told in refused(path, capsys)
+def newest_round(path):
+    return read_newest_round(path, deployments(path))
 
 
 class Later:
@@ -1090,23 +823,25 @@ class Later:
         return getattr(self._belief, name)
 
 
-def test_beliefs_by_another_version_of_a_method_are_refused(whole_mission, tmp_path, capsys):
-    sent = [replace(each, message=deepcopy(each.message)) for each in whole_mission.sent]
-    for each in beliefs(sent):
-        each.message.method_version += 1
-    path = record(tmp_path / 'mission.mcap', sent)
-    assert 'beliefs are on record by version 2 of kappa_bnitp: ' in refused(path, capsys)
-
-
-def deployments(path):
-    return read_deployments(path, GRID, MAX_STEPS)
-
-
-def newest_round(path):
-    return read_newest_round(path, deployments(path))
-
-
-ANOTHER_VERSION = 'mission.mcap (has messages of another version of their|was recorded before)'
+@for_each('read', [replay, read_history, deployments])
+@for_each('edit, told', [
+    (lambda definition: re.sub(r'\nuint32 method_version .*', '', definition),
+     'recorded before version 0.3.0, its beliefs have no method_version: kbnitp_ros 0.2.0 '
+     '(commit 2e485c7) reads it'),
+    (lambda definition: definition.replace('\nfloat64[] pri', '\nuint8 relays\nfloat64[] pri', 1),
+     'was recorded by a later version, its beliefs have relays: read it with that version'),
+])  # fmt: skip
+def test_a_log_of_another_version_is_refused_and_told_what_reads_it(
+    whole_mission, tmp_path, capsys, read, edit, told
+):
+    sent = [
+        replace(each, message=Later(each.message)) if each.topic == '/belief' else each
+        for each in whole_mission.sent
+    ]
+    path = rewritten(tmp_path / 'mission.mcap', sent, edit)
+    with pytest.raises(LogError, match=re.escape(told)):
+        read(path)
+    assert told in refused(path, capsys)
 
 
 @for_each('read, type_name, field, other', [
@@ -1130,20 +865,6 @@ def test_a_type_with_another_field_is_refused(
 
     monkeypatch.setattr(writer, 'describe', described)
     path = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    with pytest.raises(LogError, match=ANOTHER_VERSION):
+    another = 'mission.mcap (has messages of another version of their|was recorded before)'
+    with pytest.raises(LogError, match=another):
         read(path)
-
-
-def test_the_command_says_what_it_found(whole_mission, tmp_path, capsys):
-    path = record(tmp_path / 'mission.mcap', whole_mission.sent, QOS)
-    assert main([str(path)]) == 0
-    captured = capsys.readouterr()
-    survived = sum(each.message.survived for each in on(whole_mission.sent, '/scout_1/report'))
-    assert captured.out.splitlines() == [
-        f'8 deployments, {survived} survived, {8 - survived} lost; method kappa_bnitp',
-        '/belief: 9 of 9 messages reproduced',
-        '/belief/hazard: 9 of 9 messages reproduced',
-        '/belief/kappa: 9 of 9 messages reproduced',
-        '/belief/target: 9 of 9 messages reproduced',
-    ]
-    assert captured.err == ''
