@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags by other programs are read and replayed like the mission's own log."""
 
+from functools import partial
 from pathlib import Path
-import re
+import shutil
 import subprocess
 import sys
 
@@ -42,16 +43,110 @@ def check(path, sent):
     assert len(report.evidence.reports) == 8
 
 
-@for_each('version', [8, 9])
-def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, version):
-    folder = write_bag(tmp_path / 'bag', sent, version=version)
-    check(folder, sent)
-    (file,) = (each for each in folder.iterdir() if each.name != 'metadata.yaml')
+def split_bag(tmp_path, sent):
+    """Return a bag of two files, as ``ros2 bag record`` names and lists them."""
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    for number, half in enumerate((sent[:20], sent[20:])):
+        made = write_bag(tmp_path / f'half_{number}', half)
+        (file,) = made.glob('*.mcap')
+        file.rename(folder / f'bag_{number}.mcap')
+    shutil.copy(made / 'metadata.yaml', folder)
+    return described(folder, relative_file_paths=['bag_0.mcap', 'bag_1.mcap'])
+
+
+def described(folder, **values):
+    """Change what metadata.yaml says of a bag."""
+    path = folder / 'metadata.yaml'
+    content = yaml.safe_load(path.read_text())
+    content['rosbag2_bagfile_information'].update(values)
+    path.write_text(yaml.safe_dump(content))
+    return folder
+
+
+def renamed(folder):
+    """Give the files names that do not tell their order."""
+    for old, new in (('bag_0', 'night'), ('bag_1', 'day')):
+        folder.joinpath(f'{old}.mcap').rename(folder / f'{new}.mcap')
+    return described(folder, relative_file_paths=['night.mcap', 'day.mcap'])
+
+
+def with_list(left):
+    """Return a change: a recorder that was killed left this list of files, or none."""
+
+    def change(folder):
+        if left is None:
+            (folder / 'metadata.yaml').unlink()
+        else:
+            (folder / 'metadata.yaml').write_text(left)
+        return folder
+
+    return change
+
+
+@for_each('options', [{'version': 8}, {'version': 9}, {'compression': STORAGE_ZSTD}])
+@for_each('mode', ['NONE', 'none', ''])
+def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, options, mode):
+    folder = write_bag(tmp_path / 'bag', sent, **options)
+    check(described(folder, compression_mode=mode), sent)
+    (file,) = folder.glob('*.mcap')
     check(file, sent)
 
 
-def test_compressed_chunks_are_read(sent, tmp_path):
-    check(write_bag(tmp_path / 'bag', sent, compression=STORAGE_ZSTD), sent)
+@pytest.mark.slow
+@for_each('change', [
+    described,
+    renamed,
+    # As in bags before Galactic.
+    partial(described, relative_file_paths=['bag/bag_0.mcap', 'bag/bag_1.mcap']),
+    # By a recorder that was killed.
+    partial(described, relative_file_paths=['bag_0.mcap']),
+    *map(with_list, [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a']),
+])  # fmt: skip
+def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(sent, tmp_path, change):
+    split = change(split_bag(tmp_path, sent))
+    check(split, sent)
+    if change is not renamed:
+        check(split / 'bag_0.mcap', sent)
+        later = list(read_log(split / 'bag_1.mcap'))
+        assert [each.data for each in later] == [each.data for each in sent[20:]]
+
+
+def repeat_a_key(folder):
+    file = folder / 'metadata.yaml'
+    first, *lines = file.read_text().splitlines()
+    file.write_text('\n'.join([first, lines[0], *lines]))
+
+
+def hide_a_file(folder):
+    (folder / 'bag_1.mcap').rename(folder / 'bag_2.mcap')
+    (folder / 'metadata.yaml').unlink()
+
+
+def add_a_log(folder):
+    record(folder / 'other.mcap', [])
+
+
+def add_a_log_without_a_list(folder):
+    add_a_log(folder)
+    (folder / 'metadata.yaml').unlink()
+
+
+@for_each('change, told', [
+    (repeat_a_key, r"metadata\.yaml: the key '\w+' stands in line 3 and in line 2"),
+    (lambda folder: (folder / 'bag_1.mcap').unlink(), 'bag_1.mcap of the log .*bag_0.* missing'),
+    (hide_a_file, 'bag_1.mcap of the log .*bag_0.* missing'),
+    (add_a_log, 'holds bag_0.* and other.mcap.* name the first file of'),
+    (add_a_log_without_a_list, 'different logs'),
+    (lambda folder: [each.unlink() for each in folder.iterdir()], 'holds no log'),
+    (partial(described, compression_mode='FILE'), 'compressed, mode FILE: decompress it with'),
+])  # fmt: skip
+def test_a_bag_that_cannot_be_read_whole_is_refused(sent, tmp_path, change, told):
+    split = split_bag(tmp_path, sent)
+    change(split)
+    for read in (read_log, lambda path: [is_finished(path)]):
+        with pytest.raises(LogError, match=told):
+            list(read(split))
 
 
 @for_each('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
@@ -59,15 +154,6 @@ def test_what_rosbag2_compressed_is_refused(sent, tmp_path, mode):
     folder = write_bag(tmp_path / 'bag', sent, compression=(mode, CompressionFormat.ZSTD))
     with pytest.raises(LogError, match=r'bag is compressed, mode \w+: decompress it with ros2'):
         list(read_log(folder))
-
-
-@for_each('mode', ['NONE', 'none'])
-def test_a_bag_that_says_it_is_not_compressed_is_read(sent, tmp_path, mode):
-    folder = write_bag(tmp_path / 'bag', sent)
-    described = yaml.safe_load((folder / 'metadata.yaml').read_text())
-    described['rosbag2_bagfile_information']['compression_mode'] = mode
-    (folder / 'metadata.yaml').write_text(yaml.safe_dump(described))
-    check(folder, sent)
 
 
 def convert(folder, target):
@@ -87,121 +173,10 @@ def test_a_log_converted_by_rosbags_is_read(sent, tmp_path):
     check(convert(folder, tmp_path / 'converted'), sent)
 
 
-def split_bag(tmp_path, sent):
-    """Return a bag of two files, as ``ros2 bag record`` names and lists them."""
-    folder = tmp_path / 'bag'
-    folder.mkdir()
-    for number, half in enumerate((sent[:20], sent[20:])):
-        made = write_bag(tmp_path / f'half_{number}', half)
-        (file,) = (each for each in made.iterdir() if each.name != 'metadata.yaml')
-        file.rename(folder / f'bag_{number}{file.suffix}')
-    described = yaml.safe_load((made / 'metadata.yaml').read_text())
-    listed = described['rosbag2_bagfile_information']['relative_file_paths']
-    listed[:] = [f'bag_{number}{file.suffix}' for number in (0, 1)]
-    (folder / 'metadata.yaml').write_text(yaml.safe_dump(described))
-    return folder
-
-
-def with_listed(folder, change):
-    """Change which files metadata.yaml lists."""
-    path = folder / 'metadata.yaml'
-    described = yaml.safe_load(path.read_text())
-    change(described['rosbag2_bagfile_information']['relative_file_paths'])
-    path.write_text(yaml.safe_dump(described))
-
-
-def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(sent, tmp_path):
-    split = split_bag(tmp_path, sent)
-    check(split, sent)
-    check(next(split.glob('bag_0.*')), sent)
-    later = list(read_log(next(split.glob('bag_1.*'))))
-    assert [each.data for each in later] == [each.data for each in sent[20:]]
-
-
-def test_the_folder_may_be_part_of_a_listed_name(sent, tmp_path):
-    """As in bags before Galactic."""
-    split = split_bag(tmp_path, sent)
-    with_listed(split, lambda names: names.__setitem__(slice(None), [f'bag/{n}' for n in names]))
-    check(split, sent)
-
-
-def test_a_recorder_that_was_killed_left_an_old_list(sent, tmp_path):
-    split = split_bag(tmp_path, sent)
-    with_listed(split, list.pop)
-    check(split, sent)
-
-
-@pytest.mark.slow
-@for_each('left', [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a'])
-def test_a_recorder_that_was_killed_left_no_list(sent, left, tmp_path):
-    split = split_bag(tmp_path, sent)
-    if left is None:
-        (split / 'metadata.yaml').unlink()
-    else:
-        (split / 'metadata.yaml').write_text(left)
-    check(split, sent)
-
-
-def test_a_list_that_says_two_things_is_refused(sent, tmp_path):
-    split = split_bag(tmp_path, sent)
-    file = split / 'metadata.yaml'
-    first, *lines = file.read_text().splitlines()
-    file.write_text('\n'.join([first, lines[0], *lines]))
-    (key,) = re.findall(r'(\w+):', lines[0])
-    told = rf"metadata\.yaml: the key '{key}' stands in line 3 and in line 2"
-    for path in (split, next(split.glob('bag_0.*'))):
-        with pytest.raises(LogError, match=told):
-            list(read_log(path))
-
-
-@for_each('is_listed', [True, False])
-def test_a_missing_file_is_missed(is_listed, sent, tmp_path):
-    split = split_bag(tmp_path, sent)
-    (gone,) = split.glob('bag_1.*')
-    if is_listed:
-        gone.unlink()
-    else:
-        gone.rename(gone.with_stem('bag_2'))
-        (split / 'metadata.yaml').unlink()
-    with pytest.raises(LogError, match=rf'{gone.name} of the log .*bag_0.* is missing'):
-        list(read_log(split))
-
-
-def test_files_are_put_in_the_order_they_are_listed(sent, tmp_path):
-    """Whatever they are called."""
-    split = split_bag(tmp_path, sent)
-    for old, new in (('bag_0', 'night'), ('bag_1', 'day')):
-        (file,) = split.glob(f'{old}.*')
-        file.rename(file.with_stem(new))
-    with_listed(
-        split,
-        lambda names: names.__setitem__(slice(None), [f'night{file.suffix}', f'day{file.suffix}']),
-    )
-    check(split, sent)
-
-
-def test_a_folder_of_several_logs_is_refused(sent, tmp_path):
-    split = split_bag(tmp_path, sent)
-    record(split / 'other.mcap', sent)
-    with pytest.raises(LogError, match=r'holds bag_0.* and other.mcap.* name the first file of'):
-        list(read_log(split))
-    (split / 'metadata.yaml').unlink()
-    with pytest.raises(LogError, match=r'different logs'):
-        list(read_log(split))
-    check(next(split.glob('bag_0.*')), sent)
-
-
 def test_a_date_is_no_number_of_a_part(sent, tmp_path):
     for name in ('mission.mcap', 'mission_20261120.mcap'):
         record(tmp_path / name, sent)
         check(tmp_path / name, sent)
-
-
-def test_a_folder_without_a_log_is_refused(tmp_path):
-    with pytest.raises(LogError, match=r'holds no log'):
-        list(read_log(tmp_path))
-    with pytest.raises(LogError, match=r'holds no log'):
-        is_finished(tmp_path)
 
 
 def test_a_bag_becomes_a_log_by_repair(sent, tmp_path):

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The log is read by the tools that its users have: all of it, field by field."""
 
+from functools import partial
+import shutil
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose
 from kbnitp_ros.bag.log_files import parts_of
@@ -63,28 +66,13 @@ def test_the_comparison_can_fail(sent, library, tmp_path):
             check_same(wrong, written)
 
 
-@pytest.mark.processes
-@for_each('compression', ['none', 'zstd'])
-def test_a_finished_log(sent, compression, tmp_path):
-    path = tmp_path / 'mission.mcap'
-    with LogWriter(path, compression=compression) as log:
-        record_to(log, sent, synced=True)
-    check(path, sent)
+def finished(path, sent, **options):
+    with LogWriter(path, **options) as log:
+        record_to(log, sent, synced='compression' in options)
+    return sent
 
 
-@pytest.mark.processes
-@for_each('compression', ['none', 'zstd'])
-def test_a_split_log(sent, compression, tmp_path):
-    path = tmp_path / 'mission.mcap'
-    with LogWriter(path, compression=compression, max_file_duration=7e-6) as log:
-        record_to(log, sent)
-    assert len(parts_of(path)) > 3
-    check(path, sent)
-
-
-@pytest.mark.processes
-def test_a_log_that_was_gone_on_with(sent, tmp_path):
-    path = tmp_path / 'mission.mcap'
+def gone_on_with(path, sent):
     log = LogWriter(path)
     record_to(log, sent[:20], synced=True)
     unfinished = path.read_bytes()
@@ -92,24 +80,22 @@ def test_a_log_that_was_gone_on_with(sent, tmp_path):
     path.write_bytes(unfinished)
     with LogWriter(path, resume=True) as log:
         record_to(log, sent[20:])
-    check(path, sent)
+    return sent
 
 
-@pytest.mark.processes
-def test_a_repaired_log(sent, tmp_path):
-    path = tmp_path / 'mission.mcap'
-    log = LogWriter(path)
+def repaired(path, sent):
+    folder = path.parent / 'before'
+    folder.mkdir()
+    log = LogWriter(folder / 'mission.mcap')
     record_to(log, sent, synced=True)
-    target = tmp_path / 'repaired' / 'mission.mcap'
-    target.parent.mkdir()
-    repair(path, target)
-    check(target, sent)
+    repair(log.path, path)
+    log.close()
+    shutil.rmtree(folder)
+    return sent
 
 
-@pytest.mark.processes
-def test_a_log_with_a_topic_whose_qos_changed(sent, tmp_path):
-    """In one file, and from file to file."""
-    path = tmp_path / 'mission.mcap'
+def with_other_qos(path, sent):
+    """Write a topic with several, in one file and from file to file."""
     with LogWriter(path) as log:
         for depth, each in enumerate(sent[:1] * 3, 1):
             log.add_topic(
@@ -118,14 +104,19 @@ def test_a_log_with_a_topic_whose_qos_changed(sent, tmp_path):
             log.write(each.topic, each.data, each.time + depth, each.time)
     with LogWriter(path, resume=True) as log:
         record_to(log, sent)
-    check(path, [*sent[:1] * 3, *sent])
+    return [*sent[:1] * 3, *sent]
 
 
 @pytest.mark.processes
-def test_a_log_without_messages(tmp_path):
+@for_each('write', [
+    *(partial(finished, compression=compression) for compression in ('none', 'zstd')),
+    *(partial(finished, compression=compression, max_file_duration=7e-6)
+      for compression in ('none', 'zstd')),
+    lambda path, _: finished(path, []), gone_on_with, repaired, with_other_qos,
+])  # fmt: skip
+def test_all_libraries_read_a_log(sent, tmp_path, write):
     path = tmp_path / 'mission.mcap'
-    record(path, [])
-    check(path, [])
+    check(path, write(path, sent))
 
 
 def test_same_can_tell(sent):

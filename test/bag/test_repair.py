@@ -59,6 +59,26 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     assert content(target) == content(*parts_of(folder))
     assert read_metadata(target)['run'] == {'seed': '8'}
     check_all_read(target)
+    # A log that is named by its folder may be repaired into it.
+    parts = content(*parts_of(folder))
+    repair(folder, folder / 'whole.mcap')
+    assert content(folder / 'whole.mcap') == parts
+
+
+@for_each(
+    'name, told',
+    [
+        ('mission.mcap', 'mission.mcap'),
+        ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
+        ('mission_3.mcap', 'would be taken for a part'),
+    ],
+)
+def test_a_bad_target_is_refused_and_what_is_there_is_kept(folder, capsys, name, told):
+    before = {file: file.read_bytes() for file in folder.iterdir()}
+    assert main([str(folder), '--repair', str(folder / name)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+    assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
 
 def test_a_disk_that_has_no_room_is_left_without_the_file(folder, tmp_path):
@@ -97,32 +117,6 @@ def test_the_command_repairs_and_replays(folder, whole_mission, tmp_path, capsys
     ]
     assert '/belief: 9 of 9 messages reproduced' in said
     assert not any('the log is unfinished' in line for line in said)
-
-
-def test_an_existing_target_is_kept(folder, tmp_path, capsys):
-    target = tmp_path / 'repaired.mcap'
-    target.write_text('something else')
-    assert main([str(folder), '--repair', str(target)]) == 2
-    assert 'repaired.mcap' in capsys.readouterr().err
-    assert target.read_text() == 'something else'
-
-
-def test_a_log_that_is_named_by_its_folder_is_repaired_into_it(folder, whole_mission):
-    parts = content(*parts_of(folder))
-    assert repair(folder, folder / 'whole.mcap').messages == len(whole_mission.sent)
-    assert content(folder / 'whole.mcap') == parts
-
-
-def test_a_target_that_is_not_named_as_a_log_is_refused(folder, tmp_path, capsys):
-    assert main([str(folder), '--repair', str(tmp_path / 'x.db3')]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"replay: '{tmp_path / 'x.db3'}' is no name for a log: it must end in .mcap"
-    assert not (tmp_path / 'x.db3').exists()
-
-
-def test_a_target_that_would_become_a_part_is_refused(folder):
-    with pytest.raises(FileExistsError, match='would be taken for a part'):
-        repair(folder, folder / 'mission_3.mcap')
 
 
 def test_what_comes_before_an_error_is_saved_of_each_part(folder, whole_mission, tmp_path):

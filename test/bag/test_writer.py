@@ -110,37 +110,6 @@ def test_the_file_is_finished_after_an_error(tmp_path):
     assert len(list(read_log(log.path))) == 1
 
 
-def test_a_log_without_messages_is_one(tmp_path):
-    path = record(tmp_path / 'mission.mcap', [])
-    assert is_finished(path)
-    assert list(read_log(path)) == []
-
-
-def test_a_message_larger_than_a_chunk_is_written(tmp_path):
-    message = OccupancyGrid(data=[7] * 3_000_000)
-    with LogWriter(tmp_path / 'mission.mcap') as log:
-        log.add_topic(TOPIC, TYPE, '[]')
-        log.write(TOPIC, EMPTY_MAP, 1, 1)
-        log.write(TOPIC, rclpy.serialization.serialize_message(message), 2, 2)
-        log.write(TOPIC, EMPTY_MAP, 3, 3)
-    assert [len(each.message.data) for each in read_log(log.path)] == [0, 3_000_000, 0]
-
-
-def test_a_topic_may_be_added_again_with_other_qos(tmp_path):
-    """A publisher was restarted."""
-    with LogWriter(tmp_path / 'mission.mcap') as log:
-        for time in (1, 2):
-            log.add_topic(TOPIC, TYPE, f'[{{depth: {time}}}]')
-            log.write(TOPIC, EMPTY_MAP, time, time)
-    with log.path.open('rb') as file:
-        channels = make_reader(file).get_summary().channels.values()
-    assert [channel.metadata['offered_qos_profiles'] for channel in channels] == [
-        '[{depth: 1}]',
-        '[{depth: 2}]',
-    ]
-    assert [each.log_time for each in read_log(log.path)] == [1, 2]
-
-
 def test_a_topic_added_again_as_it_was_is_one_channel(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         for time in (1, 2):
@@ -157,14 +126,6 @@ def test_a_time_that_a_file_cannot_hold_loses_no_message(tmp_path):
         log.add_topic(TOPIC, TYPE, '[]')
         log.write(TOPIC, EMPTY_MAP, 5, -1)
     assert [(each.log_time, each.publish_time) for each in read_log(log.path)] == [(5, 0)]
-
-
-def test_how_the_run_was_configured_is_kept(tmp_path):
-    with LogWriter(tmp_path / 'mission.mcap') as log:
-        log.add_metadata('configuration', {'seed': '7', 'planner': 'beam'})
-    with log.path.open('rb') as file:
-        records = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-    assert records['configuration'] == {'seed': '7', 'planner': 'beam'}
 
 
 def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
@@ -201,15 +162,6 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
     for part in parts[1:]:
         assert list(read_log(part))
         assert read_metadata(part)['run'] == {'seed': '7'}
-
-
-def test_a_limit_smaller_than_a_message_gives_each_its_file(tmp_path):
-    with LogWriter(tmp_path / 'mission.mcap', max_file_size=1) as log:
-        log.add_topic(TOPIC, TYPE, '[]')
-        for time in (1, 2, 3):
-            log.write(TOPIC, EMPTY_MAP, time, time)
-    assert len(parts_of(log.path)) == 3
-    assert [each.log_time for each in read_log(log.path)] == [1, 2, 3]
 
 
 def test_what_a_file_begins_with_does_not_count(tmp_path):
@@ -276,18 +228,6 @@ def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
     assert gone_on_with == [each.data for each in whole_mission.sent[half:]]
     if share == 1.0:
         assert read_metadata(path)['run'] == {'seed': '7'}
-
-
-def test_a_corrupt_log_is_not_gone_on_with(tmp_path, whole_mission):
-    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    (tmp_path / 'metadata.yaml').unlink()
-    content = bytearray(path.read_bytes()[:-1])
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(LogError, match=r'is corrupt after byte .* replay --repair'):
-        LogWriter(path, resume=True)
-    assert path.read_bytes() == content
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_no_log_cannot_be_gone_on_with(tmp_path):

@@ -69,11 +69,7 @@ class Sent:
 
 
 class Mission:
-    """
-    Publishes like the nodes of a mission, into the list `sent`.
-
-    Its clock ticks a microsecond with every message.
-    """
+    """Publishes like the nodes of a mission, into the list `sent`."""
 
     def __init__(
         self,
@@ -241,11 +237,7 @@ def instead(sent, old, message):
 
 
 def same(recorded, original):
-    """
-    Return whether a message decoded by some library has the values that were sent.
-
-    Integers, strings and booleans are equal, floats bit for bit.
-    """
+    """Return whether a message decoded by some library has the values that were sent."""
     if hasattr(original, 'get_fields_and_field_types'):
         return all(
             same(getattr(recorded, name), getattr(original, name))

@@ -79,13 +79,7 @@ def with_node(path):
 
 
 def deserialized(store, data, type_name):
-    """
-    Return the message that rosbags reads.
-
-    Its `deserialize_cdr` refuses data that go on after the message. Those of DDS never do, but
-    `rclpy.serialization.serialize_message`, which makes the logs of tests, estimates how long they
-    are and leaves bytes of whatever at the end, a few for each sequence that is empty.
-    """
+    """Return the message that rosbags reads."""
     definition = store.get_msgdef(type_name)
     message, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, store)
     assert len(data) - 4 - end < 24
@@ -130,17 +124,7 @@ def plain(qos):
 
 
 def check_same(read, written):
-    """
-    Check that a library read all that was written, field by field.
-
-    Parameters
-    ----------
-    read : iterable of Read
-        What it read; libraries go by time, so messages of one time may come in any order.
-    written : iterable of RecordedMessage or RecordedMetadata
-        What is in the log.
-
-    """
+    """Check that a library read all that was written, field by field."""
     read = sorted(read, key=lambda each: (each.log_time, each.topic, each.data))
     written = [each for each in written if isinstance(each, RecordedMessage)]
     written.sort(key=lambda each: (each.log_time, each.channel.topic, each.data))

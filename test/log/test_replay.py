@@ -262,12 +262,7 @@ flown = cache(observations)
 # Making a case smaller takes minutes, and a case is small.
 @settings(max_examples=100 if FULL else 15, deadline=None, phases=[Phase.generate])
 def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_factory, silent, data):
-    """
-    It hears what each publisher said in its order, and not all its beliefs are recorded.
-
-    The losses of silent robots are reported by the planner, and some of these come home late, or
-    were heard of.
-    """
+    """It hears what each publisher said in its order, and not all its beliefs are recorded."""
     whole = Mission()
     told = {}
     conduct = data.draw(st.sampled_from([AS_ORDERED, WILFUL]))
@@ -617,12 +612,7 @@ def test_one_belief_of_a_few_dozen_names_all():
 
 @pytest.fixture
 def reported_twice():
-    """
-    Return a mission, its first deployment, and the first report of it.
-
-    The agent and the recorder are killed once the report is published, and the agent reports the
-    deployment again after the belief in the next one.
-    """
+    """Return a mission, its first deployment, and the first report of it."""
     whole = Mission()
     key = whole.deploy(Observation([2, 7, 2], True, [True, False]))
     (first,) = on(whole.sent, '/scout_1/report')
