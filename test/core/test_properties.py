@@ -27,10 +27,9 @@ per_cell = st.lists(probability, min_size=CELLS, max_size=CELLS)
 
 
 @st.composite
-def beliefs(draw, kappa=True):
+def beliefs(draw):
     """Any joint per cell, certain ones too, by hazard, P(X=1|Z=0) and kappa."""
-    hazard, q = np.array(draw(per_cell)), np.array(draw(per_cell))
-    kappa = np.array(draw(per_cell)) if kappa else q
+    hazard, q, kappa = (np.array(draw(per_cell)) for _ in range(3))
     hazard[0] = 0.0
     return Belief(
         np.stack(
@@ -57,32 +56,26 @@ paths = st.lists(st.integers(0, CELLS - 1), max_size=10).map(lambda inner: [0, *
 
 
 @st.composite
-def observations(draw, survived=None):
+def observations(draw):
     path = draw(paths)
-    if survived is False or (survived is None and draw(st.booleans())):
+    if draw(st.booleans()):
         return Observation(path, False)
     steps = len(path) - 1
     return Observation(path, True, draw(st.lists(st.booleans(), min_size=steps, max_size=steps)))
-
-
-def updated(belief, model, *observations, method='kappa_bnitp'):
-    """Take the observations in, unless they are impossible."""
-    estimator = Estimator(belief, model, method)
-    try:
-        for observation in observations:
-            estimator.assimilate(observation)
-    except ValueError as refusal:
-        if 'impossible' not in str(refusal):
-            raise
-        assume(False)
-    return estimator.belief
 
 
 @pytest.mark.parametrize('method', METHODS)
 @thorough
 @given(belief=beliefs(), model=models, observation=observations())
 def test_every_update_leaves_a_distribution_per_cell(method, belief, model, observation):
-    after = updated(belief, model, observation, method=method)
+    estimator = Estimator(belief, model, method)
+    try:
+        estimator.assimilate(observation)
+    except ValueError as refusal:
+        if 'impossible' not in str(refusal):
+            raise
+        assume(False)
+    after = estimator.belief
     for probabilities in (after.joint, after.hazard, after.target, after.kappa):
         assert ((probabilities >= 0) & (probabilities <= 1)).all()
     np.testing.assert_allclose(after.joint.sum(axis=(1, 2)), 1, rtol=0, atol=1e-12)
@@ -103,58 +96,6 @@ def test_only_impossible_evidence_is_refused(belief, model, observation):
         assert probability == 0
     else:
         assert probability > 0
-
-
-@thorough
-@given(beliefs(), models, observations())
-def test_the_certain_stays_certain(belief, model, observation):
-    after = updated(belief, model, observation)
-    assert (after.joint[belief.joint == 0] == 0).all()
-
-
-@thorough
-@given(beliefs(), models, observations(survived=False))
-def test_a_loss_never_makes_a_hazard_less_likely(belief, model, observation):
-    after = updated(belief, model, observation)
-    assert (after.hazard >= belief.hazard - 1e-12).all()
-
-
-@thorough
-@given(beliefs(kappa=False), models, observations(survived=True))
-def test_a_return_never_makes_a_hazard_more_likely_when_targets_tell_nothing(belief, model, seen):
-    after = updated(belief, model, seen)
-    assert (after.hazard <= belief.hazard + 1e-12).all()
-
-
-@thorough
-@given(beliefs(), models, paths, st.data())
-def test_a_positive_reading_never_makes_a_target_less_likely_than_a_negative(
-    belief, model, path, data
-):
-    steps = len(path) - 1
-    one = np.array(data.draw(st.lists(st.booleans(), min_size=steps, max_size=steps)))
-    other = one.copy()
-    step = data.draw(st.integers(0, steps - 1))
-    one[step], other[step] = False, True
-    negative = updated(belief, model, Observation(path, True, one))
-    positive = updated(belief, model, Observation(path, True, other))
-    cell = path[step + 1]
-    assert positive.target[cell] >= negative.target[cell] - 1e-9
-
-
-@pytest.mark.slow
-@thorough
-@given(beliefs(), models, observations(survived=True))
-def test_one_long_return_is_as_two_short_ones(belief, model, observation):
-    """A path through the base is worth the two halves, one after the other."""
-    whole = updated(belief, model, observation)
-    path, readings = observation.path.tolist(), observation.readings.tolist()
-    at_base = path.index(0, 1)
-    assume(at_base < len(path) - 1)
-    first = Observation(path[: at_base + 1], True, readings[:at_base])
-    second = Observation(path[at_base:], True, readings[at_base:])
-    folded = updated(belief, model, first, second)
-    np.testing.assert_allclose(folded.joint, whole.joint, rtol=0, atol=1e-12)
 
 
 @thorough

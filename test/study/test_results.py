@@ -9,27 +9,12 @@ import numpy as np
 def test_the_table_is_tidy(results):
     table = results.table()
     types = {field.name: str(field.type) for field in table.schema}
+    texts = 'method allocation planner objective dynamics clustering paths goal'
+    reals = 'loss_cost last_contact survey trusted alpha lethality'
     assert types == {
-        'trial': 'int64',
-        'method': 'string',
-        'agents': 'int64',
-        'allocation': 'string',
-        'loss_cost': 'double',
-        'last_contact': 'double',
-        'planner': 'string',
-        'survey': 'double',
-        'trusted': 'double',
-        'objective': 'string',
-        'alpha': 'double',
-        'dynamics': 'string',
-        'clustering': 'string',
-        'paths': 'string',
-        'second_base': 'int64',
-        'goal': 'string',
-        'lethality': 'double',
-        'deployment': 'int64',
-        **dict.fromkeys(MEASURES, 'double'),
-        'robots_lost': 'int64',
+        **dict.fromkeys(texts.split(), 'string'),
+        **dict.fromkeys((*reals.split(), *MEASURES), 'double'),
+        **dict.fromkeys(('trial', 'agents', 'second_base', 'deployment', 'robots_lost'), 'int64'),
     }
     assert table.num_rows == 2 * 3 * 3 * 5
     columns = ('trial', 'method', 'lethality', 'deployment')

@@ -28,13 +28,6 @@ def test_the_interval_is_that_of_resampled_means():
     np.testing.assert_allclose(mean_of(samples)[1:], expected, atol=0.2)
 
 
-def test_the_interval_is_always_the_same():
-    samples = np.random.default_rng(0).normal(size=(5, 7))
-    assert [part.tolist() for part in mean_of(samples)] == [
-        part.tolist() for part in mean_of(samples)
-    ]
-
-
 def test_differences_are_paired(results):
     summary = summarise(results)
     assert (summary['trials'], summary['robots']) == (3, 4)

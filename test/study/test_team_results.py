@@ -87,20 +87,6 @@ def test_what_a_robot_and_a_round_bring(teams):
     assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
 
 
-def test_the_table_for_people_says_what_the_summary_says(teams):
-    summary = BY_SIZE.summarise(teams)
-    header, _, *lines = BY_SIZE.table(summary).markdown().splitlines()[2:]
-    assert 'log loss after 1 rounds' in header
-    cells = [line.strip('| ').split(' | ') for line in lines]
-    assert [row[2] for row in cells] == ['one by one', '3 independent', '2 voronoi']
-    for row, (lethality, method, _, rounds, information, *_) in zip(
-        summary['rows'], cells, strict=True
-    ):
-        assert (lethality, method, rounds) == ('0.9', '`kappa_bnitp`', str(row['rounds']))
-        mean, low, high = row['information_a_robot'].values()
-        assert information == f'{mean:.3f} [{low:.3f}, {high:.3f}]'
-
-
 def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
     names = set()
     for study in (results, teams):

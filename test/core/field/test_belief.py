@@ -35,13 +35,6 @@ def test_maps_and_joint_are_views_of_each_other(seed):
     np.testing.assert_allclose(again.kappa, kappa, rtol=1e-14)
 
 
-def test_joint_of_one_cell_written_out():
-    belief = Belief.from_maps([0.2], [0.5], [0.9])
-    assert belief.joint.shape == (1, 2, 2)
-    assert belief.joint.dtype == np.float64
-    np.testing.assert_allclose(belief.joint[0], [[0.48, 0.32], [0.02, 0.18]], atol=1e-15)
-
-
 def test_the_extremes_have_a_joint():
     belief = Belief.from_maps([0, 1, 1, 0.5, 0.5], [0.3, 0.7, 0, 1, 0.5], [0.3, 0.7, 0, 1, 1])
     np.testing.assert_allclose(
@@ -177,21 +170,6 @@ def test_entropies(seed):
     by_map += sum(naive_entropy([p, 1 - p]) for p in joint[:, :, 1].sum(axis=1))
     assert belief.entropy() == pytest.approx(by_map, rel=1e-12)
     assert belief.joint_entropy() == pytest.approx(naive_entropy(joint.ravel()), rel=1e-12)
-
-
-def test_entropy_of_even_odds_is_in_nats():
-    even = Belief.from_maps(np.full(10, 0.5), np.full(10, 0.5), np.full(10, 0.5))
-    assert even.entropy() == pytest.approx(20 * log(2))
-    assert even.joint_entropy() == pytest.approx(20 * log(2))
-    tied = Belief.from_maps(np.full(10, 0.5), np.full(10, 0.5), np.full(10, 1.0))
-    assert tied.entropy() == pytest.approx(20 * log(2))
-    assert tied.joint_entropy() == pytest.approx(10 * log(2))
-
-
-def test_certainty_has_no_entropy():
-    certain = Belief.from_maps([0, 1, 1], [1, 0, 1], [1, 0, 1])
-    assert certain.entropy() == 0
-    assert certain.joint_entropy() == 0
 
 
 def test_beliefs_cannot_be_changed():

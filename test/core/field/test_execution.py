@@ -3,7 +3,7 @@
 
 from itertools import product
 
-from kbnitp_ros.core import Belief, Execution, Grid, Observation, plan, SensorModel, update, World
+from kbnitp_ros.core import Belief, Execution, Grid, plan, SensorModel, World
 from laws import for_each
 import numpy as np
 import pytest
@@ -118,23 +118,6 @@ def test_what_robots_do_is_drawn_as_often_as_told():
     kept = np.mean([len(walk) == len(PATH) for walk in walks])
     # The last step home is the same whether it turned back or not.
     assert kept == pytest.approx(0.75**7, abs=0.02)
-
-
-def test_walks_are_the_evidence():
-    belief = Belief.prior(GRID, hazard=0.3, target=0.4, kappa=0.8)
-    for made in runs(Execution(0.3, 0.1, 0.3, 0.1), 50):
-        observation = made.observation
-        after = update(belief, MODEL, observation)
-        same = Observation(
-            observation.path,
-            observation.survived,
-            observation.readings,
-            observation.steps_survived,
-            observation.lost_at,
-        )
-        assert after.joint.tobytes() == update(belief, MODEL, same).joint.tobytes()
-        unvisited = np.setdiff1d(np.arange(GRID.cells), observation.path)
-        assert (after.joint[unvisited] == belief.joint[unvisited]).all()
 
 
 def test_the_same_seed_gives_the_same_walk():

@@ -17,56 +17,28 @@ def test_neighbors_are_the_eight_around_and_the_cell_itself():
     assert Grid(5, 4).neighbors(12).tolist() == [6, 7, 8, 11, 12, 13, 16, 17, 18]
 
 
-def test_neighbors_stay_inside():
-    grid = Grid(4, 3)
-    assert grid.neighbors(0).tolist() == [0, 1, 4, 5]
-    assert grid.neighbors(3).tolist() == [2, 3, 6, 7]
-    assert grid.neighbors(7).tolist() == [2, 3, 6, 7, 10, 11]
-    assert grid.neighbors(8).tolist() == [4, 5, 8, 9]
-    assert grid.neighbors(11).tolist() == [6, 7, 10, 11]
-
-
-def test_neighbors_leave_out_blocked_cells():
-    assert Grid(3, 3, blocked=(1, 4)).neighbors(0).tolist() == [0, 3]
-
-
-@for_each('width, height', [(1, 1), (1, 5), (5, 1), (4, 3)])
-def test_neighbors_of_every_cell(width, height):
-    grid = Grid(width, height)
-    for cell, expected in brute_force.adjacent(width, height).items():
-        assert grid.neighbors(cell).tolist() == expected
-
-
-def test_four_neighbors_share_a_side():
-    grid = Grid(3, 3, connectivity=4)
-    assert grid.neighbors(4).tolist() == [1, 3, 4, 5, 7]
-    assert grid.neighbors(0).tolist() == [0, 1, 3]
-
-
-def test_a_diagonal_step_may_touch_a_blocked_cell_unless_told_otherwise():
-    touching = Grid(3, 3, base=8, blocked=(1, 3))
-    assert touching.neighbors(0).tolist() == [0, 4]
-    assert touching.neighbors(4).tolist() == [0, 2, 4, 5, 6, 7, 8]
-    clear = Grid(3, 3, base=8, blocked=(1, 3), through_corners=False)
-    assert clear.neighbors(0).tolist() == [0]
-    assert clear.neighbors(4).tolist() == [4, 5, 7, 8]
-
-
-@for_each('seed', range(20))
-def test_steps_keep_clear_of_blocked_cells(seed):
+@for_each('seed', range(40))
+def test_neighbors_of_every_cell(seed):
+    """All around, those that share a side, and those beside no blocked cell."""
     rng = np.random.default_rng(seed)
     width, height = rng.integers(1, 7, 2)
     blocked = rng.choice(width * height, rng.integers(0, width * height), replace=False)
     base = next(cell for cell in range(width * height) if cell not in blocked)
-    grid = Grid(width, height, base=base, blocked=blocked, through_corners=False)
+    grid, sides, clear = (
+        Grid(width, height, base=base, blocked=blocked, **others)
+        for others in ({}, {'connectivity': 4}, {'through_corners': False})
+    )
     for cell, around in brute_force.adjacent(width, height, blocked).items():
 
-        def is_clear(to, cell=cell):
+        def touched(to, cell=cell):
             rows, cols = sorted([cell // width, to // width]), sorted([cell % width, to % width])
-            touched = {r * width + c for r in rows for c in cols}
-            return not touched & set(blocked)
+            return {r * width + c for r in rows for c in cols}
 
-        assert grid.neighbors(cell).tolist() == [to for to in around if is_clear(to)]
+        assert grid.neighbors(cell).tolist() == around
+        assert sides.neighbors(cell).tolist() == [to for to in around if len(touched(to)) < 3]
+        assert clear.neighbors(cell).tolist() == [
+            to for to in around if not touched(to) & set(blocked)
+        ]
 
 
 @for_each('cell', [-1, 12, 1.5])
@@ -79,11 +51,6 @@ def test_cells_are_counted_row_by_row_from_the_bottom():
     grid = Grid(4, 3)
     assert grid.cells == 12
     assert grid.centers([0, 3, 4, 11]).tolist() == [[0.5, 0.5], [3.5, 0.5], [0.5, 1.5], [3.5, 2.5]]
-
-
-def test_centers_follow_resolution_and_origin():
-    grid = Grid(4, 3, resolution=0.5, origin=(-2.0, 10.0))
-    np.testing.assert_allclose(grid.centers([0, 5]), [[-1.75, 10.25], [-1.25, 10.75]], atol=1e-15)
 
 
 def test_points_find_the_cell_they_lie_in():
@@ -287,13 +254,6 @@ def test_bad_paths_are_refused(path, message):
 
 def test_paths_are_of_any_length_unless_limited():
     assert len(Grid(2, 2).check_path([0] * 1000)) == 1000
-
-
-def test_the_longest_path_has_max_steps_moves():
-    grid = Grid(2, 2)
-    grid.check_path([0, 1, 2, 0], max_steps=3)
-    with pytest.raises(ValueError, match='path has 3 steps.*2'):
-        grid.check_path([0, 1, 2, 0], max_steps=2)
 
 
 def test_a_grid_is_told_in_a_line_however_much_of_it_is_blocked():

@@ -213,18 +213,6 @@ def test_the_walk_that_was_made_is_the_evidence(readings):
     assert kept.readings.tolist() == made.readings.tolist()
 
 
-def test_of_two_losses_the_later_contact_counts(ledger):
-    ledger.record_path(A, PATH)
-    assert ledger.record_report(A, Report(False, steps_survived=1))
-    assert not ledger.record_report(A, Report(False))
-    assert ledger.record_report(A, Report(False, steps_survived=2))
-    assert not ledger.record_report(A, Report(False, steps_survived=1))
-    seen = Observation(PATH, False, steps_survived=2)
-    assert ledger.belief.joint.tobytes() == folded(seen)
-    assert ledger.record_report(A, RETURNED)
-    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
-
-
 def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
     """As if the path had come first: then only the wrong report is refused."""
     for report, _ in UNFIT:
@@ -234,18 +222,6 @@ def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
     assert ledger.record_path(A, PATH)
     assert state(ledger)[1:] == ([A], (A, 0), 0, 0, 0)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
-
-
-def test_impossible_evidence_is_refused():
-    safe = Belief.prior(GRID, 0.0, 0.45, 0.45)
-    perfect = SensorModel(0.5, malfunction=0.0)
-    ledger = Ledger(GRID, 4, Estimator(safe, perfect, 'kappa_bnitp'))
-    ledger.record_path(A, PATH)
-    before = state(ledger)
-    with pytest.raises(ValueError, match='impossible|probability'):
-        ledger.record_report(A, LOST)
-    assert state(ledger) == before
-    assert ledger.record_report(A, RETURNED)
 
 
 @for_each('method', METHODS)

@@ -17,7 +17,6 @@ from kbnitp_ros.core import (
     Observation,
     Report,
     SensorModel,
-    Unknowns,
     update,
 )
 from kbnitp_ros.core.inference.filtering import OnePass
@@ -74,23 +73,17 @@ def located(seed, independent=False):
             return joint, model, path, steps, lost_at
 
 
-@for_each('seed', range(300))
-def test_where_a_robot_was_lost_is_taken_in_exactly(seed):
-    joint, model, path, steps, lost_at = located(seed)
-    observation = Observation(path, False, None, steps, lost_at)
-    found = update(Belief(joint), model, observation).joint
-    expected = brute_force.posterior(joint, model, (path, None, steps, lost_at))
-    assert found == pytest.approx(expected, rel=0, abs=1e-12)
-
-
 @pytest.mark.slow
+@for_each('method', ['kappa_bnitp', 'relaxed_itp'])
 @for_each('seed', range(300))
-def test_multi_universe_averaging_takes_it_in_exactly(seed):
-    joint, model, path, steps, lost_at = located(seed, independent=True)
+def test_where_a_robot_was_lost_is_taken_in_exactly(seed, method):
+    joint, model, path, steps, lost_at = located(seed, independent=method == 'relaxed_itp')
     observation = Observation(path, False, None, steps, lost_at)
-    found = update(Belief(joint), model, observation, 'relaxed_itp').hazard
+    found = update(Belief(joint), model, observation, method)
     expected = brute_force.posterior(joint, model, (path, None, steps, lost_at))
-    assert found == pytest.approx(expected[:, 1].sum(axis=1), rel=0, abs=1e-12)
+    assert found.hazard == pytest.approx(expected[:, 1].sum(axis=1), rel=0, abs=1e-12)
+    if method == 'kappa_bnitp':
+        assert found.joint == pytest.approx(expected, rel=0, abs=1e-12)
 
 
 @for_each('seed', range(100))
@@ -166,36 +159,6 @@ def divergence_of_sampling(joint, model, deployments):
     found = estimator.belief.joint
     seen = expected > 0
     return float((expected[seen] * np.log(expected[seen] / found[seen])).sum())
-
-
-@pytest.mark.slow
-@for_each('seed', range(30))
-def test_numbers_are_learnt_from_where_robots_were_lost(seed):
-    """The lethality is that of the exact posterior over its bins and all hazards."""
-    joint, model, deployments = mission(seed)
-    unknowns = Unknowns(lethality=(0.05, 0.95))
-    estimator = Estimator(Belief(joint), model, 'kappa_bnitp_sampled', unknowns)
-    prior = estimator.parameters['lethality']
-    for deployment in deployments:
-        estimator.assimilate(observed(*deployment))
-    visited = {cell for path, *_ in deployments for cell in path[1:]}
-    cells, states, weight = brute_force.enumerate_states(joint, visited)
-    evidence = [
-        np.prod(
-            [
-                brute_force.evidence_likelihood(
-                    replace(model, lethality=each), cells, states, *one
-                )
-                for one in deployments
-            ],
-            axis=0,
-        )
-        @ weight
-        for each in prior.bins.values
-    ]
-    exact = prior.weights * evidence
-    mean = (exact * prior.bins.values).sum() / exact.sum()
-    assert estimator.parameters['lethality'].mean == pytest.approx(mean, abs=0.03)
 
 
 # What is refused, and what is the same

@@ -83,21 +83,6 @@ def test_published_update_is_the_paper_equations_summed_out(seed):
             assert after.kappa[cell] == pytest.approx(kappa, abs=1e-12 + 1e-15 / hazard)
 
 
-def test_published_loss_by_hand():
-    """Path base, a, base: the two losses e_1, e_2, cell a's own marginal entering twice."""
-    model = SensorModel(lethality=0.5, malfunction=0.1, false_negative=0.0)
-    belief = Belief.from_maps([0.0, 0.4], [0.3, 0.5], [0.3, 0.8])
-    d0, d1 = 0.1, 0.55  # P(destroyed | Z)
-    d = 0.6 * d0 + 0.4 * d1  # of cell a; of the base: d0
-    w1, w2 = d, (1 - d) * d0
-    p1 = 0.4 * (w1 * d1 + w2 * (1 - d1))
-    p0 = 0.6 * (w1 * d0 + w2 * (1 - d0))
-    after = update(belief, model, Observation([0, 1, 0], False), 'kappa_bnitp_published')
-    assert after.hazard[1] == pytest.approx(p1 / (p0 + p1), abs=1e-14)
-    assert after.kappa[1] == pytest.approx(0.8, abs=1e-14)
-    assert after.hazard[0] == 0
-
-
 def test_published_loss_of_a_repeated_cell_by_hand():
     """Path base, a, a, base: each of a's two instances is a term of its sum."""
     model = SensorModel(lethality=0.5, malfunction=0.1, false_negative=0.0)
@@ -110,16 +95,6 @@ def test_published_loss_of_a_repeated_cell_by_hand():
     p0, p1 = 0.6 * (first[0] + second[0]), 0.4 * (first[1] + second[1])
     after = update(belief, model, Observation([0, 1, 1, 0], False), 'kappa_bnitp_published')
     assert after.hazard[1] == pytest.approx(p1 / (p0 + p1), abs=1e-14)
-
-
-def test_published_loss_differs_from_the_exact_one():
-    belief = Belief.from_maps([0.0, 0.4, 0.4], [0.5] * 3, [0.5] * 3)
-    lost = Observation([0, 1, 2, 0], False)
-    exact, published = (
-        update(belief, SensorModel(0.5), lost, method)
-        for method in ('kappa_bnitp', 'kappa_bnitp_published')
-    )
-    assert abs(exact.hazard - published.hazard).max() > 0.01
 
 
 def without_kappa(joint):
@@ -146,20 +121,6 @@ def test_methods_without_kappa_start_from_kappa_equal_to_target(seed, relaxed, c
     np.testing.assert_allclose(
         estimator.belief.joint, without_kappa(estimator.belief.joint), rtol=0, atol=1e-12
     )
-
-
-@for_each('seed', range(60))
-def test_the_belief_expected_after_a_deployment_is_the_belief_before(seed):
-    joint, model, observation = deployments(seed, most_cells=4, most_steps=4)
-    path, steps = observation.path, len(observation.path) - 1
-    outcomes = [None] + [[bool(bits >> k & 1) for k in range(steps)] for bits in range(2**steps)]
-    expected = 0.0
-    for readings in outcomes:
-        weight = brute_force.evidence_probability(joint, model, path.tolist(), readings)
-        if weight > 0:
-            outcome = Observation(path, readings is not None, readings)
-            expected = expected + weight * update(Belief(joint), model, outcome).joint
-    np.testing.assert_allclose(expected, joint, rtol=0, atol=1e-12)
 
 
 @for_each('hazard', [1e-3, 1e-6, 1e-9, 1e-12])

@@ -15,17 +15,12 @@ from kbnitp_ros.core import (
     path_information,
     plan,
     PLANNERS,
-    run_mission,
-    SearchOptions,
     SensorModel,
-    Team,
-    World,
 )
-from kbnitp_ros.core.planning.objective import behavioral, options
+from kbnitp_ros.core.planning.objective import options
 from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
 from kbnitp_ros.core.planning.objective.information import added_information
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
-from kbnitp_ros.core.planning.objective.moments import WEIGHTS
 from laws import for_each
 import numpy as np
 import pytest
@@ -155,48 +150,17 @@ def random_problem(seed):
     return Grid(5, 5), belief, SensorModel(**brute_force.random_sensors(rng))
 
 
-@for_each('planner, seed', product(SEEKING, range(20)))
-def test_at_alpha_1_plans_are_the_very_same(seed, planner):
-    problem = *random_problem(seed), 10, planner
-    usual, behavioral_one = plan(*problem), plan(*problem, objective='behavioral', alpha=1.0)
-    assert usual.path.tolist() == behavioral_one.path.tolist()
-    assert (usual.information, usual.survival) == (
-        behavioral_one.information,
-        behavioral_one.survival,
-    )
-
-
-@pytest.mark.slow
-@for_each('allocation, planner', product(['greedy', 'voronoi', 'independent'], SEEKING))
-def test_at_alpha_1_missions_are_the_very_same(planner, allocation):
-    grid, belief, model = (
-        Grid(4, 4),
-        Belief.from_maps(*[np.r_[0, [0.2] * 15]] * 3),
-        SensorModel(0.5),
-    )
-
-    def mission(**sought):
-        rng = np.random.default_rng(3)
-        world = World.random(grid, rng, 0.2, 0.8, 0.1)
-        made = run_mission(
-            grid,
-            belief,
-            model,
-            world,
-            6,
-            rng,
-            options=SearchOptions(planner, max_steps=8, **sought),
-            team=Team(2, allocation),
+@for_each('planner, agents, seed', product(SEEKING, [1, 2], range(20)))
+def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
+    problem = *random_problem(seed), 10, agents, 'greedy', planner
+    usual, behavioral_one = (
+        [(each.path.tolist(), each.information, each.survival) for each in team.plans]
+        for team in (
+            plan_round(*problem),
+            plan_round(*problem, objective='behavioral', alpha=1.0),
         )
-        return [each.belief.joint.tobytes() for each in made], [
-            each.plan.path.tolist() for each in made
-        ]
-
-    usual = mission()
-    assert usual == mission(objective='behavioral', alpha=1.0)
-    one, other = (mission(objective='behavioral', alpha=alpha) for alpha in (0.3, 3.0))
-    assert one[1] != usual[1] != other[1]
-    assert one == mission(objective='behavioral', alpha=0.3)
+    )
+    assert usual == behavioral_one
 
 
 @pytest.mark.slow
@@ -257,9 +221,3 @@ def test_planners_that_seek_nothing_refuse_it(planner):
 def test_what_does_not_fit_is_refused(sought, message):
     with pytest.raises(ValueError, match=message):
         plan(*random_problem(0), 6, **sought)
-
-
-def test_the_search_of_information_has_the_powers_it_had():
-    assert behavioral.powers_weights(1.0, np.ones(4)) is WEIGHTS
-    assert behavioral.powers_of(1.0, 4) == WEIGHTS.size
-    assert behavioral.powers_of(0.5, 4) == behavioral.powers_weights(0.5, np.ones(4)).size

@@ -2,9 +2,6 @@
 """The bound beside a plan, against the value of every path and of many missions."""
 
 from functools import cache
-import os
-import subprocess
-import sys
 
 import brute_force
 from extent import FULL
@@ -176,34 +173,6 @@ def test_a_bound_changes_nothing_of_a_plan():
     assert (alone.information, alone.survival) == (bounded.information, bounded.survival)
     assert alone.upper_bound is None
     assert alone.gap is None
-
-
-BOUNDS = """
-import brute_force
-from kbnitp_ros.core import Belief, Grid, plan, SensorModel
-import numpy as np
-
-for seed, lethality in enumerate((0.5, 1.0)):
-    belief = Belief(brute_force.random_joint(np.random.default_rng(seed), 4, 0))
-    found = plan(Grid(2, 2), belief, SensorModel(lethality), 3, loss_cost=0.2, bound=True)
-    print(found.upper_bound.hex(), found.gap.hex())
-"""
-
-
-@pytest.mark.processes
-def test_bounds_have_the_same_bits_compiled_and_interpreted():
-    printed = [
-        subprocess.run(
-            [sys.executable, '-W', 'ignore', '-c', BOUNDS],
-            env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)} | environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for environment in ({}, {'NUMBA_DISABLE_JIT': '1'})
-    ]
-    assert len(printed[0].splitlines()) == 2
-    assert printed[0] == printed[1]
 
 
 @for_each(

@@ -42,8 +42,9 @@ for seed, lethality in enumerate((0.0, 0.5, 1.0)):
     rng = np.random.default_rng(seed)
     belief, model = Belief(brute_force.random_joint(rng, 12, 5)), SensorModel(lethality)
     for planner, width in (('relaxed', 1), ('beam', 4)):
-        found = plan(grid, belief, model, 5, planner, width=width)
+        found = plan(grid, belief, model, 5, planner, width=width, bound=True)
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
+        print(found.upper_bound.hex(), found.gap.hex())
 for allocation in ('greedy', 'voronoi'):
     options = SearchOptions(max_steps=4, width=3, loss_cost=0.2)
     team = plan_team(grid, belief, model, Team(3, allocation), options)
@@ -69,7 +70,7 @@ def plans(before='', **environment):
 def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_many():
     printed, has_numba = plans(NUMBA_NUM_THREADS='2', OMP_NUM_THREADS='2')
     assert has_numba
-    assert len(printed.splitlines()) == 8
+    assert len(printed.splitlines()) == 14
     assert plans(NUMBA_NUM_THREADS='1', OMP_NUM_THREADS='1') == (printed, True)
     assert plans(NUMBA_DISABLE_JIT='1') == (printed, True)
     # A module that is None in sys.modules cannot be imported.

@@ -139,8 +139,18 @@ def posterior(joint, model, seen, name, bins):
     return weights, np.einsum('g,gczx->czx', weights, joints)
 
 
-def check_by_enumeration(name, seed, cells, monkeypatch):
-    """Check what 20 robots on 2x2 of some cells tell of a number, and of the cells."""
+LEARNT = [
+    *((name, 4) for name in EVERYTHING),
+    # Of cells that nobody went to.
+    *((name, 9) for name in ('hazard_density', 'kappa', 'target_background')),
+]
+
+
+@pytest.mark.slow
+@for_each('name, cells', LEARNT, every=4)
+@for_each('seed', range(3))
+def test_a_number_is_learnt_as_by_enumeration(name, cells, seed, monkeypatch):
+    """By 20 robots on 2x2 of some cells."""
     monkeypatch.setattr(sampler, 'CONVERGED_LEARNING', 0.0)
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, cells, 0)
@@ -157,20 +167,6 @@ def check_by_enumeration(name, seed, cells, monkeypatch):
     assert learnt.mean == pytest.approx(weights @ learnt.bins.values, abs=0.003)
     assert divergence(after, estimator.belief.joint) < 1e-4
     assert estimator.parameters.keys() == {name}
-
-
-@pytest.mark.slow
-@for_each('name', EVERYTHING, every=4)
-@for_each('seed', range(3))
-def test_a_number_is_learnt_as_by_enumeration(name, seed, monkeypatch):
-    check_by_enumeration(name, seed, 4, monkeypatch)
-
-
-@pytest.mark.slow
-@for_each('name', ['hazard_density', 'kappa', 'target_background'], every=4)
-@for_each('seed', range(3))
-def test_cells_that_nobody_went_to_are_as_by_enumeration(name, seed, monkeypatch):
-    check_by_enumeration(name, seed, 9, monkeypatch)
 
 
 HAZARDS = np.array([[0, *bits] for bits in np.ndindex(*15 * [2])], dtype=float)
@@ -220,17 +216,6 @@ def mission_of_25(seed, model):
     world = World.random(FIELD, rng, 0.5, 0.8, 0.1)
     paths = [brute_force.random_path(rng, 4, 4, 0, rng.integers(1, 11)) for _ in range(25)]
     return [world.traverse(path, model, rng) for path in paths]
-
-
-def test_a_mission_gives_what_it_gave():
-    model, unknowns = SensorModel(0.5), Unknowns(lethality=(0.05, 1.0), kappa=(0.1, 0.9))
-    estimator = Estimator(ENTROPIC, model, METHOD, unknowns, 1)
-    for observation in mission_of_25(0, model):
-        estimator.assimilate(observation)
-    hazard = [0.0, 0.97405556, 0.69194968, 0.5, 0.76326281, 0.22912656, 0.25496436, 0.5]
-    np.testing.assert_allclose(estimator.belief.hazard[:8], hazard, rtol=0, atol=1e-8)
-    assert estimator.parameters['lethality'].mean == pytest.approx(0.41383315900982626, abs=1e-12)
-    assert estimator.parameters['kappa'].mean == pytest.approx(0.6057196740066393, abs=1e-12)
 
 
 @pytest.mark.slow
@@ -337,13 +322,6 @@ def test_cells_that_nobody_went_to_keep_their_bits_where_the_prior_is_known():
     estimator = assimilated(ENTROPIC, SensorModel(0.5), observations, unknowns)
     elsewhere = np.setdiff1d(np.arange(16), [0, 1, 4])
     assert (estimator.belief.joint[elsewhere] == ENTROPIC.joint[elsewhere]).all()
-
-
-def test_a_density_is_learnt_of_cells_that_nobody_went_to():
-    observations = [Observation([0, cell, 0], True, [0, 0]) for cell in (1, 4, 5)] * 20
-    unknowns = Unknowns(hazard_density=(0.05, 0.95))
-    estimator = assimilated(ENTROPIC, SensorModel(0.9), observations, unknowns)
-    assert estimator.belief.hazard[15] < 0.3
 
 
 def test_before_the_first_deployment_all_is_as_the_priors_say():
