@@ -418,29 +418,24 @@ def test_a_simulated_clock_is_refused(tmp_path, capsys):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_a_mission_of_two_kinds_as_the_page_says_it(tmp_path):
+def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
     page = (ROOT / 'docs/maps.md').read_text()
-    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.*max_steps=.*) --out ', page)
-    done = run_demo(*shlex.split(line), '--out', tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    log = tmp_path / 'mission.mcap'
-    assert recorded_parameters(log)['planner']['robots.scout_2.max_steps'] == 6
-    belief = last_belief(log)
-    assert belief.robot_types == {'scout_2': RobotType(max_steps=6)}
-    assert belief.deployments == 6
-
-
-@pytest.mark.processes
-@pytest.mark.full
-def test_a_mission_of_two_bases_as_the_page_says_it(tmp_path):
-    page = (ROOT / 'docs/maps.md').read_text()
-    (line,) = re.findall(r'python3 -m kbnitp_ros demo (.*\.base=.*) --out ', page)
-    done = run_demo(*shlex.split(line), '--out', tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    report = replay(tmp_path / 'mission.mcap')
-    assert report.reproduced
-    bases = {key.agent: int(report.evidence.path(key)[0]) for key in report.evidence.paths}
-    assert bases == {'scout_1': 0, 'scout_2': 24}
+    for option in ('max_steps', 'base'):
+        (line,) = re.findall(rf'python3 -m kbnitp_ros demo (.*\.{option}=.*) --out ', page)
+        log = tmp_path / option / 'mission.mcap'
+        done = run_demo(*shlex.split(line), '--out', log.parent)
+        assert done.returncode == 0, done.stdout + done.stderr
+        report = replay(log)
+        assert report.reproduced
+        if option == 'base':
+            paths = report.evidence.paths
+            bases = {key.agent: int(report.evidence.path(key)[0]) for key in paths}
+            assert bases == {'scout_1': 0, 'scout_2': 24}
+        else:
+            assert recorded_parameters(log)['planner']['robots.scout_2.max_steps'] == 6
+            belief = last_belief(log)
+            assert belief.robot_types == {'scout_2': RobotType(max_steps=6)}
+            assert belief.deployments == 6
 
 
 @pytest.fixture

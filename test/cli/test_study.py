@@ -23,6 +23,7 @@ from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS
 from laws import for_each
 from pyarrow import parquet
 import pytest
+import small_study
 import yaml
 
 STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
@@ -36,21 +37,13 @@ LEFT = ['table.parquet', *PICTURES, 'summary.json']
 LEFT += ['summary.md', 'scenario.yaml']
 
 SCENARIO = {
-    'seed': 3,
+    **small_study.CONTENT,
     'trials': 10,
     'robots': 12,
     'methods': ['kappa_bnitp_published', 'kappa_bnitp'],
     'lethalities': [0.1, 0.9],
     'grid': {'width': 5, 'height': 5, 'base': 0},
     'planning': {'planner': 'relaxed', 'max_steps': 10, 'width': 1, 'max_visits': 3},
-    'world': {'hazard_density': 0.2, 'kappa': 0.8, 'target_background': 0.1},
-    'sensor': {
-        'malfunction': 0.05,
-        'false_negative': 0.05,
-        'true_positive': 0.95,
-        'false_positive': 0.05,
-    },
-    'prior': {'hazard': 0.2, 'target': 0.24, 'kappa': 0.8},
 }
 TRIALS = 10 * 2 * 2
 

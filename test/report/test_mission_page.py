@@ -32,14 +32,19 @@ AXE = Path(__file__).parent / 'node_modules/axe-core/axe.min.js'
 NAMES = ('hazard', 'target', 'kappa')
 
 
+def page_file(mission):
+    """Write the page of a mission beside its log."""
+    page = mission.log.with_name('report.html')
+    page.write_text(page_of(mission, curves_of(mission))[0])
+    return page
+
+
 @pytest.fixture(scope='module')
 def shown(tmp_path_factory):
     """Return a mission of 30 robots and the file of its page."""
     folder = tmp_path_factory.mktemp('page')
     mission = read_mission(single(folder / 'mission.mcap', 30))
-    page = folder / 'report.html'
-    page.write_text(page_of(mission, curves_of(mission))[0])
-    return mission, page
+    return mission, page_file(mission)
 
 
 @pytest.fixture(scope='module')
@@ -154,9 +159,7 @@ def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
     whole, path = sent_by_single(2), [GRID.base, 1, 2, 3, 2, 1, GRID.base]
     whole.deploy(Observation(path, False, lost_at=[0.0, 0.1, 0.6, 1.0, 0.5, 0.2]))
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
-    file = tmp_path / 'report.html'
-    file.write_text(page_of(mission, curves_of(mission))[0])
-    page = opened(file=file)
+    page = opened(file=page_file(mission))
     drawn = 'document.getElementById("hazard").data.map(each => [each.x, each.y])[7]'
     move(page, 3)
     x, y = page.evaluate(drawn)
@@ -175,9 +178,7 @@ def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
     for _ in range(6):
         whole.deploy(whole.walk())
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
-    file = tmp_path / 'report.html'
-    file.write_text(page_of(mission, curves_of(mission))[0])
-    page = opened(file=file)
+    page = opened(file=page_file(mission))
     drawn = page.evaluate('document.getElementById("used-up").data[0].z')
     used_up = np.where(mission.grid.free, used_up_of(mission), np.nan)
     assert np.array(drawn, dtype=float).ravel() == pytest.approx(used_up, abs=1e-3, nan_ok=True)
@@ -229,9 +230,7 @@ def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, sho
 def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_path):
     grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
     mission = read_mission(single(tmp_path / 'mission.mcap', 8, grid=grid))
-    file = tmp_path / 'report.html'
-    file.write_text(page_of(mission, curves_of(mission))[0])
-    page = opened(file=file)
+    page = opened(file=page_file(mission))
     page.locator('#row').fill('2')
     page.locator('#row').press('Enter')
     cell = 2 * grid.width + int(page.locator('#column').input_value())
@@ -273,9 +272,7 @@ def surveyed(tmp_path_factory):
         log.add_metadata(f'{PARAMETERS}/estimator', parameters_record(parameters))
         record_to(log, sent_by_single(12, grid=grid).sent)
     mission = read_mission(folder / 'mission.mcap')
-    page = folder / 'report.html'
-    page.write_text(page_of(mission, curves_of(mission))[0])
-    return mission, page
+    return mission, page_file(mission)
 
 
 def test_what_was_found_is_told_on_the_earth(opened, surveyed):
@@ -379,7 +376,8 @@ def test_the_row_of_the_moment_is_in_view_and_the_page_stays(opened, shown):
 
 
 @pytest.mark.parametrize('width', [390, 800, 1400])
-def test_nothing_flows_over_and_nothing_overlaps(opened, width):
+def test_nothing_flows_over_and_nothing_overlaps(opened, two, width):
+    assert opened(width, file=two[1]).evaluate('document.documentElement.scrollWidth') == width
     page = opened(width)
     assert page.evaluate('document.documentElement.scrollWidth') == width
     apart = page.evaluate(
@@ -504,24 +502,6 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
     assert page.evaluate('document.getElementById("hazard").layout.font.color') == '#1b1b1b'
 
 
-@pytest.mark.full
-@pytest.mark.parametrize('scheme', ['light', 'dark'])
-def test_everybody_can_use_it(opened, scheme):
-    assert serious_violations(opened(scheme=scheme)) == []
-
-
-def serious_violations(page):
-    """Return what axe finds on a page that keeps people out."""
-    if not AXE.exists():
-        pytest.skip(f'axe-core is not installed: npm ci --prefix {AXE.parents[2]}')
-    page.add_script_tag(content=AXE.read_text())
-    return [
-        (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
-        for each in page.evaluate('axe.run()')['violations']
-        if each['impact'] in ('serious', 'critical')
-    ]
-
-
 @pytest.mark.processes
 @pytest.mark.usefixtures('browser')
 def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
@@ -545,9 +525,7 @@ def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
 def test_a_team_shows_who_is_out(opened, tmp_path):
     log, _ = team(tmp_path / 'mission.mcap')
     mission = read_mission(log)
-    file = tmp_path / 'report.html'
-    file.write_text(page_of(mission, curves_of(mission))[0])
-    page = opened(file=file)
+    page = opened(file=page_file(mission))
     move(page, 1)
     facts = page.locator('#deployment').inner_text()
     assert 'scout_8 (no. 8)' in facts
@@ -582,11 +560,6 @@ def test_two_missions_are_drawn_as_on_record(opened, two):
     assert heads == asked_in('docs/reading.md')[: len(heads)]
 
 
-@pytest.mark.parametrize('width', [390, 800, 1400])
-def test_two_missions_fit_the_page(opened, two, width):
-    assert opened(width, file=two[1]).evaluate('document.documentElement.scrollWidth') == width
-
-
 def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
     missions, file = two
     page = opened(file=file, is_strict=True)
@@ -607,6 +580,14 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 
 
 @pytest.mark.full
+@pytest.mark.skipif(not AXE.exists(), reason=f'npm ci --prefix {AXE.parents[2]} installs axe-core')
 @pytest.mark.parametrize('scheme', ['light', 'dark'])
-def test_everybody_can_use_the_page_of_two(opened, two, scheme):
-    assert serious_violations(opened(scheme=scheme, file=two[1])) == []
+def test_everybody_can_use_the_pages(opened, shown, two, scheme):
+    for _, file in (shown, two):
+        page = opened(scheme=scheme, file=file)
+        page.add_script_tag(content=AXE.read_text())
+        assert [
+            (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
+            for each in page.evaluate('axe.run()')['violations']
+            if each['impact'] in ('serious', 'critical')
+        ] == []

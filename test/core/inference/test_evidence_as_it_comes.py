@@ -7,71 +7,6 @@ from laws import for_each
 import numpy as np
 import pytest
 
-
-def last_contact(seed, independent=False):
-    """Draw a small belief, sensors, a path, and after how many of its steps it was lost."""
-    rng = np.random.default_rng(seed)
-    while True:
-        joint, sensors, path = brute_force.random_case(rng, most_cells=5, most_steps=7)
-        if independent:
-            joint = Belief(joint).independent().joint
-        model, steps = SensorModel(**sensors), int(rng.integers(len(path) - 1))
-        if brute_force.evidence_probability(joint, model, path, None, steps) > 1e-6:
-            return joint, model, path, steps
-
-
-def missing_readings(seed):
-    """Draw a small belief, sensors, a path, and readings of which some are missing."""
-    rng = np.random.default_rng(seed)
-    while True:
-        joint, sensors, path = brute_force.random_case(rng, most_cells=5, most_steps=7)
-        model, readings = SensorModel(**sensors), rng.choice([-1, 0, 1], len(path) - 1)
-        if brute_force.evidence_probability(joint, model, path, readings) > 1e-6:
-            return joint, model, path, readings
-
-
-@for_each('seed', range(300))
-def test_a_last_contact_is_exact(seed):
-    joint, model, path, steps = last_contact(seed)
-    observation = Observation(path, survived=False, steps_survived=steps)
-    found = update(Belief(joint), model, observation).joint
-    expected = brute_force.posterior(joint, model, (path, None, steps))
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
-@for_each('seed', range(300))
-def test_missing_readings_are_exact(seed):
-    joint, model, path, readings = missing_readings(seed)
-    found = update(Belief(joint), model, Observation(path, True, readings)).joint
-    expected = brute_force.posterior(joint, model, (path, readings))
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
-@for_each('seed', range(100))
-def test_multi_universe_averaging_takes_a_last_contact_exactly(seed):
-    joint, model, path, steps = last_contact(seed, independent=True)
-    observation = Observation(path, survived=False, steps_survived=steps)
-    found = update(Belief(joint), model, observation, 'relaxed_itp').hazard
-    expected = brute_force.posterior(joint, model, (path, None, steps))
-    assert found == pytest.approx(expected[:, 1].sum(axis=1), rel=1e-9, abs=1e-12)
-
-
-@for_each('seed', range(100))
-def test_the_published_loss_starts_from_the_steps_survived(seed):
-    joint, model, path, steps = last_contact(seed)
-    observation = Observation(path, survived=False, steps_survived=steps)
-    found = update(Belief(joint), model, observation, 'kappa_bnitp_published')
-    alive = joint.copy()
-    for cell in path[: steps + 1][1:]:
-        alive[cell] *= np.array(brute_force.step_survival(model))[:, None]
-    alive /= alive.sum(axis=(1, 2), keepdims=True)
-    for cell, (hazard, target, _) in brute_force.published_loss(
-        alive, model, path[steps:]
-    ).items():
-        assert found.hazard[cell] == pytest.approx(hazard, rel=1e-9, abs=1e-12)
-        assert found.target[cell] == pytest.approx(target, rel=1e-9, abs=1e-12)
-
-
 # When a last contact is all that was told
 
 
@@ -132,7 +67,8 @@ def test_beliefs_in_each_contact_blame_late_steps_too_much():
 
 
 def test_nothing_known_is_nothing_changed():
-    joint, model, path, _ = last_contact(1)
+    joint, sensors, path = brute_force.random_case(np.random.default_rng(1), 5, 7)
+    model = SensorModel(**sensors)
     plain = update(Belief(joint), model, Observation(path, False)).joint
     told = update(Belief(joint), model, Observation(path, False, None, 0)).joint
     assert plain.tobytes() == told.tobytes()
