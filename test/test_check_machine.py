@@ -49,10 +49,7 @@ def machine(tmp_path):
             Path(there, name).write_text(f'#!/bin/sh\n{tools[name]}\n')
             Path(there, name).chmod(0o755)
         return subprocess.run(
-            ['/bin/sh', SCRIPT, python],
-            env={'PATH': there},
-            capture_output=True,
-            text=True,
+            ['/bin/sh', SCRIPT, python], env={'PATH': there}, capture_output=True, text=True
         )
 
     return check

@@ -35,11 +35,7 @@ BELOW = {
         'core.planning.search',
         'plugins',
     },
-    'core.planning': {
-        'core.planning.objective',
-        'core.planning.search',
-        'core.planning.teams',
-    },
+    'core.planning': {'core.planning.objective', 'core.planning.search', 'core.planning.teams'},
     'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
     'core': {'core.decision', 'core.field', 'core.inference', 'core.planning', 'plugins'},
     'testing': {

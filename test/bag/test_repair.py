@@ -4,12 +4,7 @@
 from disk import room_for
 from kbnitp_ros.bag.log_files import parts_of
 from kbnitp_ros.bag.metadata import BagFile, write_metadata
-from kbnitp_ros.bag.reader import (
-    is_finished,
-    read_metadata,
-    read_part,
-    RecordedMessage,
-)
+from kbnitp_ros.bag.reader import is_finished, read_metadata, read_part, RecordedMessage
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import main

@@ -12,22 +12,10 @@ import sys
 import time
 
 from demo_mission import demo_mission
-from kbnitp_ros.bag.reader import (
-    is_finished,
-    LogError,
-    read_log,
-    read_recorded,
-    RecordedMetadata,
-)
+from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.bag.repair import copy
 from kbnitp_ros.bag.writer import LogWriter
-from kbnitp_ros.cli.demo import (
-    chosen_parameters,
-    main,
-    NODES,
-    parse,
-    recorded_parameters,
-)
+from kbnitp_ros.cli.demo import chosen_parameters, main, NODES, parse, recorded_parameters
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import (

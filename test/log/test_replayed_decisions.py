@@ -50,10 +50,7 @@ def replayed(folder, sent, goal=LANE):
     return replay(record(folder / 'mission.mcap', sent), asked=RecordedGoal(goal, MAX_STEPS))
 
 
-@for_each(
-    'goal, method',
-    [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp')],
-)
+@for_each('goal, method', [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp')])
 def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     report = replayed(tmp_path_factory.mktemp('log'), decided(goal, method), goal)
     assert report.reproduced, report.mismatches

@@ -17,15 +17,8 @@ import numpy as np
 import pytest
 from small_study import changed
 
-RIGHT, STATIC, SAME = (
-    Strategy(),
-    Strategy(dynamics='static'),
-    Strategy(paths='static'),
-)
-KINDS = {
-    'changing': Hazards('changing', appear=0.1, vanish=0.3),
-    'used_up': Hazards('used_up'),
-}
+RIGHT, STATIC, SAME = (Strategy(), Strategy(dynamics='static'), Strategy(paths='static'))
+KINDS = {'changing': Hazards('changing', appear=0.1, vanish=0.3), 'used_up': Hazards('used_up')}
 
 
 def of_kind(scenario, kind, teams=(RIGHT, STATIC, SAME)):

@@ -208,16 +208,7 @@ def test_grids_compare_and_cannot_be_changed():
         grid.base = 3
 
 
-@for_each(
-    'path',
-    [
-        [5, 5],
-        [5, 6, 5],
-        [5, 5, 5, 5],
-        [5, 0, 4, 8, 5],
-        [5, 10, 11, 11, 10, 5],
-    ],
-)
+@for_each('path', [[5, 5], [5, 6, 5], [5, 5, 5, 5], [5, 0, 4, 8, 5], [5, 10, 11, 11, 10, 5]])
 def test_legal_paths_pass(path):
     checked = Grid(4, 3, base=5).check_path(path, max_steps=5)
     assert checked.tolist() == path

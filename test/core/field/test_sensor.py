@@ -27,12 +27,7 @@ def test_survival_of_a_step():
 
 @for_each(
     'lethality, expected',
-    [
-        (0.0, 0.95),
-        (0.01, 0.95 * 0.9905),
-        (0.5, 0.95 * 0.525),
-        (1.0, 0.95 * 0.05),
-    ],
+    [(0.0, 0.95), (0.01, 0.95 * 0.9905), (0.5, 0.95 * 0.525), (1.0, 0.95 * 0.05)],
 )
 def test_survival_of_a_hazard(lethality, expected):
     assert float(SensorModel(lethality).survival(1)) == pytest.approx(expected, abs=1e-15)

@@ -125,10 +125,7 @@ def test_losses_told_a_step_late_are_found():
 
 @for_each(
     'kind, dynamics',
-    [
-        ('changing', Dynamics('changing', appear=0.2, vanish=0.02)),
-        ('used_up', STATIC),
-    ],
+    [('changing', Dynamics('changing', appear=0.2, vanish=0.02)), ('used_up', STATIC)],
 )
 def test_dynamics_of_another_kind_are_found(kind, dynamics):
     p, _ = worst(KINDS[kind], replace(KINDS[kind], dynamics=dynamics))

@@ -105,10 +105,7 @@ def without_kappa(joint):
 
 @for_each(
     'relaxed, correlated',
-    [
-        ('relaxed_itp', 'kappa_bnitp'),
-        ('relaxed_bnitp', 'kappa_bnitp_published'),
-    ],
+    [('relaxed_itp', 'kappa_bnitp'), ('relaxed_bnitp', 'kappa_bnitp_published')],
 )
 @for_each('seed', range(60))
 def test_methods_without_kappa_start_from_kappa_equal_to_target(seed, relaxed, correlated):
