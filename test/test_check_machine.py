@@ -61,21 +61,18 @@ def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
-@for_each(
-    'lack, missing, remedy',
-    [
-        ({'without': 'cc'}, 'C compiler', 'apt install g++'),
-        ({'without': 'c++'}, 'C++ compiler', 'apt install g++'),
-        ({'without': 'cmake'}, 'cmake', 'apt install cmake'),
-        ({'venv': 1}, 'venv', 'apt install python3.12-venv'),
-        ({'include': '/nowhere'}, '/nowhere/Python.h', 'apt install python3.12-dev'),
-        ({'python': 'python9'}, 'python9', 'apt install python3'),
-        ({'version': '3.9'}, '3.9', 'make PYTHON='),
-        ({'version': '3.14'}, '3.14', 'make PYTHON='),
-        ({'system': 'Darwin arm64'}, 'Darwin arm64', 'colcon build'),
-        ({'version': '2.7'}, '2.7', 'make PYTHON='),
-    ],
-)
+@for_each('lack, missing, remedy', [
+    ({'without': 'cc'}, 'C compiler', 'apt install g++'),
+    ({'without': 'c++'}, 'C++ compiler', 'apt install g++'),
+    ({'without': 'cmake'}, 'cmake', 'apt install cmake'),
+    ({'venv': 1}, 'venv', 'apt install python3.12-venv'),
+    ({'include': '/nowhere'}, '/nowhere/Python.h', 'apt install python3.12-dev'),
+    ({'python': 'python9'}, 'python9', 'apt install python3'),
+    ({'version': '3.9'}, '3.9', 'make PYTHON='),
+    ({'version': '3.14'}, '3.14', 'make PYTHON='),
+    ({'system': 'Darwin arm64'}, 'Darwin arm64', 'colcon build'),
+    ({'version': '2.7'}, '2.7', 'make PYTHON='),
+])  # fmt: skip
 def test_what_is_missing_takes_one_line_with_its_remedy(machine, lack, missing, remedy):
     done = machine(**lack)
     assert done.returncode == 1

@@ -92,14 +92,11 @@ def run(tmp_path):
     return run
 
 
-@pytest.mark.parametrize(
-    'asked, expected, told',
-    [
-        ('', 0, '1 passed, 1 skipped'),
-        ('full', 0, '2 passed'),
-        ('ful', 4, f"{VARIABLE} is 'ful': it must be full, or not be set"),
-    ],
-)
+@pytest.mark.parametrize('asked, expected, told', [
+    ('', 0, '1 passed, 1 skipped'),
+    ('full', 0, '2 passed'),
+    ('ful', 4, f"{VARIABLE} is 'ful': it must be full, or not be set"),
+])  # fmt: skip
 def test_all_is_tested_if_asked_for(run, asked, expected, told):
     status, words = run(LONG, asked=asked)
     assert status == expected

@@ -86,15 +86,12 @@ def test_what_fails_says_why(tree, pip, npm, reasons, missing):
     assert not (tree / '.venv' / f'.{missing}').exists()
 
 
-@pytest.mark.parametrize(
-    'target, command, with_npm',
-    [
-        ('check', 'ruff check', False),
-        ('test-quick', "-m 'not processes and not slow'", False),
-        ('test', 'pytest', True),
-        ('test-full', 'pytest', True),
-    ],
-)
+@pytest.mark.parametrize('target, command, with_npm', [
+    ('check', 'ruff check', False),
+    ('test-quick', "-m 'not processes and not slow'", False),
+    ('test', 'pytest', True),
+    ('test-full', 'pytest', True),
+])  # fmt: skip
 def test_only_tests_that_read_logs_in_javascript_need_npm(tree, target, command, with_npm):
     for name in ('colcon_defaults.yaml', 'package.xml', 'setup.cfg', 'setup.py'):
         (tree / name).touch()

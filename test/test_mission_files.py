@@ -216,14 +216,11 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
 
 @pytest.mark.processes
 @pytest.mark.skipif(not which('ros2'), reason='ros2 comes with an installation of ROS 2 only')
-@pytest.mark.parametrize(
-    'file, arguments, code, told',
-    [
-        ('mission', ['params_file:=short.yaml', 'robots:=2'], 0, 'process has finished cleanly'),
-        ('mission', ['robot:=2'], 1, 'launch argument robot is unknown: did you mean robots?'),
-        ('base', ['params_file:=none.yaml'], 1, 'none.yaml: No such file or directory'),
-    ],
-)
+@pytest.mark.parametrize('file, arguments, code, told', [
+    ('mission', ['params_file:=short.yaml', 'robots:=2'], 0, 'process has finished cleanly'),
+    ('mission', ['robot:=2'], 1, 'launch argument robot is unknown: did you mean robots?'),
+    ('base', ['params_file:=none.yaml'], 1, 'none.yaml: No such file or directory'),
+])  # fmt: skip
 def test_ros2_launch_ends_by_itself(tmp_path, configured, file, arguments, code, told):
     configured()
     with free_domain() as domain:

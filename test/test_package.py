@@ -95,17 +95,14 @@ def pinned(*files):
 
 
 @pytest.mark.slow
-@for_each(
-    'folders, kinds, files',
-    [
-        (['kbnitp_ros', 'launch'], ['depend', 'exec_depend'], ['requirements.txt']),
-        (
-            ['test'],
-            ['depend', 'exec_depend', 'test_depend'],
-            ['requirements.txt', 'requirements-dev.txt'],
-        ),
-    ],
-)
+@for_each('folders, kinds, files', [
+    (['kbnitp_ros', 'launch'], ['depend', 'exec_depend'], ['requirements.txt']),
+    (
+        ['test'],
+        ['depend', 'exec_depend', 'test_depend'],
+        ['requirements.txt', 'requirements-dev.txt'],
+    ),
+])  # fmt: skip
 def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds, files):
     imported = imported_by(*folders)
     keys = {PYTHON_PACKAGES.get(name, (name,))[0] for name in imported} - {None}

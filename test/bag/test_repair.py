@@ -60,14 +60,11 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     assert content(folder / 'whole.mcap') == parts
 
 
-@for_each(
-    'name, told',
-    [
-        ('mission.mcap', 'mission.mcap'),
-        ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
-        ('mission_3.mcap', 'would be taken for a part'),
-    ],
-)
+@for_each('name, told', [
+    ('mission.mcap', 'mission.mcap'),
+    ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
+    ('mission_3.mcap', 'would be taken for a part'),
+])  # fmt: skip
 def test_a_bad_target_is_refused_and_what_is_there_is_kept(folder, capsys, name, told):
     before = {file: file.read_bytes() for file in folder.iterdir()}
     assert main([str(folder), '--repair', str(folder / name)]) == 2

@@ -327,21 +327,14 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     assert differing == expected.get(node, set())
 
 
-@for_each(
-    'options, method, learn',
-    [
-        ([], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
-        (
-            ['--method', 'kappa_bnitp_sampled'],
-            'kappa_bnitp_sampled',
-            ('lethality', 'hazard_density'),
-        ),
-        (['--method', 'relaxed_itp'], 'relaxed_itp', ()),
-        (['--set', 'estimator:method=kappa_bnitp'], 'kappa_bnitp', ()),
-        (['--set', 'learn=[]'], 'kappa_bnitp_sampled', ()),
-        (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp_sampled', ('kappa', 'malfunction')),
-    ],
-)
+@for_each('options, method, learn', [
+    ([], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
+    (['--method', 'kappa_bnitp_sampled'], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
+    (['--method', 'relaxed_itp'], 'relaxed_itp', ()),
+    (['--set', 'estimator:method=kappa_bnitp'], 'kappa_bnitp', ()),
+    (['--set', 'learn=[]'], 'kappa_bnitp_sampled', ()),
+    (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp_sampled', ('kappa', 'malfunction')),
+])  # fmt: skip
 def test_lethality_and_hazard_density_are_learnt_unless_something_else_is_said(
     options, method, learn
 ):
@@ -523,16 +516,10 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running, c
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
-    'node',
-    [
-        'planner',
-        *(
-            pytest.param(each, marks=pytest.mark.full)
-            for each in ('agent', 'estimator', 'recorder')
-        ),
-    ],
-)
+@pytest.mark.parametrize('node', [
+    'planner',
+    *(pytest.param(each, marks=pytest.mark.full) for each in ('agent', 'estimator', 'recorder')),
+])  # fmt: skip
 def test_demo_fails_when_a_node_dies(running, node):
     process, _ = running
     nodes = nodes_of(process)

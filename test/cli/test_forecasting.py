@@ -69,24 +69,21 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     assert ledger.belief.joint == pytest.approx(last.belief.joint, abs=1e-9)
 
 
-@for_each(
-    'options, complaint',
-    [
-        (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
-        (['--set', 'stop.confidence=0.9'], 'goal map has no such thing as a confidence'),
-        (['--set', 'goal=lane'], 'goal lane has 0 cells'),
-        ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
-        ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
-        ([*LANE, '--set', 'bound=true'], 'bound is true, which is for the most information'),
-        (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
-        (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
-        (['--set', 'map_topic=map'], 'map_topic is map: no map reaches the forecast'),
-        (['--params', 'nothere.yaml'], 'parameter file nothere.yaml: No such file'),
-        (['nothere.mcap'], 'nothere.mcap cannot be read: No such file'),
-        (['--out', '/proc'], '/proc is there already and not empty'),
-        (['--workers', '2000'], 'workers is 2000: it must be from 1 to 1024'),
-    ],
-)
+@for_each('options, complaint', [
+    (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
+    (['--set', 'stop.confidence=0.9'], 'goal map has no such thing as a confidence'),
+    (['--set', 'goal=lane'], 'goal lane has 0 cells'),
+    ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
+    ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
+    ([*LANE, '--set', 'bound=true'], 'bound is true, which is for the most information'),
+    (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
+    (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
+    (['--set', 'map_topic=map'], 'map_topic is map: no map reaches the forecast'),
+    (['--params', 'nothere.yaml'], 'parameter file nothere.yaml: No such file'),
+    (['nothere.mcap'], 'nothere.mcap cannot be read: No such file'),
+    (['--out', '/proc'], '/proc is there already and not empty'),
+    (['--workers', '2000'], 'workers is 2000: it must be from 1 to 1024'),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(capsys, options, complaint):
     small = [] if options[0] == 'nothere.mcap' else SMALL
     assert main([*small, *options]) == 2

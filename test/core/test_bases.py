@@ -108,15 +108,12 @@ def test_a_grid_at_another_base_is_the_same_field():
     assert 'other' not in str(Grid(5, 4))
 
 
-@for_each(
-    'others, message',
-    [
-        ((3,), 'base is 3: it must be a free cell, and that one is blocked'),
-        ((20,), 'base is 20.*from 0 to 19'),
-        ((-1,), 'base is -1.*from 0 to 19'),
-        ((1.5,), 'base is 1.5.*whole number'),
-    ],
-)
+@for_each('others, message', [
+    ((3,), 'base is 3: it must be a free cell, and that one is blocked'),
+    ((20,), 'base is 20.*from 0 to 19'),
+    ((-1,), 'base is -1.*from 0 to 19'),
+    ((1.5,), 'base is 1.5.*whole number'),
+])  # fmt: skip
 def test_bases_that_cannot_be_are_refused(others, message):
     with pytest.raises(ValueError, match=message):
         Grid(5, 4, blocked=(3,), other_bases=others)

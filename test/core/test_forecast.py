@@ -170,16 +170,13 @@ def test_a_share_has_the_interval_of_wilson():
     assert Share.of(np.ones(10)).high == 1.0
 
 
-@for_each(
-    'changes, complaint',
-    [
-        ({'robots': 0}, 'robots is 0: .*at least 1'),
-        ({'worlds': 0}, 'worlds is 0: .*at least 1'),
-        ({'goal': Lane(to=6)}, 'cell 6, an obstacle'),
-        ({'goal': Lane(to=15), 'options': SearchOptions(max_steps=2)}, 'at most max_steps = 2'),
-        ({'stop': Stop(losses=9)}, 'stop.losses is 9'),
-    ],
-)
+@for_each('changes, complaint', [
+    ({'robots': 0}, 'robots is 0: .*at least 1'),
+    ({'worlds': 0}, 'worlds is 0: .*at least 1'),
+    ({'goal': Lane(to=6)}, 'cell 6, an obstacle'),
+    ({'goal': Lane(to=15), 'options': SearchOptions(max_steps=2)}, 'at most max_steps = 2'),
+    ({'stop': Stop(losses=9)}, 'stop.losses is 9'),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(changes, complaint):
     given = {'robots': 4, 'worlds': 2, 'rng': 1, 'options': OPTIONS, **changes}
     with pytest.raises(ValueError, match=complaint):

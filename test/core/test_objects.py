@@ -144,15 +144,12 @@ def test_a_function_that_returns_nonsense_is_named():
         Estimator(PRIOR, MODEL, dict)
 
 
-@for_each(
-    'make, words',
-    [
-        (lambda: Grid('4', 4), "grid width is '4': it must be a number"),
-        (lambda: SensorModel('a'), "lethality is 'a': it must be a number"),
-        (lambda: SensorModel(0.5, malfunction=None), 'malfunction is None: it must be a number'),
-        (lambda: SearchOptions(max_steps=[3]), 'max_steps is .3.: it must be a number'),
-    ],
-)
+@for_each('make, words', [
+    (lambda: Grid('4', 4), "grid width is '4': it must be a number"),
+    (lambda: SensorModel('a'), "lethality is 'a': it must be a number"),
+    (lambda: SensorModel(0.5, malfunction=None), 'malfunction is None: it must be a number'),
+    (lambda: SearchOptions(max_steps=[3]), 'max_steps is .3.: it must be a number'),
+])  # fmt: skip
 def test_a_wrong_type_is_named(make, words):
     with pytest.raises(TypeError, match=words):
         make()

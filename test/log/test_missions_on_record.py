@@ -29,26 +29,19 @@ def path(mission, stamp=1):
     return '/scout/path', 'nav_msgs/msg/Path', message
 
 
-@for_each(
-    'messages, mission, paths',
-    [
-        ([], None, []),
-        ([prior(OWN)], OWN, []),
-        ([path(FOREIGN), prior(OWN)], OWN, []),
-        ([path(FOREIGN), prior(OWN), path(OWN)], OWN, [OWN + 1]),
-        ([prior(OWN), path(FOREIGN), path(OWN)], OWN, [OWN + 1]),
-        # A path may come before its belief.
-        ([path(FOREIGN), path(OWN), prior(OWN)], OWN, [OWN + 1]),
-        # An estimator starts anew before the first robot leaves, and after it.
-        ([prior(OWN), prior(LATER), path(LATER)], LATER, [LATER + 1]),
-        ([prior(OWN), path(OWN), prior(LATER)], OWN, [OWN + 1]),
-        (
-            [path(each * 10**12) for each in range(1, 101)] + [prior(OWN), path(OWN)],
-            OWN,
-            [OWN + 1],
-        ),
-    ],
-)
+@for_each('messages, mission, paths', [
+    ([], None, []),
+    ([prior(OWN)], OWN, []),
+    ([path(FOREIGN), prior(OWN)], OWN, []),
+    ([path(FOREIGN), prior(OWN), path(OWN)], OWN, [OWN + 1]),
+    ([prior(OWN), path(FOREIGN), path(OWN)], OWN, [OWN + 1]),
+    # A path may come before its belief.
+    ([path(FOREIGN), path(OWN), prior(OWN)], OWN, [OWN + 1]),
+    # An estimator starts anew before the first robot leaves, and after it.
+    ([prior(OWN), prior(LATER), path(LATER)], LATER, [LATER + 1]),
+    ([prior(OWN), path(OWN), prior(LATER)], OWN, [OWN + 1]),
+    ([path(each * 10**12) for each in range(1, 101)] + [prior(OWN), path(OWN)], OWN, [OWN + 1]),
+])  # fmt: skip
 def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths):
     log = tmp_path / 'mission.mcap'
     with LogWriter(log) as writer:

@@ -364,32 +364,29 @@ def interval(**values):
 
 
 @pytest.mark.slow
-@for_each(
-    'field, value, told',
-    [
-        ('base', 3, 'base is 3, computed is 2'),
-        ('blocked', [8], ''),
-        ('max_steps', 9, ''),
-        ('method', 'relaxed_itp', ''),
-        ('lethality', 0.6000000000000001, ''),
-        ('seed', 6, ''),
-        ('unknowns', [UnknownNumber(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0)], ''),
-        ('unknowns', interval(low=0.2), 'unknowns[0].low is 0.2, computed is 0.1'),
-        ('unknowns', interval(name='malfunction'), "unknowns[0].name is 'malfunction', computed"),
-        ('prior', array('d', [0.25] * 80), ''),
-        ('false_positive', 0.0, ''),
-        ('deployments', 4, ''),
-        ('deployments', 6, ''),
-        ('deployments', 4_000_000_000, ''),
-        ('deployments', 0, ''),
-        ('agent', 'scout_2', ''),
-        ('agent', '', ''),
-        ('info', lambda info: changed(info, width=10), 'info.width'),
-        ('info', lambda info: changed(info, height=8), 'info.height'),
-        ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
-        ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
-    ],
-)
+@for_each('field, value, told', [
+    ('base', 3, 'base is 3, computed is 2'),
+    ('blocked', [8], ''),
+    ('max_steps', 9, ''),
+    ('method', 'relaxed_itp', ''),
+    ('lethality', 0.6000000000000001, ''),
+    ('seed', 6, ''),
+    ('unknowns', [UnknownNumber(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0)], ''),
+    ('unknowns', interval(low=0.2), 'unknowns[0].low is 0.2, computed is 0.1'),
+    ('unknowns', interval(name='malfunction'), "unknowns[0].name is 'malfunction', computed"),
+    ('prior', array('d', [0.25] * 80), ''),
+    ('false_positive', 0.0, ''),
+    ('deployments', 4, ''),
+    ('deployments', 6, ''),
+    ('deployments', 4_000_000_000, ''),
+    ('deployments', 0, ''),
+    ('agent', 'scout_2', ''),
+    ('agent', '', ''),
+    ('info', lambda info: changed(info, width=10), 'info.width'),
+    ('info', lambda info: changed(info, height=8), 'info.height'),
+    ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
+    ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
+])  # fmt: skip
 def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     original = beliefs(learnt_mission.sent)[5]
     value = value(getattr(original.message, field)) if callable(value) else value

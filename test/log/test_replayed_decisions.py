@@ -58,18 +58,15 @@ def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     assert report.not_compared == []
 
 
-@for_each(
-    'field, value, grade',
-    [
-        ('probability', 0.25, Grade.DIFFERENT),
-        ('probability', None, Grade.EQUAL),
-        ('hazards_95', 9.0, Grade.DIFFERENT),
-        ('goal', 'area', Grade.DIFFERENT),
-        ('path', None, Grade.DIFFERENT),
-        # The operator may have asked for another confidence.
-        ('reached', True, Grade.IDENTICAL),
-    ],
-)
+@for_each('field, value, grade', [
+    ('probability', 0.25, Grade.DIFFERENT),
+    ('probability', None, Grade.EQUAL),
+    ('hazards_95', 9.0, Grade.DIFFERENT),
+    ('goal', 'area', Grade.DIFFERENT),
+    ('path', None, Grade.DIFFERENT),
+    # The operator may have asked for another confidence.
+    ('reached', True, Grade.IDENTICAL),
+])  # fmt: skip
 def test_what_is_not_decided_so_is_said(tmp_path_factory, sent, field, value, grade):
     original = on(sent, '/decision')[2]
     message = deepcopy(original.message)

@@ -69,18 +69,15 @@ def test_without_numbers_there_is_none():
     assert Datum.of([55.9, -3.2, 0.1]) == Datum(55.9, -3.2, 0.1)
 
 
-@for_each(
-    'numbers, message',
-    [
-        ([91.0, 0.0, 0.0], 'datum has latitude 91.0: it must be from -90 to 90, in degrees'),
-        ([nan, 0.0, 0.0], 'datum has latitude nan'),
-        ([0.0, -180.1, 0.0], 'datum has longitude -180.1: it must be from -180 to 180'),
-        ([0.0, inf, 0.0], 'datum has longitude inf'),
-        ([0.0, 0.0, nan], 'datum has heading nan: it must be finite, in rad'),
-        ([0.0, 0.0], r'parameter datum is \[0.0, 0.0\]: it must be .latitude, longitude, head'),
-        ([0.0, 0.0, 0.0, 0.0], 'parameter datum is'),
-    ],
-)
+@for_each('numbers, message', [
+    ([91.0, 0.0, 0.0], 'datum has latitude 91.0: it must be from -90 to 90, in degrees'),
+    ([nan, 0.0, 0.0], 'datum has latitude nan'),
+    ([0.0, -180.1, 0.0], 'datum has longitude -180.1: it must be from -180 to 180'),
+    ([0.0, inf, 0.0], 'datum has longitude inf'),
+    ([0.0, 0.0, nan], 'datum has heading nan: it must be finite, in rad'),
+    ([0.0, 0.0], r'parameter datum is \[0.0, 0.0\]: it must be .latitude, longitude, head'),
+    ([0.0, 0.0, 0.0, 0.0], 'parameter datum is'),
+])  # fmt: skip
 def test_what_is_no_place_on_the_earth_is_refused(numbers, message):
     with pytest.raises(ValueError, match=message):
         Datum.of(numbers)

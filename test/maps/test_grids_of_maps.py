@@ -151,18 +151,15 @@ def test_a_cell_that_shares_part_of_an_occupied_pixel_is_blocked():
     assert Map(data, 1.0, (0.0, 0.0)).grid(1.5, unknown_blocks=False, base=3).blocked == {0, 1}
 
 
-@for_each(
-    'arguments, message',
-    [
-        ({'resolution': 0.4}, 'grid resolution is 0.4.*0.5'),
-        ({'resolution': float('nan')}, 'grid resolution is nan'),
-        ({'base_position': (3.0, 0.2)}, 'outside the grid'),
-        ({'base_position': (0.7, 0.2)}, 'base, cell 1 .*blocked'),
-        ({'base': 1}, 'base, cell 1 .*blocked'),
-        ({'base': 9}, 'base is 9'),
-        ({'connectivity': 5}, 'connectivity is 5'),
-    ],
-)
+@for_each('arguments, message', [
+    ({'resolution': 0.4}, 'grid resolution is 0.4.*0.5'),
+    ({'resolution': float('nan')}, 'grid resolution is nan'),
+    ({'base_position': (3.0, 0.2)}, 'outside the grid'),
+    ({'base_position': (0.7, 0.2)}, 'base, cell 1 .*blocked'),
+    ({'base': 1}, 'base, cell 1 .*blocked'),
+    ({'base': 9}, 'base is 9'),
+    ({'connectivity': 5}, 'connectivity is 5'),
+])  # fmt: skip
 def test_what_no_grid_can_be_is_refused(arguments, message):
     data = np.array([[0, 100], [0, 0]], dtype=np.int8)
     with pytest.raises(ValueError, match=message):

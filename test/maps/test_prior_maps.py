@@ -121,18 +121,15 @@ def test_arrays_of_another_shape_are_refused(tmp_path, width, height, remedy):
         read_probabilities(path, Grid(width, height), 0.9)
 
 
-@for_each(
-    'array, message',
-    [
-        ([[0.1, 1.5]], '1.5 in row 0, column 1.*0 to 1'),
-        ([[0.1], [-0.5]], '-0.5 in row 1, column 0'),
-        ([[float('nan')]], 'nan in row 0'),
-        ([0.1, 0.2], 'rows and columns'),
-        (np.zeros((0, 3)), 'rows and columns'),
-        ([['a']], 'no array of numbers'),
-        ([[None]], 'no array of numbers'),
-    ],
-)
+@for_each('array, message', [
+    ([[0.1, 1.5]], '1.5 in row 0, column 1.*0 to 1'),
+    ([[0.1], [-0.5]], '-0.5 in row 1, column 0'),
+    ([[float('nan')]], 'nan in row 0'),
+    ([0.1, 0.2], 'rows and columns'),
+    (np.zeros((0, 3)), 'rows and columns'),
+    ([['a']], 'no array of numbers'),
+    ([[None]], 'no array of numbers'),
+])  # fmt: skip
 def test_bad_arrays_are_refused(tmp_path, array, message):
     path = tmp_path / 'prior.npy'
     np.save(path, array)

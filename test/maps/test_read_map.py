@@ -168,24 +168,21 @@ def test_a_turned_map_lies_as_it_says(tmp_path):
     assert (grid.origin, grid.yaw) == ((4.0, -1.0), 0.3)
 
 
-@for_each(
-    'changes, message',
-    [
-        ({'image': 'nothere.pgm'}, 'nothere.pgm cannot be read: No such file'),
-        ({'image': 'map.yaml'}, 'map.yaml is no image in PGM, PNG or BMP'),
-        ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
-        ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
-        ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
-        ({'resolution': None}, 'no resolution'),
-        ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
-        ({'origin': [0, 0, '.nan']}, 'origin.*finite'),
-        ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
-        ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
-        ({'negate': 2}, 'negate.*2.*0 or 1'),
-        ({'free_thresh': 0.7}, 'free_thresh.*0.7.*below'),
-        ({'occupied_thresh': '[1]'}, 'occupied_thresh.*finite number'),
-    ],
-)
+@for_each('changes, message', [
+    ({'image': 'nothere.pgm'}, 'nothere.pgm cannot be read: No such file'),
+    ({'image': 'map.yaml'}, 'map.yaml is no image in PGM, PNG or BMP'),
+    ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
+    ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
+    ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
+    ({'resolution': None}, 'no resolution'),
+    ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
+    ({'origin': [0, 0, '.nan']}, 'origin.*finite'),
+    ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
+    ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
+    ({'negate': 2}, 'negate.*2.*0 or 1'),
+    ({'free_thresh': 0.7}, 'free_thresh.*0.7.*below'),
+    ({'occupied_thresh': '[1]'}, 'occupied_thresh.*finite number'),
+])  # fmt: skip
 def test_bad_files_are_refused(tmp_path, changes, message):
     write(tmp_path, np.zeros((2, 2)))
     with pytest.raises(MapError, match=message):

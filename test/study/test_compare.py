@@ -96,19 +96,16 @@ def locked(lock):
     return lambda *given: lock and coverage(*given)
 
 
-@for_each(
-    'given, error, words',
-    [
-        ({'planners': [lambda f, o: []]}, ValueError, "planner '<lambda>': it has no name; name"),
-        ({'planners': [sweep, sweep]}, ValueError, "planner 'sweep': two have this name"),
-        ({'planners': {'beam': sweep}}, ValueError, "planner 'beam': kbnitp_ros has a planner"),
-        ({'planners': ['beem']}, ValueError, "planner is 'beem': known are relaxed"),
-        ({'methods': [dict]}, TypeError, "method 'dict': it must"),
-        ({'methods': ['beam']}, ValueError, "methods is 'beam': known are"),
-        ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
-        ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
-    ],
-)
+@for_each('given, error, words', [
+    ({'planners': [lambda f, o: []]}, ValueError, "planner '<lambda>': it has no name; name"),
+    ({'planners': [sweep, sweep]}, ValueError, "planner 'sweep': two have this name"),
+    ({'planners': {'beam': sweep}}, ValueError, "planner 'beam': kbnitp_ros has a planner"),
+    ({'planners': ['beem']}, ValueError, "planner is 'beem': known are relaxed"),
+    ({'methods': [dict]}, TypeError, "method 'dict': it must"),
+    ({'methods': ['beam']}, ValueError, "methods is 'beam': known are"),
+    ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
+    ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
+])  # fmt: skip
 def test_what_cannot_be_compared_is_refused(given, error, words):
     with pytest.raises(error, match=words):
         compare(SMALL, **given, workers=1)

@@ -31,15 +31,12 @@ PLANNERS = (NONE, Strategy(planner='coverage'), Strategy(planner='random'))
 MAPS = (NONE, Strategy(survey=0.9), Strategy(survey=0.5, trusted=0.8))
 
 
-@for_each(
-    'comparison, teams, others, name, sign, cells',
-    [
-        (BY_PLANNER, PLANNERS, (1, 2), 'difference', 1, [['`coverage`'], ['`random`']]),
-        (CONTACT, CONTACTS, (2, 0), 'value', -1, [['0.3'], ['1']]),
-        (BY_OBJECTIVE, OBJECTIVES, (1, 2), 'difference', 1, None),
-        (BY_MAP, MAPS, (1, 2), 'value', -1, [['0.9', '0.9'], ['0.5', '0.8']]),
-    ],
-)
+@for_each('comparison, teams, others, name, sign, cells', [
+    (BY_PLANNER, PLANNERS, (1, 2), 'difference', 1, [['`coverage`'], ['`random`']]),
+    (CONTACT, CONTACTS, (2, 0), 'value', -1, [['0.3'], ['1']]),
+    (BY_OBJECTIVE, OBJECTIVES, (1, 2), 'difference', 1, None),
+    (BY_MAP, MAPS, (1, 2), 'value', -1, [['0.9', '0.9'], ['0.5', '0.8']]),
+])  # fmt: skip
 def test_each_is_compared_with_the_first(
     scenario, tmp_path, comparison, teams, others, name, sign, cells
 ):

@@ -105,14 +105,11 @@ def test_a_trial_that_cannot_be_opened_is_told(folder, tmp_path):
         folder.outcomes()
 
 
-@pytest.mark.parametrize(
-    'change, complaint',
-    [
-        ({'robots': 5}, 'robots 4 and not 5'),
-        ({'lethalities': (0.2, 0.8)}, r'lethalities \(0.2, 0.9\) and not \(0.2, 0.8\)'),
-        ({'believed_lethality': 1.0}, 'believed_lethality None and not 1.0'),
-    ],
-)
+@pytest.mark.parametrize('change, complaint', [
+    ({'robots': 5}, 'robots 4 and not 5'),
+    ({'lethalities': (0.2, 0.8)}, r'lethalities \(0.2, 0.9\) and not \(0.2, 0.8\)'),
+    ({'believed_lethality': 1.0}, 'believed_lethality None and not 1.0'),
+])  # fmt: skip
 def test_the_folder_of_another_scenario_is_refused(folder, tmp_path, scenario, change, complaint):
     with pytest.raises(ValueError, match=f'here holds results of another scenario.*{complaint}'):
         Folder(tmp_path / 'made' / 'here', replace(scenario, **change))

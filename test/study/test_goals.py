@@ -189,38 +189,32 @@ def test_without_a_decision_nothing_of_it_is_measured(scenario, results):
     assert results.table().column('goal').unique().to_pylist() == ['map']
 
 
-@pytest.mark.parametrize(
-    'changes, named',
-    [
-        ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for lane, and nothing is asked'),
-        (
-            {'asked': {'goal': 'area', 'cells': [3]}, 'teams': [{'goal': 'lane'}]},
-            'sent for lane, and area is asked',
-        ),
-        ({'asked': {'goal': 'map', 'cells': [3]}}, 'goal map has no such thing as cells'),
-        ({'asked': {'goal': 'lane', 'cells': [3, 4]}}, 'goal lane has 2 cells'),
-        ({'asked': {'goal': 'lane', 'cells': [12]}}, 'asked: goal is cell 12, off the map'),
-        ({'asked': {'goal': 'lane', 'cells': [5]}}, 'asked: goal is cell 5, the base'),
-        ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 0.999}}, 'independent draws'),
-        ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 1.0}}, 'confidence is 1.0'),
-    ],
-)
+@pytest.mark.parametrize('changes, named', [
+    ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for lane, and nothing is asked'),
+    (
+        {'asked': {'goal': 'area', 'cells': [3]}, 'teams': [{'goal': 'lane'}]},
+        'sent for lane, and area is asked',
+    ),
+    ({'asked': {'goal': 'map', 'cells': [3]}}, 'goal map has no such thing as cells'),
+    ({'asked': {'goal': 'lane', 'cells': [3, 4]}}, 'goal lane has 2 cells'),
+    ({'asked': {'goal': 'lane', 'cells': [12]}}, 'asked: goal is cell 12, off the map'),
+    ({'asked': {'goal': 'lane', 'cells': [5]}}, 'asked: goal is cell 5, the base'),
+    ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 0.999}}, 'independent draws'),
+    ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 1.0}}, 'confidence is 1.0'),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(changes, named):
     with pytest.raises(ValueError, match=named):
         scenario_of({**CONTENT, **changes})
 
 
-@pytest.mark.parametrize(
-    'name, goals',
-    [
-        ('lanes', [type(None), SafestLane, Lane]),
-        ('lanes_learning', [type(None), SafestLane, Lane]),
-        ('certificates', [Lane]),
-        ('certificates_learning', [Lane]),
-        ('certificates_clustered', [Lane]),
-        ('areas', [type(None), Area, type(None), type(None)]),
-    ],
-)
+@pytest.mark.parametrize('name, goals', [
+    ('lanes', [type(None), SafestLane, Lane]),
+    ('lanes_learning', [type(None), SafestLane, Lane]),
+    ('certificates', [Lane]),
+    ('certificates_learning', [Lane]),
+    ('certificates_clustered', [Lane]),
+    ('areas', [type(None), Area, type(None), type(None)]),
+])  # fmt: skip
 def test_shipped_scenarios_send_robots_for_goals(name, goals):
     scenario = read_scenario(scenario_file(name))
     assert [type(scenario.goal(team)) for team in scenario.teams] == goals

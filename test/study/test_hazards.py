@@ -98,18 +98,15 @@ def test_rows_are_called_by_what_is_believed(scenario):
     assert tuple(team_labels(clustered).values()) == ('independent', 'clustered')
 
 
-@for_each(
-    'key, value, told',
-    [
-        ('hazards', {'dynamics': 'odd'}, "'odd': it must be one of static, changing, used_up"),
-        ('hazards', {'appear': 0.1}, 'hazards: appear is 0.1: no hazards are changing'),
-        ('hazards', {'dynamics': 'changing'}, 'hazards: changing ones need a rate'),
-        ('hazards', {'layout': 'odd'}, "'odd': it must be one of independent, blobs, rows"),
-        ('hazards', {'dynamics': 'used_up'}, 'hazards: .* does not take hazards that are used_up'),
-        ('teams', [{'clustering': 'learn'}], 'hazards: .* does not take clustered hazards'),
-        ('teams', [{'objective': 'odd'}], "'odd': it must be one of information, behavioral"),
-    ],
-)
+@for_each('key, value, told', [
+    ('hazards', {'dynamics': 'odd'}, "'odd': it must be one of static, changing, used_up"),
+    ('hazards', {'appear': 0.1}, 'hazards: appear is 0.1: no hazards are changing'),
+    ('hazards', {'dynamics': 'changing'}, 'hazards: changing ones need a rate'),
+    ('hazards', {'layout': 'odd'}, "'odd': it must be one of independent, blobs, rows"),
+    ('hazards', {'dynamics': 'used_up'}, 'hazards: .* does not take hazards that are used_up'),
+    ('teams', [{'clustering': 'learn'}], 'hazards: .* does not take clustered hazards'),
+    ('teams', [{'objective': 'odd'}], "'odd': it must be one of information, behavioral"),
+])  # fmt: skip
 def test_what_no_method_takes_is_refused(key, value, told):
     with pytest.raises(ValueError, match=told):
         scenario_of(changed(key, value))

@@ -194,19 +194,16 @@ def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
     assert table['lethality'].null_count == (table.num_rows if kind == 'drawn' else 0)
 
 
-@for_each(
-    'changes, complaint',
-    [
-        ({'learn': None}, 'learn is None'),
-        ({'learn': {}}, f'learn: {LEARNING} has nothing to learn'),
-        ({'learn': {'lethalty': {}}}, 'learn.lethalty is unknown: learn has lethality, malf'),
-        ({'learn': {'lethality': {'low': 0.9, 'high': 0.1}}}, 'learn: interval is from 0.9 to'),
-        ({'learn': {'lethality': {'a': 0}}}, r'learn.lethality.a is 0.*from 0\.01 to'),
-        ({'learn': {'lethality': 0.5}}, 'learn.lethality is 0.5: it must have the keys low'),
-        ({'lethalities': [None], 'learn': {'kappa': {}}}, 'learn: lethality has no prior here'),
-        ({'world': {**small_study.CONTENT['world'], 'kappa': None}}, 'learn: kappa has no prior'),
-    ],
-)
+@for_each('changes, complaint', [
+    ({'learn': None}, 'learn is None'),
+    ({'learn': {}}, f'learn: {LEARNING} has nothing to learn'),
+    ({'learn': {'lethalty': {}}}, 'learn.lethalty is unknown: learn has lethality, malf'),
+    ({'learn': {'lethality': {'low': 0.9, 'high': 0.1}}}, 'learn: interval is from 0.9 to'),
+    ({'learn': {'lethality': {'a': 0}}}, r'learn.lethality.a is 0.*from 0\.01 to'),
+    ({'learn': {'lethality': 0.5}}, 'learn.lethality is 0.5: it must have the keys low'),
+    ({'lethalities': [None], 'learn': {'kappa': {}}}, 'learn: lethality has no prior here'),
+    ({'world': {**small_study.CONTENT['world'], 'kappa': None}}, 'learn: kappa has no prior'),
+])  # fmt: skip
 def test_what_cannot_be_learnt_is_refused(tmp_path, changes, complaint):
     with pytest.raises(ValueError, match=f'scenario.yaml: {complaint}'):
         study(tmp_path, {**LEARNT_STUDY, **changes})

@@ -90,27 +90,24 @@ def test_what_has_no_kinds_is_beside_the_first(scenario):
     ]
 
 
-@for_each(
-    'methods, teams, expected',
-    [
-        (('kappa_bnitp',), (Strategy(),), ['kappa_bnitp']),
-        (ALL_METHODS[:2], (Strategy(),), list(ALL_METHODS[:2])),
-        (ALL_METHODS[3:4], COSTS[:2], ['loss cost 0', 'loss cost 0.05']),
-        (ALL_METHODS[3:4], CONTACTS[:2], ['last contact 0', 'last contact 0.2']),
-        (ALL_METHODS[3:4], PLANNERS[:2], ['relaxed', 'coverage']),
-        (
-            ALL_METHODS[3:4],
-            (*SURVEYS[:2], SURVEYS[-1]),
-            ['no map', 'map 0.7', 'map 0.7 trusted as 0.9'],
-        ),
-        (('kappa_bnitp',), (Strategy(), Strategy(2)), ['one by one', '2 greedy']),
-        (
-            ALL_METHODS[:2],
-            (Strategy(), Strategy(2)),
-            [f'{of}, {team}' for of in ALL_METHODS[:2] for team in ('one by one', '2 greedy')],
-        ),
-    ],
-)
+@for_each('methods, teams, expected', [
+    (('kappa_bnitp',), (Strategy(),), ['kappa_bnitp']),
+    (ALL_METHODS[:2], (Strategy(),), list(ALL_METHODS[:2])),
+    (ALL_METHODS[3:4], COSTS[:2], ['loss cost 0', 'loss cost 0.05']),
+    (ALL_METHODS[3:4], CONTACTS[:2], ['last contact 0', 'last contact 0.2']),
+    (ALL_METHODS[3:4], PLANNERS[:2], ['relaxed', 'coverage']),
+    (
+        ALL_METHODS[3:4],
+        (*SURVEYS[:2], SURVEYS[-1]),
+        ['no map', 'map 0.7', 'map 0.7 trusted as 0.9'],
+    ),
+    (('kappa_bnitp',), (Strategy(), Strategy(2)), ['one by one', '2 greedy']),
+    (
+        ALL_METHODS[:2],
+        (Strategy(), Strategy(2)),
+        [f'{of}, {team}' for of in ALL_METHODS[:2] for team in ('one by one', '2 greedy')],
+    ),
+])  # fmt: skip
 def test_contenders_are_called_what_tells_them_apart(scenario, methods, teams, expected):
     scenario = replace(scenario, methods=methods, teams=teams)
     assert list(labels_of(scenario).values()) == expected

@@ -25,16 +25,13 @@ def teams(scenario):
     return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
 
 
-@for_each(
-    'robots, agents, expected',
-    [
-        (4, 1, [0, 1, 2, 3, 4]),
-        (4, 2, [0, 2, 4]),
-        (4, 3, [0, 3, 4]),
-        (4, 4, [0, 4]),
-        (4, 8, [0, 4]),
-    ],
-)
+@for_each('robots, agents, expected', [
+    (4, 1, [0, 1, 2, 3, 4]),
+    (4, 2, [0, 2, 4]),
+    (4, 3, [0, 3, 4]),
+    (4, 4, [0, 4]),
+    (4, 8, [0, 4]),
+])  # fmt: skip
 def test_a_round_is_over_when_its_last_robot_is(robots, agents, expected):
     series = np.arange(3.0)[:, None] + np.arange(robots + 1.0)
     assert after_rounds(series, agents)[0].tolist() == expected

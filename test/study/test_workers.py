@@ -118,27 +118,21 @@ def test_a_backend_that_is_not_installed_is_one_error(monkeypatch):
         pass
 
 
-@for_each(
-    'arguments, complaint',
-    [
-        (('loky', None, 'host:1'), 'scheduler is host:1.*must be dask, not loky'),
-        (('dask', 2, 'host:1'), 'workers is 2: leave it out.*host:1'),
-    ],
-)
+@for_each('arguments, complaint', [
+    (('loky', None, 'host:1'), 'scheduler is host:1.*must be dask, not loky'),
+    (('dask', 2, 'host:1'), 'workers is 2: leave it out.*host:1'),
+])  # fmt: skip
 def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, complaint):
     monkeypatch.setattr(module, 'find_spec', lambda name: True)
     with pytest.raises(ValueError, match=complaint), workers(*arguments):
         pass
 
 
-@for_each(
-    'error, told',
-    [
-        (ValueError('a robot met the impossible'), 'failed: a robot met the impossible'),
-        (OverflowError('int too large'), 'failed: int too large'),
-        (MemoryError('14.6 TiB'), r'needs more memory than there is: 14\.6 TiB'),
-    ],
-)
+@for_each('error, told', [
+    (ValueError('a robot met the impossible'), 'failed: a robot met the impossible'),
+    (OverflowError('int too large'), 'failed: int too large'),
+    (MemoryError('14.6 TiB'), r'needs more memory than there is: 14\.6 TiB'),
+])  # fmt: skip
 def test_a_trial_is_named_whatever_it_fails_of(scenario, error, told):
     def fail(trial):
         raise error

@@ -346,21 +346,18 @@ def test_a_round_is_worth_as_much_as_the_best_of_its_plans():
     assert 'no plan is expected to bring more' in known.why_worthless(0.0)
 
 
-@pytest.mark.parametrize(
-    'make, named',
-    [
-        (lambda: Lane(24, 1.0), 'confidence is 1.0'),
-        (lambda: Area([3], 0.0), 'confidence is 0.0'),
-        (lambda: Area([]), 'without cells'),
-        (lambda: Lane(0), 'the base'),
-        (lambda: Lane(25), 'off the map'),
-        (lambda: Lane(3), 'obstacle'),
-        (lambda: Lane(4), 'no way leads'),
-        (lambda: Lane(20), 'max_steps = 3'),
-        (lambda: Area([20]), 'max_steps = 3'),
-        (lambda: Lane(6, 0.999), 'independent draws'),
-    ],
-)
+@pytest.mark.parametrize('make, named', [
+    (lambda: Lane(24, 1.0), 'confidence is 1.0'),
+    (lambda: Area([3], 0.0), 'confidence is 0.0'),
+    (lambda: Area([]), 'without cells'),
+    (lambda: Lane(0), 'the base'),
+    (lambda: Lane(25), 'off the map'),
+    (lambda: Lane(3), 'obstacle'),
+    (lambda: Lane(4), 'no way leads'),
+    (lambda: Lane(20), 'max_steps = 3'),
+    (lambda: Area([20]), 'max_steps = 3'),
+    (lambda: Lane(6, 0.999), 'independent draws'),
+])  # fmt: skip
 def test_goals_that_cannot_be_reached_are_refused(make, named):
     grid = Grid(5, 5, blocked=(3, 8, 9))
     world = World(np.zeros(25, bool), np.zeros(25, bool))

@@ -80,14 +80,11 @@ def test_maps_of_no_probability_are_refused_at_the_first_bad_cell(field, value):
         Belief.from_maps(**maps)
 
 
-@for_each(
-    'hazard, target, kappa',
-    [
-        (0.5, 0.1, 0.8),  # more hazardous targets than targets
-        (0.5, 0.9, 0.2),  # more hazardless targets than hazardless cells
-        (1.0, 0.3, 0.8),  # certain hazard: target is kappa
-    ],
-)
+@for_each('hazard, target, kappa', [
+    (0.5, 0.1, 0.8),  # more hazardous targets than targets
+    (0.5, 0.9, 0.2),  # more hazardless targets than hazardless cells
+    (1.0, 0.3, 0.8),  # certain hazard: target is kappa
+])  # fmt: skip
 def test_maps_without_a_joint_are_refused_at_the_first_bad_cell(hazard, target, kappa):
     maps = np.full((3, 12), 0.5)
     maps[:, [7, 9]] = np.array([[hazard], [target], [kappa]])
@@ -103,17 +100,14 @@ def test_maps_of_wrong_shape_are_refused(shapes):
         Belief.from_maps(*(np.full(shape, 0.5) for shape in shapes))
 
 
-@for_each(
-    'joint, message',
-    [
-        (np.full((3, 4), 0.25), r'joint.*shape.*\(3, 4\)'),
-        (np.full((3, 2, 3), 0.25), r'joint.*shape.*\(3, 2, 3\)'),
-        (np.full((0, 2, 2), 0.25), 'joint.*shape'),
-        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.7], [-0.2, 0.0]]], 'joint.*cell 1'),
-        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.5], [0.5, 0.5]]], 'joint.*cell 1'),
-        ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, np.nan], [0.5, 0.0]]], 'joint.*cell 1'),
-    ],
-)
+@for_each('joint, message', [
+    (np.full((3, 4), 0.25), r'joint.*shape.*\(3, 4\)'),
+    (np.full((3, 2, 3), 0.25), r'joint.*shape.*\(3, 2, 3\)'),
+    (np.full((0, 2, 2), 0.25), 'joint.*shape'),
+    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.7], [-0.2, 0.0]]], 'joint.*cell 1'),
+    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.5], [0.5, 0.5]]], 'joint.*cell 1'),
+    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, np.nan], [0.5, 0.0]]], 'joint.*cell 1'),
+])  # fmt: skip
 def test_joints_that_are_no_distribution_are_refused(joint, message):
     with pytest.raises(ValueError, match=message):
         Belief(joint)
@@ -140,16 +134,13 @@ def test_prior_takes_maps():
     np.testing.assert_allclose(belief.kappa, [0.9, 0.2, 0.1], atol=1e-14)
 
 
-@for_each(
-    'maps, message',
-    [
-        ({'hazard': 1.5}, r'hazard.*1.5.*\[0, 1\]'),
-        ({'target': np.nan}, r'target.*nan.*\[0, 1\]'),
-        ({'kappa': -1}, r'kappa.*-1.*\[0, 1\]'),
-        ({'hazard': [0.5, 0.5]}, r'hazard.*shape \(2,\).*6'),
-        ({'target': 0.1}, 'cell 0'),
-    ],
-)
+@for_each('maps, message', [
+    ({'hazard': 1.5}, r'hazard.*1.5.*\[0, 1\]'),
+    ({'target': np.nan}, r'target.*nan.*\[0, 1\]'),
+    ({'kappa': -1}, r'kappa.*-1.*\[0, 1\]'),
+    ({'hazard': [0.5, 0.5]}, r'hazard.*shape \(2,\).*6'),
+    ({'target': 0.1}, 'cell 0'),
+])  # fmt: skip
 def test_bad_priors_are_refused(maps, message):
     with pytest.raises(ValueError, match=message):
         Belief.prior(Grid(3, 2, base=4), **{'hazard': 0.5, 'target': 0.45, 'kappa': 0.8, **maps})

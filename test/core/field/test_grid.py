@@ -60,18 +60,15 @@ def test_points_find_the_cell_they_lie_in():
     assert grid.cells_at([[-1.99, 10.01], [-0.01, 11.49], [-1.49, 10.49]]).tolist() == [0, 11, 1]
 
 
-@for_each(
-    'point',
-    [
-        (-0.01, 0.5),
-        (0.5, -0.01),
-        (4.01, 0.5),
-        (0.5, 3.01),
-        (math.nan, 0.5),
-        (0.5, math.inf),
-        (-math.inf, 0.5),
-    ],
-)
+@for_each('point', [
+    (-0.01, 0.5),
+    (0.5, -0.01),
+    (4.01, 0.5),
+    (0.5, 3.01),
+    (math.nan, 0.5),
+    (0.5, math.inf),
+    (-math.inf, 0.5),
+])  # fmt: skip
 def test_points_outside_are_refused(point):
     with pytest.raises(ValueError, match=escape(f'({point[0]}, {point[1]})') + '.*4 x 3'):
         Grid(4, 3).cells_at([point])
@@ -116,33 +113,30 @@ def test_a_cell_walled_off_is_farther_than_any_other():
     assert (walled[[1, 2, 3]] >= 4).all()
 
 
-@for_each(
-    'arguments, message',
-    [
-        ({'width': 0}, 'width is 0.*at least 1'),
-        ({'height': -2}, 'height is -2.*at least 1'),
-        ({'width': 2.5}, 'width is 2.5.*whole number'),
-        ({'width': math.nan}, 'width is nan.*whole number'),
-        ({'width': math.inf}, 'width is inf.*whole number'),
-        ({'base': 12}, 'base is 12.*0 to 11'),
-        ({'base': -1}, 'base is -1.*0 to 11'),
-        ({'base': 1.5}, 'base is 1.5.*0 to 11'),
-        ({'base': 5, 'blocked': (4, 5)}, 'base is 5.*blocked'),
-        ({'blocked': (3, 12)}, 'blocked.*12.*0 to 11'),
-        ({'blocked': (-1,)}, 'blocked.*-1.*0 to 11'),
-        ({'blocked': (2.5,)}, 'blocked.*2.5.*0 to 11'),
-        ({'resolution': 0.0}, 'resolution is 0.*positive'),
-        ({'resolution': -1.0}, 'resolution is -1.*positive'),
-        ({'resolution': math.nan}, 'resolution is nan.*positive'),
-        ({'resolution': math.inf}, 'resolution is inf'),
-        ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
-        ({'origin': (0.0,)}, 'origin.*two'),
-        ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
-        ({'origin': (1e16, 0.0)}, r'origin is \(1e\+16, 0.0\): so far out cells of 1.0 m cannot'),
-        ({'origin': (0.0, -1e308)}, 'origin.*cannot be told apart; it must be within 4.5e'),
-        ({'connectivity': 6}, 'connectivity is 6.*4 or 8'),
-    ],
-)
+@for_each('arguments, message', [
+    ({'width': 0}, 'width is 0.*at least 1'),
+    ({'height': -2}, 'height is -2.*at least 1'),
+    ({'width': 2.5}, 'width is 2.5.*whole number'),
+    ({'width': math.nan}, 'width is nan.*whole number'),
+    ({'width': math.inf}, 'width is inf.*whole number'),
+    ({'base': 12}, 'base is 12.*0 to 11'),
+    ({'base': -1}, 'base is -1.*0 to 11'),
+    ({'base': 1.5}, 'base is 1.5.*0 to 11'),
+    ({'base': 5, 'blocked': (4, 5)}, 'base is 5.*blocked'),
+    ({'blocked': (3, 12)}, 'blocked.*12.*0 to 11'),
+    ({'blocked': (-1,)}, 'blocked.*-1.*0 to 11'),
+    ({'blocked': (2.5,)}, 'blocked.*2.5.*0 to 11'),
+    ({'resolution': 0.0}, 'resolution is 0.*positive'),
+    ({'resolution': -1.0}, 'resolution is -1.*positive'),
+    ({'resolution': math.nan}, 'resolution is nan.*positive'),
+    ({'resolution': math.inf}, 'resolution is inf'),
+    ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
+    ({'origin': (0.0,)}, 'origin.*two'),
+    ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
+    ({'origin': (1e16, 0.0)}, r'origin is \(1e\+16, 0.0\): so far out cells of 1.0 m cannot'),
+    ({'origin': (0.0, -1e308)}, 'origin.*cannot be told apart; it must be within 4.5e'),
+    ({'connectivity': 6}, 'connectivity is 6.*4 or 8'),
+])  # fmt: skip
 def test_bad_grids_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Grid(**{'width': 4, 'height': 3, **arguments})
@@ -215,29 +209,26 @@ def test_legal_paths_pass(path):
     assert np.issubdtype(checked.dtype, np.integer)
 
 
-@for_each(
-    'path, message',
-    [
-        ([], 'path.*at least two'),
-        ([5], 'path.*at least two'),
-        (5, 'path.*at least two'),
-        ([[5, 5], [5, 5]], 'path'),
-        ([5, 12, 5], 'path leaves the grid.*12.*0 to 11'),
-        ([5, -1, 5], 'path leaves the grid.*-1.*0 to 11'),
-        ([5, 7, 5], 'path jumps.*5 to 7'),
-        ([5, 4, 7, 6, 5], 'path jumps.*4 to 7'),
-        ([5, 4, 3, 4, 5], 'path jumps.*4 to 3'),
-        ([4, 5], 'path must start at the base 5.*4'),
-        ([5, 4], 'path must end at the base 5.*4'),
-        ([4, 5, 4], 'path must start at the base 5.*4'),
-        ([5, 9, 5], 'path enters a blocked cell.*9'),
-        ([5, 5, 5, 5, 5, 5, 5], 'path has 6 steps.*5'),
-        ([5.0, 6.5, 5.0], 'path.*float.*whole numbers'),
-        ([5, math.nan, 5], 'path.*whole numbers'),
-        ([True, True], 'path.*whole numbers'),
-        (['5', '6', '5'], 'path.*whole numbers'),
-    ],
-)
+@for_each('path, message', [
+    ([], 'path.*at least two'),
+    ([5], 'path.*at least two'),
+    (5, 'path.*at least two'),
+    ([[5, 5], [5, 5]], 'path'),
+    ([5, 12, 5], 'path leaves the grid.*12.*0 to 11'),
+    ([5, -1, 5], 'path leaves the grid.*-1.*0 to 11'),
+    ([5, 7, 5], 'path jumps.*5 to 7'),
+    ([5, 4, 7, 6, 5], 'path jumps.*4 to 7'),
+    ([5, 4, 3, 4, 5], 'path jumps.*4 to 3'),
+    ([4, 5], 'path must start at the base 5.*4'),
+    ([5, 4], 'path must end at the base 5.*4'),
+    ([4, 5, 4], 'path must start at the base 5.*4'),
+    ([5, 9, 5], 'path enters a blocked cell.*9'),
+    ([5, 5, 5, 5, 5, 5, 5], 'path has 6 steps.*5'),
+    ([5.0, 6.5, 5.0], 'path.*float.*whole numbers'),
+    ([5, math.nan, 5], 'path.*whole numbers'),
+    ([True, True], 'path.*whole numbers'),
+    (['5', '6', '5'], 'path.*whole numbers'),
+])  # fmt: skip
 def test_bad_paths_are_refused(path, message):
     with pytest.raises(ValueError, match=message):
         Grid(4, 3, base=5, blocked=(9,)).check_path(path, max_steps=5)

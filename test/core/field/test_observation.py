@@ -21,27 +21,24 @@ def test_a_lost_robot_brings_none():
     assert observation.survived is False
 
 
-@for_each(
-    'path, survived, readings, message',
-    [
-        ([0, 1, 0], True, None, 'readings.*missing.*each step'),
-        ([0, 1, 0], True, [True], r'readings.*\(1,\).*2'),
-        ([0, 1, 0], True, [True] * 3, r'readings.*\(3,\).*2'),
-        ([0, 1, 0], True, [], r'readings.*\(0,\).*2'),
-        ([0, 1, 0], True, [[True, False]], r'readings.*\(1, 2\).*2'),
-        ([0, 1, 0], True, [0.5, 1.0], r'readings.*0\.5.*True or False'),
-        ([0, 1, 0], True, [2, 0], 'readings.*2.*True or False'),
-        ([0, 1, 0], True, [float('nan'), 0.0], 'readings.*nan.*True or False'),
-        ([0, 1, 0], False, [True, False], 'readings.*lost.*none'),
-        ([0, 1, 0], False, [], 'readings.*lost.*none'),
-        ([], False, None, 'path.*at least two'),
-        ([0], False, None, 'path.*at least two'),
-        ([[0, 1, 0]], False, None, 'path'),
-        ([0, 1.5, 0], False, None, 'path.*whole numbers'),
-        ([0, -1, 0], False, None, 'path.*-1.*from 0'),
-        ([0, 1, 2], False, None, 'path.*0.*2.*base'),
-    ],
-)
+@for_each('path, survived, readings, message', [
+    ([0, 1, 0], True, None, 'readings.*missing.*each step'),
+    ([0, 1, 0], True, [True], r'readings.*\(1,\).*2'),
+    ([0, 1, 0], True, [True] * 3, r'readings.*\(3,\).*2'),
+    ([0, 1, 0], True, [], r'readings.*\(0,\).*2'),
+    ([0, 1, 0], True, [[True, False]], r'readings.*\(1, 2\).*2'),
+    ([0, 1, 0], True, [0.5, 1.0], r'readings.*0\.5.*True or False'),
+    ([0, 1, 0], True, [2, 0], 'readings.*2.*True or False'),
+    ([0, 1, 0], True, [float('nan'), 0.0], 'readings.*nan.*True or False'),
+    ([0, 1, 0], False, [True, False], 'readings.*lost.*none'),
+    ([0, 1, 0], False, [], 'readings.*lost.*none'),
+    ([], False, None, 'path.*at least two'),
+    ([0], False, None, 'path.*at least two'),
+    ([[0, 1, 0]], False, None, 'path'),
+    ([0, 1.5, 0], False, None, 'path.*whole numbers'),
+    ([0, -1, 0], False, None, 'path.*-1.*from 0'),
+    ([0, 1, 2], False, None, 'path.*0.*2.*base'),
+])  # fmt: skip
 def test_bad_observations_are_refused(path, survived, readings, message):
     with pytest.raises(ValueError, match=message):
         Observation(path, survived, readings)

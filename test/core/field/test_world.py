@@ -61,31 +61,25 @@ def test_densities_are_probabilities(field, value):
         draw(Grid(3, 3), np.random.default_rng(0), **{field: value})
 
 
-@for_each(
-    'hazard, target, message',
-    [
-        ([False] * 3, [False] * 4, 'target.*4.*3'),
-        ([], [], 'hazard.*shape'),
-        ([[False], [True]], [[False], [True]], 'hazard.*shape'),
-        ([0.5, 0.0], [False, True], 'hazard.*0.5'),
-        ([False, True], [2, 0], 'target.*2'),
-        ([math.nan, 0.0], [False, True], 'hazard.*nan'),
-    ],
-)
+@for_each('hazard, target, message', [
+    ([False] * 3, [False] * 4, 'target.*4.*3'),
+    ([], [], 'hazard.*shape'),
+    ([[False], [True]], [[False], [True]], 'hazard.*shape'),
+    ([0.5, 0.0], [False, True], 'hazard.*0.5'),
+    ([False, True], [2, 0], 'target.*2'),
+    ([math.nan, 0.0], [False, True], 'hazard.*nan'),
+])  # fmt: skip
 def test_bad_worlds_are_refused(hazard, target, message):
     with pytest.raises(ValueError, match=message):
         World(hazard, target)
 
 
-@for_each(
-    'hazard, target, message',
-    [
-        ([0, 0, 0], [0, 0, 0], 'world.*3 cells.*2 x 2'),
-        ([0, 1, 0, 0], [0, 0, 0, 0], 'hazard.*base 1'),
-        ([0, 0, 0, 1], [0, 0, 0, 0], 'cell 3.*blocked'),
-        ([0, 0, 0, 0], [0, 0, 0, 1], 'cell 3.*blocked'),
-    ],
-)
+@for_each('hazard, target, message', [
+    ([0, 0, 0], [0, 0, 0], 'world.*3 cells.*2 x 2'),
+    ([0, 1, 0, 0], [0, 0, 0, 0], 'hazard.*base 1'),
+    ([0, 0, 0, 1], [0, 0, 0, 0], 'cell 3.*blocked'),
+    ([0, 0, 0, 0], [0, 0, 0, 1], 'cell 3.*blocked'),
+])  # fmt: skip
 def test_worlds_that_do_not_fit_the_grid_are_refused(hazard, target, message):
     world = World(np.array(hazard, bool), np.array(target, bool))
     with pytest.raises(ValueError, match=message):

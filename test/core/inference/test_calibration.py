@@ -124,13 +124,10 @@ SEEN_SOON = {'malfunction', 'hazard_density', 'target_background'}
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    'name, size',
-    [
-        (name, FEW) if name in SEEN_SOON else pytest.param(name, MANY, marks=LONG)
-        for name in UNKNOWNS.priors
-    ],
-)
+@pytest.mark.parametrize('name, size', [
+    (name, FEW) if name in SEEN_SOON else pytest.param(name, MANY, marks=LONG)
+    for name in UNKNOWNS.priors
+])  # fmt: skip
 def test_an_error_in_the_draw_of_a_number_is_found(name, size, monkeypatch):
     monkeypatch.setattr(Chains, '_draw', planted(name))
     p, _ = worst(*size)

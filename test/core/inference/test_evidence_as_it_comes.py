@@ -33,15 +33,12 @@ def last_heard(contact):
     return chance
 
 
-@for_each(
-    'heard, is_all',
-    [
-        (np.triu(np.tile([[0.1], [0.5], [0.3], [0.9]], STEPS)), True),
-        (last_heard(0.0), True),
-        (last_heard(0.2), False),
-        (last_heard(1.0), False),
-    ],
-)
+@for_each('heard, is_all', [
+    (np.triu(np.tile([[0.1], [0.5], [0.3], [0.9]], STEPS)), True),
+    (last_heard(0.0), True),
+    (last_heard(0.2), False),
+    (last_heard(1.0), False),
+])  # fmt: skip
 def test_the_likelihood_is_all_that_is_told_if_hearing_does_not_depend_on_the_loss(heard, is_all):
     _, by_step = losses_by_step()
     taken = np.cumsum(by_step[::-1], axis=0)[::-1]
@@ -78,19 +75,16 @@ def test_nothing_known_is_nothing_changed():
     assert looked.readings.dtype == as_numbers.readings.dtype == bool
 
 
-@for_each(
-    'arguments, message',
-    [
-        ({'survived': False, 'steps_survived': 3}, 'steps_survived is 3.*at most 2'),
-        ({'survived': False, 'steps_survived': -1}, 'steps_survived is -1.*at least 0'),
-        ({'survived': False, 'steps_survived': 1.5}, 'steps_survived is 1.5'),
-        ({'readings': [1, 0, 1], 'steps_survived': 1}, 'steps_survived is 1.*returned'),
-        ({'readings': [1, 0, -2]}, 'readings is -2'),
-        ({'readings': [-1, 0, 2]}, 'readings is 2'),
-        ({'readings': [-1, 0]}, 'readings has shape'),
-        ({'readings': [-1, 0, float('nan')]}, 'readings is nan'),
-    ],
-)
+@for_each('arguments, message', [
+    ({'survived': False, 'steps_survived': 3}, 'steps_survived is 3.*at most 2'),
+    ({'survived': False, 'steps_survived': -1}, 'steps_survived is -1.*at least 0'),
+    ({'survived': False, 'steps_survived': 1.5}, 'steps_survived is 1.5'),
+    ({'readings': [1, 0, 1], 'steps_survived': 1}, 'steps_survived is 1.*returned'),
+    ({'readings': [1, 0, -2]}, 'readings is -2'),
+    ({'readings': [-1, 0, 2]}, 'readings is 2'),
+    ({'readings': [-1, 0]}, 'readings has shape'),
+    ({'readings': [-1, 0, float('nan')]}, 'readings is nan'),
+])  # fmt: skip
 def test_what_cannot_be_known_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Observation(**{'path': [0, 1, 2, 0], 'survived': True, **arguments})

@@ -95,16 +95,13 @@ def test_duplicates_change_nothing_but_their_count(ledger):
     assert state(ledger) == (folded(RETURNED_SEEN), [A], (A, 0), 3, 0, 0)
 
 
-@for_each(
-    'path, message',
-    [
-        ([4, 9, 4], 'path.*9'),
-        ([4, 5, 0, 4], 'path jumps'),
-        ([0, 4], 'path must start at the base'),
-        ([4], 'path'),
-        ([4] * 6, 'path has 5 steps.*4'),
-    ],
-)
+@for_each('path, message', [
+    ([4, 9, 4], 'path.*9'),
+    ([4, 5, 0, 4], 'path jumps'),
+    ([0, 4], 'path must start at the base'),
+    ([4], 'path'),
+    ([4] * 6, 'path has 5 steps.*4'),
+])  # fmt: skip
 def test_impossible_paths_are_refused(path, message):
     ledger = new_ledger()
     ledger.record_report(B, LOST)
@@ -190,16 +187,13 @@ def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(report, message)
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-@for_each(
-    'readings',
-    [
-        ((1, True), (0, False), (4, False)),
-        ((0, True), (4, True)),
-        ((0, True), (1, False), (2, True), (1, False), (4, False)),
-        ((0, -1), (1, 0), (4, -1)),
-        ((4, -1),),
-    ],
-)
+@for_each('readings', [
+    ((1, True), (0, False), (4, False)),
+    ((0, True), (4, True)),
+    ((0, True), (1, False), (2, True), (1, False), (4, False)),
+    ((0, -1), (1, 0), (4, -1)),
+    ((4, -1),),
+])  # fmt: skip
 def test_the_walk_that_was_made_is_the_evidence(readings):
     ledger = new_ledger()
     ledger.record_path(A, PATH)

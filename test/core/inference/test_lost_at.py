@@ -192,21 +192,18 @@ def test_steps_that_cannot_be_are_survived():
     assert Observation([0, 1, 2, 3, 0], False, None, 1, [5.0, 3.0, 3.0, 3.0]).lost_at is None
 
 
-@for_each(
-    'arguments, message',
-    [
-        ({'lost_at': [1.0, 2.0]}, r'lost_at has shape \(2,\): it must be \(3,\)'),
-        ({'lost_at': [1.0, -2.0, 1.0]}, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
-        ({'lost_at': [1.0, 1.0, float('nan')]}, r'lost_at\[2\] is nan'),
-        ({'lost_at': [1.0, float('inf'), 1.0]}, r'lost_at\[1\] is inf'),
-        ({'lost_at': [0.0, 0.0, 0.0]}, 'lost_at is 0 in all steps'),
-        ({'lost_at': [1.0, 0.0, 0.0], 'steps_survived': 1}, 'lost_at is 0 in all .* after the 1'),
-        (
-            {'survived': True, 'readings': [1, 0, 1], 'lost_at': [1.0, 1.0, 2.0]},
-            'lost_at is given: a robot that returned',
-        ),
-    ],
-)
+@for_each('arguments, message', [
+    ({'lost_at': [1.0, 2.0]}, r'lost_at has shape \(2,\): it must be \(3,\)'),
+    ({'lost_at': [1.0, -2.0, 1.0]}, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
+    ({'lost_at': [1.0, 1.0, float('nan')]}, r'lost_at\[2\] is nan'),
+    ({'lost_at': [1.0, float('inf'), 1.0]}, r'lost_at\[1\] is inf'),
+    ({'lost_at': [0.0, 0.0, 0.0]}, 'lost_at is 0 in all steps'),
+    ({'lost_at': [1.0, 0.0, 0.0], 'steps_survived': 1}, 'lost_at is 0 in all .* after the 1'),
+    (
+        {'survived': True, 'readings': [1, 0, 1], 'lost_at': [1.0, 1.0, 2.0]},
+        'lost_at is given: a robot that returned',
+    ),
+])  # fmt: skip
 def test_what_cannot_be_known_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Observation(**{'path': [0, 1, 2, 0], 'survived': False, **arguments})

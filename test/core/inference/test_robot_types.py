@@ -161,16 +161,13 @@ def test_what_one_kind_cannot_have_met_is_refused():
         assert estimator.belief.joint.tobytes() == before
 
 
-@for_each(
-    'own, message',
-    [
-        ({'lethality': 1.5}, 'lethality is 1.5.*probability'),
-        ({'false_positive': float('nan')}, 'false_positive is nan.*probability'),
-        ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-        ({'max_steps': 2.5}, 'max_steps is 2.5.*whole'),
-        ({'loss_cost': -1.0}, 'loss_cost is -1.0.*at least 0'),
-    ],
-)
+@for_each('own, message', [
+    ({'lethality': 1.5}, 'lethality is 1.5.*probability'),
+    ({'false_positive': float('nan')}, 'false_positive is nan.*probability'),
+    ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
+    ({'max_steps': 2.5}, 'max_steps is 2.5.*whole'),
+    ({'loss_cost': -1.0}, 'loss_cost is -1.0.*at least 0'),
+])  # fmt: skip
 def test_what_no_robot_type_can_have_is_refused(own, message):
     with pytest.raises(ValueError, match=message):
         RobotType(**own)

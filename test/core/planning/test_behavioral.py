@@ -206,15 +206,12 @@ def test_planners_that_seek_nothing_refuse_it(planner):
         plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
 
 
-@for_each(
-    'sought, message',
-    [
-        ({'objective': 'behavioural'}, "'behavioural': it must be one of information, behavioral"),
-        ({'objective': 'behavioral', 'alpha': 0.0}, r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
-        ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
-        ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
-    ],
-)
+@for_each('sought, message', [
+    ({'objective': 'behavioural'}, "'behavioural': it must be one of information, behavioral"),
+    ({'objective': 'behavioral', 'alpha': 0.0}, r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
+    ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
+    ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(sought, message):
     with pytest.raises(ValueError, match=message):
         plan(*random_problem(0), 6, **sought)

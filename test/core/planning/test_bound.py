@@ -175,15 +175,12 @@ def test_a_bound_changes_nothing_of_a_plan():
     assert alone.gap is None
 
 
-@for_each(
-    'options, message',
-    [
-        ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),
-        ({'planner': 'random'}, 'planner is random.*no bound.*beam or relaxed'),
-        ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
-        ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
-    ],
-)
+@for_each('options, message', [
+    ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),
+    ({'planner': 'random'}, 'planner is random.*no bound.*beam or relaxed'),
+    ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
+    ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
+])  # fmt: skip
 def test_what_has_no_bound_is_refused(options, message):
     grid = Grid(3, 3)
     with pytest.raises(ValueError, match=message):

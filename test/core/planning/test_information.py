@@ -67,16 +67,13 @@ def test_order_of_the_cells_does_not_matter(seed):
     )
 
 
-@for_each(
-    'path, message',
-    [
-        ([], 'path.*at least two'),
-        ([0], 'path.*at least two'),
-        ([0, 5, 0], 'path.*5.*0 to 1'),
-        ([0, -1, 0], 'path.*-1.*'),
-        ([0, 0.5, 0], 'path.*whole numbers'),
-    ],
-)
+@for_each('path, message', [
+    ([], 'path.*at least two'),
+    ([0], 'path.*at least two'),
+    ([0, 5, 0], 'path.*5.*0 to 1'),
+    ([0, -1, 0], 'path.*-1.*'),
+    ([0, 0.5, 0], 'path.*whole numbers'),
+])  # fmt: skip
 def test_bad_paths_are_refused(path, message):
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     with pytest.raises(ValueError, match=message):

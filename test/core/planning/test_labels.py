@@ -241,15 +241,12 @@ def test_a_plan_is_the_same_in_a_larger_field():
     assert far.information == near.information
 
 
-@for_each(
-    'size, arguments',
-    [
-        (600, {'max_steps': 1200}),
-        (100, {'max_steps': 200, 'width': 4096}),
-        (300, {'max_steps': 600, 'max_visits': 600}),
-        (9, {'max_steps': 10_000, 'max_visits': 10_000}),
-    ],
-)
+@for_each('size, arguments', [
+    (600, {'max_steps': 1200}),
+    (100, {'max_steps': 200, 'width': 4096}),
+    (300, {'max_steps': 600, 'max_visits': 600}),
+    (9, {'max_steps': 10_000, 'max_visits': 10_000}),
+])  # fmt: skip
 def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments):
     grid = Grid(size, size)
     belief, steps = Belief.prior(grid, 0.3, 0.4, 0.8), arguments['max_steps']
@@ -258,15 +255,12 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
 
 
 @pytest.mark.slow
-@for_each(
-    'planner, side, max_steps, width, max_visits, robots',
-    [
-        ('beam', 600, 1200, 16, 3, 1),
-        ('relaxed', 1000, 2000, 16, 3, 1),
-        ('beam', 9, 10_000, 16, 10_000, 1),
-        ('beam', 100, 200, 16, 3, 2000),
-    ],
-)
+@for_each('planner, side, max_steps, width, max_visits, robots', [
+    ('beam', 600, 1200, 16, 3, 1),
+    ('relaxed', 1000, 2000, 16, 3, 1),
+    ('beam', 9, 10_000, 16, 10_000, 1),
+    ('beam', 100, 200, 16, 3, 2000),
+])  # fmt: skip
 def test_memory_can_be_asked_for_before_there_is_a_belief(
     planner, side, max_steps, width, max_visits, robots
 ):
@@ -275,15 +269,12 @@ def test_memory_can_be_asked_for_before_there_is_a_belief(
         finder.check_memory(robots)
 
 
-@for_each(
-    'planner, side, max_steps, width, max_visits, robots',
-    [
-        ('beam', 9, 18, 10_000, 10_000, 1),
-        ('beam', 9, 1000, 16, 3, 81),
-        ('beam', 1000, 60, 16, 3, 100),
-        ('relaxed', 300, 600, 10_000, 3, 1),
-    ],
-)
+@for_each('planner, side, max_steps, width, max_visits, robots', [
+    ('beam', 9, 18, 10_000, 10_000, 1),
+    ('beam', 9, 1000, 16, 3, 81),
+    ('beam', 1000, 60, 16, 3, 100),
+    ('relaxed', 300, 600, 10_000, 3, 1),
+])  # fmt: skip
 def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
     planner, side, max_steps, width, max_visits, robots
 ):

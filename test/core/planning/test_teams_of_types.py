@@ -218,16 +218,13 @@ def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
 # Refusals
 
 
-@for_each(
-    'arguments, message',
-    [
-        ({'types': [KEEN]}, 'has 1 values.*one for each of 2'),
-        (
-            {'agents': 7, 'types': [RobotType(true_positive=0.9 + n / 100) for n in range(7)]},
-            '7 different cameras.*at most 6',
-        ),
-    ],
-)
+@for_each('arguments, message', [
+    ({'types': [KEEN]}, 'has 1 values.*one for each of 2'),
+    (
+        {'agents': 7, 'types': [RobotType(true_positive=0.9 + n / 100) for n in range(7)]},
+        '7 different cameras.*at most 6',
+    ),
+])  # fmt: skip
 def test_bad_kinds_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         plan_round(GRID, random_belief(0), MODEL, **{'max_steps': 4, 'agents': 2, **arguments})

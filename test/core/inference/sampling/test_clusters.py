@@ -241,18 +241,15 @@ def test_the_same_seed_gives_the_same_mission():
     assert first == second
 
 
-@for_each(
-    'changed, message',
-    [
-        ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
-        ({'dynamics': Dynamics('used_up')}, 'does not take hazards that are used_up'),
-        ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, and the prior has 12'),
-        (
-            {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
-            'prior hazards differ between cells',
-        ),
-    ],
-)
+@for_each('changed, message', [
+    ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
+    ({'dynamics': Dynamics('used_up')}, 'does not take hazards that are used_up'),
+    ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, and the prior has 12'),
+    (
+        {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
+        'prior hazards differ between cells',
+    ),
+])  # fmt: skip
 def test_what_does_not_go_with_clusters_is_refused(changed, message):
     grid = Grid(4, 3)
     given = {

@@ -432,20 +432,17 @@ def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
 # Bad input
 
 
-@for_each(
-    'given, message',
-    [
-        ((0.2, 1.1), r'lethality is unknown within \(0.2, 1.1\): high is 1.1.*\[0, 1\]'),
-        ((-0.1, 0.5), 'low is -0.1'),
-        ((0.5, 0.5), r'from 0.5 to 0.5: it must end above its start'),
-        ((0.6, 0.5), r'from 0.6 to 0.5: it must end above its start'),
-        ((0.1, float('nan')), 'high is nan'),
-        ((0.1, 0.2, 0.3), 'two numbers'),
-        ((), 'two numbers'),
-        (0.5, 'two numbers'),
-        (('a', 'b'), "low is 'a': it must be a number"),
-    ],
-)
+@for_each('given, message', [
+    ((0.2, 1.1), r'lethality is unknown within \(0.2, 1.1\): high is 1.1.*\[0, 1\]'),
+    ((-0.1, 0.5), 'low is -0.1'),
+    ((0.5, 0.5), r'from 0.5 to 0.5: it must end above its start'),
+    ((0.6, 0.5), r'from 0.6 to 0.5: it must end above its start'),
+    ((0.1, float('nan')), 'high is nan'),
+    ((0.1, 0.2, 0.3), 'two numbers'),
+    ((), 'two numbers'),
+    (0.5, 'two numbers'),
+    (('a', 'b'), "low is 'a': it must be a number"),
+])  # fmt: skip
 def test_an_interval_that_is_none_is_refused(given, message):
     with pytest.raises(ValueError, match=f'lethality is unknown within.*{message}|{message}'):
         Unknowns(lethality=given)
@@ -463,16 +460,13 @@ def test_a_method_that_learns_no_numbers_refuses_to(method):
         Estimator(ENTROPIC, SensorModel(0.5), method, Unknowns(kappa=(0, 1)))
 
 
-@for_each(
-    'unknowns, maps, sensors, message',
-    [
-        ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*open in no cell'),
-        ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*open in no cell'),
-        ({'kappa': (0, 1)}, (0.0, 0.5, 0.5), {}, 'kappa.*open in no cell'),
-        ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*open in no cell'),
-        ({'lethality': (0, 1)}, (0.5, 0.5, 0.5), {'false_negative': 1.0}, 'lethality.*strike'),
-    ],
-)
+@for_each('unknowns, maps, sensors, message', [
+    ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*open in no cell'),
+    ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*open in no cell'),
+    ({'kappa': (0, 1)}, (0.0, 0.5, 0.5), {}, 'kappa.*open in no cell'),
+    ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*open in no cell'),
+    ({'lethality': (0, 1)}, (0.5, 0.5, 0.5), {'false_negative': 1.0}, 'lethality.*strike'),
+])  # fmt: skip
 def test_a_number_that_makes_no_difference_is_refused(unknowns, maps, sensors, message):
     belief = Belief.prior(Grid(2, 2), *maps)
     with pytest.raises(ValueError, match=f'{message}'):
