@@ -51,15 +51,13 @@ PYTHON_PACKAGES = {
     'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
 
-# Hashes of the actions as nav2_msgs 1.3.13 of ROS 2 Jazzy defines them, with all that they hold.
-ACTIONS = {
+# Hashes of actions and a message as nav2_msgs 1.3.13 of ROS 2 Jazzy defines them.
+NAV2 = {
+    'CostmapFilterInfo': '61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8',
     'FollowPath': '9d95513552fb578cfb933d7e0160273911269cbdf4b348f1acb87d8a903b13cf',
     'FollowWaypoints': '09e36a19e0374ab692e78b877e3345daa223ca4186b8af90f77939b78c6e6d7b',
     'NavigateThroughPoses': '4e680a34fd27772095da6ffdb32ae348adbc3d948248d38cf8d5ca3fc7a3a6c4',
 }
-
-# Of its message, as rosbags computes it from the definition in the branch jazzy.
-COSTMAP_FILTER_INFO = '61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8'
 
 # Imported only by those who ask for them.
 OPTIONAL = {'distributed', 'sphinx'}
@@ -236,19 +234,15 @@ def test_every_field_of_a_message_is_explained(message):
     assert [line for line in fields if '#' not in line] == []
 
 
-@for_each('action', ACTIONS)
-def test_robots_are_driven_by_the_actions_of_nav2(action):
+@for_each('name', NAV2)
+def test_robots_and_costmap_filters_speak_to_nav2(name):
     share = Path(get_package_share_directory('nav2_msgs'))
-    hashes = json.loads(share.joinpath(f'action/{action}.json').read_text())['type_hashes']
-    (own,) = (each['hash_string'] for each in hashes if each['type_name'].endswith(f'/{action}'))
-    assert own == f'RIHS01_{ACTIONS[action]}'
-
-
-def test_costmap_filters_are_told_by_the_message_of_nav2():
-    share = Path(get_package_share_directory('nav2_msgs'))
-    hashes = json.loads(share.joinpath('msg/CostmapFilterInfo.json').read_text())['type_hashes']
-    own = {each['type_name']: each['hash_string'] for each in hashes}
-    assert own['nav2_msgs/msg/CostmapFilterInfo'] == f'RIHS01_{COSTMAP_FILTER_INFO}'
+    (file,) = share.glob(f'*/{name}.json')
+    hashes = {
+        each['type_name']: each['hash_string']
+        for each in json.loads(file.read_text())['type_hashes']
+    }
+    assert hashes[f'nav2_msgs/{file.parent.name}/{name}'] == f'RIHS01_{NAV2[name]}'
 
 
 def test_colcon_runs_the_tests_with_pytest():

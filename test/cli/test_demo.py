@@ -473,7 +473,6 @@ def reports_in(log):
     (['--size', '600'], 'sampling 360000 cells takes about .* GB.*: take a smaller field, or'),
     (['--size', '600', '--max-steps', '1200'], 'max_steps = 1200.*takes about .* GB.*: lower one'),
     (['--max-steps', '10000', '--set', 'max_visits=10000'], 'max_visits = 10000 takes about .*GB'),
-    (['--params', 'nothere.yaml'], 'parameter file nothere.yaml: No such file or directory'),
     (['--set', 'robots'], '--set robots: it must be NAME=VALUE or NODE:NAME=VALUE'),
     (['--set', 'robbots=3'], 'robbots=3: parameter robbots is unknown to every.*mean robots?'),
     (['--set', 'agent:robots=3'], 'robots is unknown to the agent: it is one of planner'),
@@ -486,13 +485,11 @@ def reports_in(log):
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
-    (['--set', 'world.file=no.yaml'], 'no.yaml.*No such file or directory'),
     (['--set', 'learn=[lethalty]'], "learn is 'lethalty': did you mean lethality"),
     (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
     (['--method', 'relaxed_itp', '--set', 'learn=[kappa]'], 'kappa cannot be unknown to a meth'),
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
-    (['--out', '/proc/here'], r'folder /proc/here cannot be made \(No such file.*name another'),
 ])  # fmt: skip
 def test_demo_refuses_what_cannot_be_before_it_starts_anything(
     tmp_path, capsys, options, complaint

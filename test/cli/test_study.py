@@ -246,7 +246,6 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     ({'trials': 0}, [], 'trials is 0.*from 1'),
     ({}, ['--workers', '99999999999'], 'workers is 99999999999.*from 1 to 1024'),
     ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
-    ({}, ['--out', '/proc/here'], '/proc/here'),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_error_before_any_work(
     capsys, tmp_path, changes, options, complaint
