@@ -416,7 +416,7 @@ class RobotNode(FieldNode):
 
     def _wait_at_gate(self, deployment: Deployment) -> NodeState:
         """Stay at the base until the departure is on record; a pause ends it there."""
-        if self._hold.awaited:
+        if self._hold.is_held:
             self.get_logger().warning(
                 f'{self._key(deployment)}: the operator paused the mission before its departure '
                 'was on disk; it stays at the base'

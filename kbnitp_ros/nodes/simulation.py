@@ -204,6 +204,7 @@ class SimulatedAgent(AgentPaths):
         # Those whose robots may not depart yet.
         self._at_home: list[DeploymentKey] = []
         self._hold = Hold(self._node, prefix, self._depart_all)
+        self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
         for key, deployment in recorded.items():
@@ -238,7 +239,7 @@ class SimulatedAgent(AgentPaths):
 
     def _depart_all(self) -> None:
         """Have all robots depart that are at home, if they may."""
-        if self._hold.awaited:
+        if not self._at_home or self._hold.awaited:
             return
         at_home, self._at_home = self._at_home, []
         for key in at_home:

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 
+from bare_dds import BareParticipant, not_utf8
 from base import Base, GRID
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
 from kbnitp_ros.core import DeploymentKey, Observation
@@ -15,6 +17,7 @@ from kbnitp_ros.messages.status import OrderState, status_message
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest
+import rclpy
 from samples import FIELD, on_disk, path
 from std_msgs.msg import Bool
 
@@ -169,7 +172,8 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     assert not answer.done()
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
-    stranger = field.talk(Bool, '/hold', qos.LATCHED)
+    stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
+    # It comes before the planner's graph lists its author, or after.
     stranger.publish(Bool(data=False))
     why = 'hold refused: data is False, and this planner says True, which holds: nodes'
     field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
@@ -178,6 +182,13 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     # The planner that goes on knows that the mission is paused.
     base.do('pause', data=False)
     field.until(lambda: not base.holds[-1].data, 'end of the pause')
+    # Of a graph that cannot be read no author is known.
+    bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+    bare.announce('rt/hold', not_utf8('std_msgs::msg::é'))
+    field.until(lambda: 'is not UTF-8' in field.said('/planner'), 'a graph that cannot be read')
+    heard = len(base.holds)
+    stranger.publish(Bool(data=True))
+    field.until(lambda: [each.data for each in base.holds[heard:]] == [True, False], 'answer')
 
 
 def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_record(field):
@@ -190,11 +201,19 @@ def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_reco
     paths.publish(path(1))
     field.until(lambda: field.count('/agent', 'waiting') == 1, 'path')
     recorded.publish(on_disk(path(1)))
-    for state in ('the planner to tell on /hold', 'the operator to end the pause'):
+    stranger = rclpy.create_node('stranger', context=field.node.context)
+    for state, is_held in (
+        ('the planner to tell on /hold', True),
+        ('the operator to end the pause', False),
+        ('one node alone to publish /hold: /stranger, /test/test do', None),
+    ):
         field.until(lambda state=state: state in field.state('/agent'), state)
         assert [each.state for each in statuses] == [OrderState.ACCEPTED]
-        holds.publish(Bool(data=True))
-    holds.publish(Bool(data=False))
+        if is_held is True:
+            stranger.create_publisher(Bool, '/hold', qos.LATCHED)
+        if is_held is not None:
+            holds.publish(Bool(data=is_held))
+    stranger.destroy_node()
     field.until(lambda: len(statuses) == 2, 'departure')
     assert statuses[1].state == OrderState.DEPARTED
     assert not reports
