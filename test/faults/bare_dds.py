@@ -57,15 +57,7 @@ HOSTILE = (
 
 
 class BareParticipant:
-    """
-    Announces writers under any names, which rclpy would not.
-
-    Parameters
-    ----------
-    domain : int
-        Of ROS.
-
-    """
+    """Announces writers under any names, which rclpy would not."""
 
     def __init__(self, domain):
         # It has a domain of DDS for itself in this process, with the same number.
@@ -74,15 +66,7 @@ class BareParticipant:
         self._writers = []
 
     def announce(self, topic, type_name):
-        """
-        Be one who publishes a topic, and publish a text on it.
-
-        Parameters
-        ----------
-        topic, type_name : str
-            As they go over the wire: 'rt/m/chatter' and 'std_msgs::msg::dds_::String_'.
-
-        """
+        """Be one who publishes a topic, and publish a text on it."""
         text = text_type(type_name)
         writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
         writer.write(text(data='x'))

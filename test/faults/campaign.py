@@ -70,29 +70,7 @@ Run = Callable[[tuple[int, str, Path]], 'Outcome']
 
 @dataclass
 class Outcome:
-    """
-    What became of a mission.
-
-    Attributes
-    ----------
-    seed, kind, folder
-        Which one it was and where its log is.
-    faults : Counter
-        How many faults of each kind.
-    strikes : Counter
-        How many times each (kind of fault, node).
-    phases : Counter
-        How many faults in each phase.
-    crashes : Counter
-        How many times robots ended, by exit code.
-    findings : list of (str, str)
-        What is not as it must be.
-    unused : int
-        How many paths no robot took, which is as it must be.
-    seconds : float
-        How long it took.
-
-    """
+    """What became of a mission."""
 
     seed: int
     kind: str

@@ -42,24 +42,7 @@ HEARD_AGAIN, LINK_BACK = 120.0, 4.0
 
 
 class DepartingMission(Mission):
-    """
-    A base, and robots in processes that are started again when they crash.
-
-    Parameters
-    ----------
-    domain, folder
-        As of `Mission`.
-    seed : int
-        By which all is drawn.
-    networks : Networks, optional
-        Of the base, which this process is on, and of robots, whose links go down with them.
-
-    Attributes
-    ----------
-    ended : Counter
-        How often robots ended, by exit code.
-
-    """
+    """A base, and robots in processes that are started again when they crash."""
 
     def __init__(self, domain, folder, seed, networks=None):
         self._rng = np.random.default_rng(seed)

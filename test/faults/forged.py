@@ -32,21 +32,7 @@ GROWTH = 50.0
 
 @dataclass
 class Forged:
-    """
-    What became of a mission that forged messages came to.
-
-    Attributes
-    ----------
-    kinds : tuple of str
-        Methods of `Forger`, one after another.
-    findings : list of (str, str)
-        What is not as it must be: its kind, and the finding in words.
-    refused, required : dict
-        How many messages each node refused, and how many it had to at least, by its name.
-    memory : dict
-        What each node had in memory at the end, in megabytes, by its name in ROS.
-
-    """
+    """What became of a mission that forged messages came to."""
 
     kinds: tuple[str, ...]
     findings: list[tuple[str, str]] = field(default_factory=list)
@@ -67,23 +53,7 @@ class Forged:
 
 
 def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
-    """
-    Run a mission and forge messages of some kinds, one after another.
-
-    Parameters
-    ----------
-    folder : Path
-        Where its log goes.
-    kinds : sequence of str
-        Methods of `Forger`; none for an undisturbed mission.
-    scale : float
-        Of how many messages are sent.
-    seed : int
-        Of what is drawn.
-    processes : type
-        Of what starts nodes.
-
-    """
+    """Run a mission and forge messages of some kinds, one after another."""
     parameters = PARAMETERS | {'seed': seed}
     outcome = Forged(tuple(kinds))
     with free_domain() as domain:

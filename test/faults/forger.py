@@ -10,9 +10,8 @@ import time
 from bare_dds import BareParticipant, HOSTILE
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded, TargetReading
-from kbnitp_msgs.srv import GiveUp
-from kbnitp_ros.configuration import grid_of, parameter_of
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
+from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.core import Observation
 from kbnitp_ros.messages.deployments import path_message, report_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
@@ -22,30 +21,16 @@ from onlooker import AGENT
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
 from schedule import NODES
-from std_srvs.srv import SetBool
 from unbroken import with_defaults
 from visualization_msgs.msg import Marker
 
-# How many characters a large text has, and the time that ends all times.
-LARGE = 50_000_000
+# The time that ends all times.
 END = Time(sec=2**31 - 1, nanosec=999_999_999)
 
 # How long the missions are flooded with bad paths, in seconds.
 FLOOD = 20.0
-
-# What no subscription of the mission to evidence is compatible with.
-INCOMPATIBLE = (
-    QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE),
-    QoSProfile(
-        depth=10,
-        reliability=ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    ),
-)
 
 # The topics that bytes are sent on.
 TOPICS = {
@@ -63,42 +48,18 @@ TOPICS = {
 # The methods that are kinds of forgery.
 FORGERIES = (
     'late',
-    'unfitting',
-    'beliefs',
     'parameters',
-    'large',
     'flood',
     'at_once',
-    'incompatible',
     'garbage',
     'bag',
     'random',
-    'maps_and_clocks',
-    'services',
-    'second_recorder',
     'topics',
 )
 
 
 class Forger:
-    """
-    Sends forged messages of many kinds.
-
-    A method that is a kind of forgery sends it, `scale` times as many as it is named for, and
-    returns how many messages each of the nodes must refuse at least.
-
-    Parameters
-    ----------
-    mission : Mission
-        Whose it is; under way.
-    namespace : str
-        Of its topics.
-    parameters : dict
-        Of all nodes.
-    rng : numpy.random.Generator
-        Of what is drawn.
-
-    """
+    """Sends forged messages of many kinds."""
 
     def __init__(self, mission, namespace, parameters, rng):
         self._mission = mission
@@ -160,46 +121,6 @@ class Forger:
         key, cells = self._newest()
         return key, Observation(cells, False), 1
 
-    def unfitting(self, scale):
-        """Send reports on the robot that is out which do not fit its path."""
-        _, reports, _ = self._evidence()
-        for _ in range(3):
-            key, cells = self._newest()
-            report = report_message(key, Observation(cells, True, [False] * (len(cells) - 1)), 1)
-            report.readings[0] = TargetReading(cell=self._grid.cells - 1)
-            reports.publish(report)
-            empty = report_message(key, Observation(cells, True, [False] * (len(cells) - 1)), 1)
-            empty.readings = []
-            reports.publish(empty)
-            self._mission.wait(0.2)
-        return {'estimator': 6}
-
-    def beliefs(self, scale):
-        """Send beliefs that do not follow from those before."""
-        *_, beliefs = self._evidence()
-        true = deepcopy(self._mission.onlooker.belief)
-        forged = [BeliefMaps(), BeliefMaps(), *(deepcopy(true) for _ in range(3))]
-        forged[2].deployments = 4_000_000_000
-        forged[3].method = 'guess'
-        forged[4].lethality = 0.125
-        for each in forged:
-            beliefs.publish(each)
-            self._mission.wait(0.05)
-        return {'planner': len(forged), 'recorder': len(forged) - 1}
-
-    def large(self, scale):
-        """Send texts of 50 MB."""
-        _, reports, _ = self._evidence()
-        for field in ('agent', 'frame_id', 'agent'):
-            report = report_message(*self._lost())
-            if field == 'agent':
-                report.agent = 'x' * LARGE
-            else:
-                report.header.frame_id = 'x' * LARGE
-            reports.publish(report)
-            self._mission.wait(2.0)
-        return {'estimator': 3, 'planner': 3, 'recorder': 3}
-
     def flood(self, scale):
         """Send 12,000 bad paths in 20 s."""
         paths, *_ = self._evidence()
@@ -216,11 +137,7 @@ class Forger:
         return {'agent': count, 'estimator': count}
 
     def at_once(self, scale):
-        """
-        Send with each publisher as soon as it is made, before anybody counts it.
-
-        A belief in all robots, another path of the newest stamp, and 5,200 acknowledgements.
-        """
+        """Send with each publisher as soon as it is made, before anybody counts it."""
         belief = deepcopy(self._mission.onlooker.belief)
         mission = from_stamp(belief.mission)
         belief.deployments = self._robots
@@ -241,20 +158,6 @@ class Forger:
             self._node.destroy_publisher(publisher)
         return {'planner': 1, 'recorder': 2}
 
-    def incompatible(self, scale):
-        """Send with volatile and best-effort publishers what would count if it were heard."""
-        key, _ = self._newest()
-        belief = deepcopy(self._mission.onlooker.belief)
-        path = path_message(self._grid, [0, 1, 0], key.stamp, from_stamp(belief.mission))
-        belief.deployments = self._robots
-        report = report_message(*self._lost())
-        for profile in INCOMPATIBLE:
-            self._publish_at_once(Path, f'{AGENT}/path', profile, [path])
-            self._publish_at_once(DeploymentReport, f'{AGENT}/report', profile, [report])
-            self._publish_at_once(BeliefMaps, 'belief', profile, [belief])
-        # Of each topic and each profile.
-        return {'recorder': 6}
-
     def garbage(self, scale):
         """Send 100 messages of bytes drawn at random on each topic, at once."""
         count = round(100 * scale)
@@ -262,54 +165,6 @@ class Forger:
             drawn = [self._rng.bytes(self._rng.integers(4, 200)) for _ in range(count)]
             self._publish_at_once(kind, topic, profile, drawn)
         return {'agent': count, 'estimator': 2 * count, 'planner': count, 'recorder': 2 * count}
-
-    def maps_and_clocks(self, scale):
-        """Send a map of another size and clocks that have no time of the mission."""
-        field = OccupancyGrid(data=[100] * 10_000)
-        field.info.width = field.info.height = 100
-        field.info.resolution = 1.0
-        for topic in ('/map', 'map'):
-            self._publish_at_once(OccupancyGrid, topic, qos.LATCHED, [field])
-        times = [END, Time(), Time(sec=-(2**31))]
-        clocks = [Clock(clock=each) for each in times * round(100 * scale)]
-        self._publish_at_once(Clock, '/clock', qos.DIAGNOSTICS, clocks)
-        return {}
-
-    def services(self, scale):
-        """Call the services of the operator 300 times with what they must refuse."""
-        absurd = (
-            (GiveUp, 'give_up', {'agent': 'x' * 10**6}),
-            (GiveUp, 'give_up', {'agent': AGENT, 'steps_survived': 2**32 - 1}),
-            (SetBool, 'approve', {'data': True}),
-        )
-        clients = []
-        for kind, name, _ in absurd:
-            clients.append(self._node.create_client(kind, f'{self._namespace}/{name}'))
-            self._mission.until(clients[-1].service_is_ready, name)
-        # No more at a time: a service keeps ten requests that wait to be read.
-        for _ in range(round(20 * scale)):
-            calls = [
-                client.call_async(kind.Request(**request))
-                for client, (kind, _, request) in zip(clients * 5, absurd * 5)
-            ]
-            self._mission.until(lambda calls=calls: all(each.done() for each in calls), 'answers')
-        return {}
-
-    def second_recorder(self, scale):
-        """Start a second recorder, which must end when it hears the first."""
-        log = self._mission.log.parent / 'second.mcap'
-        process = self._mission.start_stranger('recorder', {'file': str(log)})
-        self._mission.until(lambda: process.poll() in (1, 2), 'end of a second recorder')
-        return {}
-
-    def second_planner(self, scale):
-        """Start a second planner, whose paths count where they are on disk first."""
-        parameters = self._parameters | {'planner': 'beam', 'recorded': True}
-        own = {name: parameters[name] for name in parameters if parameter_of('planner', name)}
-        self._mission.start_stranger('planner', own)
-        name = f'{self._namespace}/second_planner'
-        self._mission.until(lambda: name in self._mission.onlooker.states, name)
-        return {'planner': 1}
 
     def topics(self, scale):
         """Announce 1,000 topics of a type that is not installed, and some of hostile types."""

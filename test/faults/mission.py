@@ -42,23 +42,7 @@ class StuckError(Exception):
 
 
 class Mission:
-    """
-    Four nodes and an onlooker on a domain of their own, which the environment must be set for.
-
-    Parameters
-    ----------
-    domain : int
-        The domain.
-    folder : Path
-        Where the log and what the nodes say go.
-    parameters : dict
-        Of all nodes.
-    awaited, remaps : dict, optional
-        By node, where they are not as usual: its `await_nodes`, and other names for its topics.
-    processes : type
-        Of what starts nodes.
-
-    """
+    """Four nodes and an onlooker on a domain of their own, set in the environment."""
 
     def __init__(
         self, domain, folder, parameters, *, awaited=None, remaps=None, processes=Processes
@@ -85,7 +69,6 @@ class Mission:
             self._executor = SingleThreadedExecutor(context=context)
             self._executor.add_node(self.node)
             self.processes = stack.enter_context(processes(domain))
-            self._strangers = stack.enter_context(processes(domain))
             self._stack = stack.pop_all()
 
     def __enter__(self):
@@ -116,17 +99,6 @@ class Mission:
                     remaps=self._remaps.get(name),
                     output=output,
                 )
-
-    def start_stranger(self, name, parameters):
-        """Start a second node of a kind in the namespace, and return its process."""
-        with (self._folder / f'second_{name}.txt').open('ab') as output:
-            return self._strangers.start(
-                name,
-                parameters,
-                namespace=NAMESPACE,
-                remaps={'__node': f'second_{name}'},
-                output=output,
-            )
 
     def said(self, name):
         """Return what a node wrote to its terminal, in all its lives."""
@@ -237,15 +209,7 @@ class Mission:
         return len(self.onlooker.evidence.paths.keys() - self.onlooker.evidence.reports.keys())
 
     def findings(self):
-        """
-        End all nodes and return what is not as it must be.
-
-        Returns
-        -------
-        list of (str, str)
-            What kind of finding, and the finding in words.
-
-        """
+        """End all nodes and return what is not as it must be."""
         robots = self._parameters['robots']
         codes = self.processes.stop()
         found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]

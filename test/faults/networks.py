@@ -38,19 +38,7 @@ def ip(*arguments):
 
 
 class Networks:
-    """
-    A network for the base and one for each robot, on one bridge.
-
-    The base is heard by all robots and hears them; they do not hear each other.
-
-    Attributes
-    ----------
-    base : str
-        The name of that of the base.
-    robots : list of str
-        The names of those of the robots.
-
-    """
+    """A network for the base and one for each robot, on one bridge."""
 
     def __init__(self, robots, multicast=True):
         mark = f'k{os.getpid() % 10_000}'

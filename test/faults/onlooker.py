@@ -21,15 +21,7 @@ AGENT = 'scout_1'
 
 @dataclass
 class Evidence:
-    """
-    The paths and reports of deployments, each said any number of times.
-
-    Attributes
-    ----------
-    paths, reports : dict
-        All that was ever said of a deployment: more than one thing is a contradiction.
-
-    """
+    """The paths and reports of deployments, each said any number of times."""
 
     paths: dict[DeploymentKey, set[tuple[tuple[float, float], ...]]] = field(default_factory=dict)
     reports: dict[DeploymentKey, set[Report]] = field(default_factory=dict)
@@ -46,21 +38,7 @@ class Evidence:
 
 
 class Onlooker:
-    """
-    A node that hears everything and says nothing.
-
-    Attributes
-    ----------
-    evidence : Evidence
-        All that was published.
-    belief : BeliefMaps or None
-        The newest.
-    recorded : set of DeploymentKey
-        Whose paths are on disk.
-    states, refused : dict
-        What each node says it does, and how many messages it has refused, by its full name.
-
-    """
+    """A node that hears everything and says nothing."""
 
     def __init__(self, node, namespace, agents):
         self.node = node

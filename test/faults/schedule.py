@@ -19,21 +19,7 @@ KINDS = (*STRUCK, 'mixed')
 
 @dataclass(frozen=True)
 class Fault:
-    """
-    One or more nodes struck at a moment, each back after a pause.
-
-    Attributes
-    ----------
-    kind : str
-        One of `STRUCK`.
-    reports : int
-        It comes after so many deployments have been reported ...
-    delay : float
-        ... and so many seconds have passed.
-    pauses : dict
-        The nodes struck, in this order, and the seconds until each is back.
-
-    """
+    """One or more nodes struck at a moment, each back after a pause."""
 
     kind: str
     reports: int
@@ -47,13 +33,7 @@ class Fault:
 
 
 def draw_faults(rng: np.random.Generator, kind: str, robots: int) -> list[Fault]:
-    """
-    Draw one to five faults of a kind, in the order of the reports they wait for.
-
-    A deployment takes some 50 ms and a node's start about a second. Most delays are of the first
-    order, so that faults come in every phase of a deployment. Faults share two numbers of reports,
-    so that nodes are struck while those struck before are still away.
-    """
+    """Draw one to five faults of a kind, in the order of the reports they wait for."""
     reports_at = rng.integers(0, robots, size=2)
     faults = []
     for reports in sorted(rng.choice(reports_at, size=rng.integers(1, 6)).tolist()):

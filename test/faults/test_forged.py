@@ -36,13 +36,6 @@ def test_a_mission_survives_all_of_it(tmp_path, processes, undisturbed):
 
 
 @pytest.mark.full
-def test_with_a_second_planner_the_belief_is_that_of_the_log(tmp_path):
-    outcome = run_forged(tmp_path, ['second_planner'])
-    # Not that of core, which has one planner.
-    assert {kind for kind, _ in outcome.findings} <= {'belief'}, outcome
-
-
-@pytest.mark.full
 @pytest.mark.campaign
 def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     outcome = run_forged(tmp_path, ['topics'], 10.0)

@@ -117,7 +117,7 @@ def folded(parameters, evidence):
         walk, readings = grid.cells_at(path), None
         if report.survived:
             steps, readings = zip(*report.readings)
-            walk = [grid.base, *steps]
+            walk = [walk[0], *steps]
         known, lost_at = report.steps_survived, report.lost_at or None
         observation = Observation(walk, report.survived, readings, known, lost_at)
         estimator.assimilate(observation, robot_types_of(values, grid)[key.agent])

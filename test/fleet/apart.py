@@ -26,28 +26,7 @@ PATIENCE = 120.0
 
 
 class Apart:
-    """
-    A mission of one agent, whose base is on another network than the robot and its simulator.
-
-    Parameters
-    ----------
-    folder : Path
-        Where everything is kept.
-    networks : Networks
-        Of the base, and one for each robot; all robots have one name.
-    robots : int
-        How many robots leave, one after another.
-    discovery : dict
-        The variables by which nodes find each other.
-    planner : dict
-        Parameters of the planner.
-
-    Attributes
-    ----------
-    log : Path
-        Of the mission.
-
-    """
+    """A mission of one agent, whose base is on another network than robot and simulator."""
 
     def __init__(self, folder, networks, robots, discovery, planner):
         base, own = networks.base, networks.robots

@@ -10,10 +10,9 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import COVERED, ForkedProcesses
-from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
-from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 import pytest
@@ -73,24 +72,6 @@ class Field:
             ('planner', ['agent', 'estimator']),
         ):
             self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
-
-    def run_killed_mission(self, parameters, log):
-        """Kill all nodes after four reports, resume to the end, and return the later beliefs."""
-        robots, agents = parameters['robots'], parameters['agents']
-        beliefs = self.listen(BeliefMaps, '/m/belief')
-        reports = [self.listen(DeploymentReport, f'/m/{each}/report') for each in agents]
-        self.start_mission(parameters, '/m', log)
-        self.until(lambda: sum(map(len, reports)) >= 4, 'four reports', patience=180)
-        for name in [*self.processes.started]:
-            self.kill(name)
-        assert len(replay(log).evidence.reports) < robots
-        beliefs.clear()
-        self.start_mission({**parameters, 'resume': log}, '/m')
-        done = f'done: {robots} of {robots} robots deployed'
-        self.until(lambda: self.state('/m/planner') == done, done, patience=180)
-        self.until(lambda: beliefs and beliefs[-1].deployments == robots, 'last belief')
-        assert set(self.processes.stop().values()) == {0}
-        return beliefs
 
     def keep_fewer(self, depth):
         """Have nodes started from now on keep so many paths and reports for who joins late."""
@@ -229,11 +210,7 @@ def system_clock(tmp_path, monkeypatch):
 
 @pytest.fixture
 def field(request, server, tmp_path, monkeypatch):
-    """
-    Provide a domain that nobody else uses; all that was started on it must end well.
-
-    Nodes are forked from a process that has imported them, but in tests marked `interpreter`.
-    """
+    """Provide a domain that nobody else uses; all that was started on it must end well."""
     anew = request.node.get_closest_marker('interpreter') or COVERED
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())

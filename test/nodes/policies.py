@@ -23,24 +23,7 @@ ASKED = {
 
 
 def read_policy(path, replaced=('', '')):
-    """
-    Return the enclave of a policy, the full name of its node, and what it allows.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    replaced : (str, str)
-        What in its text stands for another text.
-
-    Returns
-    -------
-    enclave, node : str
-        Two names, which are to be the same.
-    allowed : dict
-        Full names of topics, services and actions, with wildcards, by what the node may do.
-
-    """
+    """Return the enclave of a policy, the full name of its node, and what it allows."""
     root = ElementTree.fromstring(path.read_text().replace(*replaced))
     (enclave,) = root.iter('enclave')
     (profile,) = enclave.findall('profiles/profile')

@@ -159,10 +159,3 @@ def test_limits_that_nav2_takes_are_allowed():
     check_filter(KEEPOUT, 0.0, 1.0)
     check_filter(SPEED_PERCENT, 100.0, -1.0)
     check_filter(SPEED_ABSOLUTE, 1.5, -0.015)
-
-
-def test_an_estimator_with_a_filter_that_is_none_does_not_start(field):
-    field.start('estimator', {'filter.type': 0, 'filter.multiplier': 2.0})
-    code, told = field.until_failed('/estimator')
-    assert code == 2
-    assert 'filter.base is 0.0 and filter.multiplier 2.0' in told

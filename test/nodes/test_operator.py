@@ -230,36 +230,6 @@ def test_the_services_are_called_as_the_page_says(field):
     assert len(base.replayed().actions) == 6
 
 
-def pause(base):
-    base.proposed()
-    base.do('pause', data=True)
-
-
-def is_paused(base):
-    base.until_state('waiting for the operator to end the pause')
-
-
-def go_on(base):
-    base.do('pause', data=False)
-
-
-def is_proposed_first(base):
-    base.first = base.proposed()
-
-
-def refuse(base):
-    base.do('approve', data=False)
-
-
-def is_proposed_elsewhere(base):
-    base.field.until(lambda: base.proposed() != base.first, 'another plan')
-    base.second = base.proposed()
-
-
-def approve(base):
-    base.do('approve', data=True)
-
-
 def has_left(base):
     # No robot takes a path that was not on disk; it is sent anew then.
     base.field.until(base.sent, 'path')
@@ -267,10 +237,9 @@ def has_left(base):
     base.until_state('to be reported on /scout_1/report')
 
 
-def give_up(base):
-    # The robot leaves when its path is on disk.
-    base.until_state('however long that takes')
-    base.do('give_up', agent='scout_1', steps_survived=2)
+def is_proposed_elsewhere(base):
+    base.field.until(lambda: base.proposed() != base.first, 'another plan')
+    base.second = base.proposed()
 
 
 def is_given_up(base):
@@ -280,26 +249,37 @@ def is_given_up(base):
     base.proposed()
 
 
-def end(base):
-    base.do('end_mission')
-
-
-def is_ended(base):
-    base.until_state('done: 1 of 4 robots deployed, ended by the operator')
-
-
+# What the operator does: the state that it needs, the call, and what it must lead to.
+GIVE_UP = {'agent': 'scout_1', 'steps_survived': 2}
 STEPS = {
-    pause: is_paused,
-    go_on: is_proposed_first,
-    refuse: is_proposed_elsewhere,
-    approve: has_left,
-    give_up: is_given_up,
-    end: is_ended,
+    'PAUSE': (
+        Base.proposed,
+        ('pause', {'data': True}),
+        lambda base: base.until_state('waiting for the operator to end the pause'),
+    ),
+    'RESUME': (
+        None,
+        ('pause', {'data': False}),
+        lambda base: setattr(base, 'first', base.proposed()),
+    ),
+    'REFUSE': (None, ('approve', {'data': False}), is_proposed_elsewhere),
+    'APPROVE': (None, ('approve', {'data': True}), has_left),
+    # The robot leaves when its path is on disk.
+    'GIVE_UP': (
+        lambda base: base.until_state('however long that takes'),
+        ('give_up', GIVE_UP),
+        is_given_up,
+    ),
+    'END': (
+        None,
+        ('end_mission', {}),
+        lambda base: base.until_state('done: 1 of 4 robots deployed, ended by the operator'),
+    ),
 }
 
 # After which steps all nodes are killed, and whether before these have had any effect.
 CASES = [
-    ((refuse, give_up), True),
+    (('REFUSE', 'GIVE_UP'), True),
     *(
         pytest.param(steps, at_once, marks=pytest.mark.full)
         for at_once in (True, False)
@@ -311,8 +291,10 @@ CASES = [
 @pytest.mark.parametrize('crashes, at_once', CASES)
 def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
     base = Base(field, approval=True)
-    for step, holds in STEPS.items():
-        step(base)
+    for step, (prepare, (service, request), holds) in STEPS.items():
+        if prepare:
+            prepare(base)
+        base.do(service, **request)
         if step in crashes and at_once:
             base.crash()
         holds(base)
@@ -320,9 +302,7 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
             base.crash()
             holds(base)
     report = base.replayed()
-    assert [each.action.name for each in report.actions] == (
-        ['PAUSE', 'RESUME', 'REFUSE', 'APPROVE', 'GIVE_UP', 'END']
-    )
+    assert [each.action.name for each in report.actions] == [*STEPS]
     assert len(report.evidence.reports) == 1
     assert [report.evidence.path(key).tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)

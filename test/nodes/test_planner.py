@@ -7,7 +7,6 @@ import json
 import math
 import time
 
-from extent import some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress, Recorded
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
@@ -18,11 +17,8 @@ from kbnitp_ros.core import (
     Ledger,
     Observation,
     plan,
-    plan_team,
     RobotType,
-    SearchOptions,
     SensorModel,
-    Team,
 )
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import (
@@ -30,7 +26,6 @@ from kbnitp_ros.messages.deployments import (
     read_path,
     read_report,
     report_message,
-    Source,
 )
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.planner import PlannerNode
@@ -139,22 +134,6 @@ def test_a_belief_of_too_many_cameras_is_refused(field):
     assert '7 different cameras' in field.until_refused('/planner', 1)
 
 
-def test_an_estimator_that_starts_over_is_waited_for(field):
-    mission = Mission(field, {'robots': 3})
-    prior = belief_maps(mission.ledger, 0)
-    mission.show_belief()
-    mission.until_sent(0)
-    mission.reports.publish(mission.lose(0))
-    mission.show_belief()
-    mission.until_sent(1)
-    mission.reports.publish(mission.lose(1))
-    mission.beliefs.publish(prior)
-    mission.until_state('waiting for a belief that holds 2 deployments')
-    assert len(mission.paths) == 2
-    mission.show_belief()
-    assert mission.until_sent(2) == mission.planned()
-
-
 def test_the_first_path_waits_for_its_readers(field):
     mission = Mission(field, {'await_nodes': ['test', 'onlooker']})
     mission.show_belief()
@@ -215,87 +194,7 @@ def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
     assert stamps[0] < stamps[1] == stamps[2] < stamps[3]
 
 
-def test_a_resumed_planner_knows_what_is_on_record(field):
-    log = field.folder / 'mission.mcap'
-    mission = Mission(field, {'robots': 3})
-    with LogWriter(log) as writer:
-        for topic, kind in (
-            ('/scout_1/path', 'nav_msgs/msg/Path'),
-            ('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport'),
-        ):
-            writer.add_topic(topic, kind, '[]')
-        for number in range(2):
-            mission.show_belief()
-            mission.until_sent(number)
-            writer.write('/scout_1/path', serialize_message(mission.paths[number]), 1, 1)
-            report = mission.lose(number)
-            if number == 0:
-                mission.reports.publish(report)
-                writer.write('/scout_1/report', serialize_message(report), 1, 1)
-    field.kill('/planner')
-    field.start('planner', {**PARAMETERS, 'robots': 3, 'resume': str(log)})
-    mission.until_sent(3)
-    assert mission.paths[2:] == mission.paths[:2]
-    # The belief that the test still offers holds one deployment: the second is out.
-    mission.until_state('to be reported')
-    mission.reports.publish(report)
-    mission.until_state('waiting for a belief that holds 2 deployments')
-    mission.show_belief()
-    assert mission.until_sent(4) == mission.planned()
-
-
 TEAM = ['scout_1', 'scout_2', 'scout_3']
-
-
-def paths_of_a_torn_round(field, log, fates, robots):
-    """
-    Resume a mission that died in its first round, and return the paths that are then sent.
-
-    On record is the prior, and for each robot in `fates` its path and, if it is True, a loss.
-    """
-    ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
-    planned = plan_team(
-        GRID, ledger.belief, MODEL, Team(len(TEAM)), SearchOptions(max_steps=4)
-    ).plans
-    with LogWriter(log) as writer:
-        writer.add_topic('/belief', 'kbnitp_msgs/msg/BeliefMaps', '[]')
-        writer.write('/belief', serialize_message(belief_maps(ledger, 7)), 1, 1)
-        for number, reported in fates.items():
-            path, agent = planned[number].path, TEAM[number]
-            key = DeploymentKey(agent, 7 + number)
-            for topic, kind, message in (
-                ('path', 'nav_msgs/msg/Path', path_message(GRID, path, key.stamp)),
-                (
-                    'report',
-                    'kbnitp_msgs/msg/DeploymentReport',
-                    report_message(key, Observation(path, False), 20),
-                ),
-            ):
-                if topic == 'path' or reported:
-                    writer.add_topic(f'/{agent}/{topic}', kind, '[]')
-                    writer.write(f'/{agent}/{topic}', serialize_message(message), 1, 1)
-    heard = [field.listen(Path, f'/{agent}/path') for agent in TEAM]
-    field.start('planner', {**PARAMETERS, 'agents': TEAM, 'robots': robots, 'resume': str(log)})
-    field.until(lambda: field.state('/planner'), 'word of the planner')
-    field.until(lambda: all(heard[number] for number in fates), 'paths on record')
-    expected = [path_message(GRID, each.path, 7 + number) for number, each in enumerate(planned)]
-    return heard, expected
-
-
-@pytest.mark.parametrize('fates', some([{0: False}, {0: True}, {1: False, 2: True}, {2: True}], 2))
-def test_a_torn_round_is_completed_as_it_was_planned(field, fates):
-    heard, expected = paths_of_a_torn_round(field, field.folder / 'mission.mcap', fates, 6)
-    field.until(lambda: all(heard), 'paths of the whole round')
-    assert heard == [[path] for path in expected]
-
-
-def test_a_round_that_was_whole_is_left_as_it_is(field):
-    # Of four robots two were left for the last round.
-    heard, expected = paths_of_a_torn_round(
-        field, field.folder / 'mission.mcap', {0: False, 1: True}, 2
-    )
-    field.until(lambda: 'waiting for' in field.state('/planner'), 'planner that waits')
-    assert heard == [[expected[0]], [expected[1]], []]
 
 
 SILENT = {
@@ -304,39 +203,6 @@ SILENT = {
     'return_deadline': 0.3,
     'presume_departure': True,
 }
-
-
-def test_silent_robots_are_given_time_for_their_ways(field):
-    planner = field.start('planner', {**SILENT, 'step_period': 0.0})
-    assert planner.wait(timeout=60) == 2
-    assert 'silent_loss is true and step_period is 0 for scout_1' in field.said('/planner')
-
-
-def test_a_resumed_planner_says_again_which_robots_it_gave_up(field):
-    log = field.folder / 'mission.mcap'
-    tour = [0, 1, 0]
-    lost, back = (
-        report_message(DeploymentKey('scout_1', stamp), Observation(tour, *ended), 9, source)
-        for stamp, source, *ended in (
-            (1, Source.SILENCE, False),
-            (2, Source.AGENT, True, [True, False]),
-        )
-    )
-    with LogWriter(log) as writer:
-        for topic, kind, messages in (
-            ('/scout_1/path', 'nav_msgs/msg/Path', [path_message(GRID, tour, s) for s in (1, 2)]),
-            ('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport', [lost, back]),
-        ):
-            writer.add_topic(topic, kind, '[]')
-            for message in messages:
-                writer.write(topic, serialize_message(message), 1, 1)
-    reports = field.listen(DeploymentReport, '/scout_1/report')
-    mission = Mission(field, {**SILENT, 'robots': 2, 'resume': str(log)})
-    mission.show_belief()
-    field.until(lambda: reports, 'loss on record')
-    mission.until_state('waiting for a belief that holds 2 deployments')
-    # The return is for its agent to say.
-    assert reports == [lost]
 
 
 def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
@@ -447,12 +313,6 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         assert told in field.said(f'{namespace}/planner')
 
 
-def test_a_field_that_paths_hardly_reach_is_told(field):
-    field.start('planner', {'grid.width': 30, 'grid.height': 30, 'max_steps': 18})
-    told = '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all'
-    field.until(lambda: told in field.said('/planner'), 'warning')
-
-
 def test_robots_that_wait_for_their_plans_are_told_of_once(field):
     mission = Mission(field, {'robots': 2, 'step_period': 1e-9})
     for number in range(2):
@@ -462,19 +322,6 @@ def test_robots_that_wait_for_their_plans_are_told_of_once(field):
     said = field.said('/planner')
     assert said.count('planning took') == 1
     assert 'a lower beam_width, or the planner relaxed, takes less' in said
-
-
-def test_a_search_beyond_memory_is_refused(field):
-    large = {'grid.width': 100, 'grid.height': 100, 'max_steps': 200}
-    field.start('planner', large)
-    refused = field.set_parameter('/planner', 'beam_width', 10_000)
-    assert not refused.successful
-    told = 'a beam width of 10000 and max_visits = 3 takes about'
-    assert told in refused.reason
-    assert field.set_parameter('/planner', 'beam_width', 17).successful
-    planner = field.start('planner', {**large, 'beam_width': 10_000}, '/a')
-    assert planner.wait(timeout=60) == 2
-    assert told in field.said('/a/planner')
 
 
 def test_the_bound_of_a_plan_is_told_with_the_progress(field):
@@ -496,51 +343,6 @@ def test_the_bound_of_a_plan_is_told_with_the_progress(field):
     assert (told.header, told.ordered, told.upper_bound) == (stamp, 7, bounded.upper_bound)
     gap = f'at most {bounded.gap:.2g} nats below the best'
     field.until(lambda: gap in field.said('/planner'), 'the departure with its bound')
-
-
-def test_an_objective_that_is_not_sought_is_refused(field):
-    for namespace, parameters, told in (
-        ('/a', {'planner': 'coverage', 'objective': 'behavioral'}, 'the planner coverage seeks'),
-        ('/b', {'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
-        ('/c', {'objective': 'behavioral', 'alpha': 9.0}, 'alpha is 9.0: it must be'),
-        ('/d', {'bound': True, 'agents': ['one', 'two']}, 'there are 2 robots, and a bound'),
-        ('/f', {'planner': 'exact'}, 'planner'),
-        ('/e', {'planner': 'coverage', 'bound': True}, 'planner is coverage, which seeks'),
-    ):
-        planner = field.start('planner', parameters, namespace)
-        assert planner.wait(timeout=60) == 2
-        assert told in field.said(f'{namespace}/planner')
-
-
-def test_fewer_robots_than_have_left_are_refused(field):
-    mission = Mission(field, {'robots': 5})
-    for number in range(3):
-        mission.show_belief()
-        mission.until_sent(number)
-        if number < 2:
-            mission.reports.publish(mission.lose(number))
-    for robots in (0, 2):
-        refused = field.set_parameter('/planner', 'robots', robots)
-        assert not refused.successful
-        assert f'robots is {robots}: 3 robots were sent' in refused.reason
-    mission.reports.publish(mission.lose(2))
-    assert field.set_parameter('/planner', 'robots', 3).successful
-    mission.show_belief()
-    mission.until_state('done: 3 of 3 robots deployed')
-
-
-def test_a_log_of_more_robots_than_asked_for_is_not_resumed(field):
-    log = field.folder / 'mission.mcap'
-    with LogWriter(log) as writer:
-        writer.add_topic('/scout_1/path', 'nav_msgs/msg/Path', '[]')
-        for stamp in (1, 2):
-            path = path_message(GRID, [0, 1, 0], stamp)
-            writer.write('/scout_1/path', serialize_message(path), stamp, stamp)
-    planner = field.start('planner', {**PARAMETERS, 'robots': 1, 'resume': str(log)})
-    assert planner.wait(timeout=60) == 2
-    assert 'robots is 1: 2 robots were sent, and it must be at least that' in field.said(
-        '/planner'
-    )
 
 
 def test_a_mission_may_be_empty(field):

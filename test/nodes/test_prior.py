@@ -151,13 +151,3 @@ def test_a_mission_goes_on_from_an_earlier_one(field, log):
     snapshot = read_belief_maps(beliefs[0])
     assert snapshot.deployments == 0
     assert snapshot.belief.joint == pytest.approx(known.joint, abs=1e-15)
-
-
-def test_no_estimator_starts_on_a_prior_that_is_none(field, tmp_path):
-    parameters = {**FIELD, 'prior.hazard_map': write(tmp_path / 'prior.npy', [[2.0]])}
-    assert field.start('estimator', parameters).wait(60) == 2
-    (said,) = field.said('/estimator').splitlines()
-    assert said == (
-        f'estimator: {tmp_path / "prior.npy"} is 2.0 in row 0, column 0: '
-        'a probability must be from 0 to 1'
-    )

@@ -133,29 +133,6 @@ def test_without_a_namespace_everything_but_the_logs_of_ros_is_recorded(field):
     assert set(recorded(log)) == {'/a/topic', '/diagnostics'}
 
 
-def test_a_reported_deployment_is_readable_at_once(field):
-    log = record(field)
-    paths = field.talk(Path, '/m/scout_1/path')
-    reports = field.talk(DeploymentReport, '/m/scout_1/report')
-    for number in range(5):
-        paths.publish(path(number))
-        reports.publish(lost(number))
-        field.until(lambda n=number: len(recorded(log)['/m/scout_1/report']) > n, 'report')
-        assert not is_finished(log)
-
-
-def test_the_log_names_the_quality_of_service_offered(field):
-    log = record(field)
-    publisher = field.talk(String, '/m/latched', LAST_OF_FIVE)
-    publisher.publish(String(data='x'))
-    field.until(lambda: '/m/latched' in recorded(log), 'message')
-    field.processes.stop()
-    (metadata,) = [channel.metadata for channel in channels(log) if channel.topic == '/m/latched']
-    (offered,) = yaml.safe_load(metadata['offered_qos_profiles'])
-    assert offered['reliability'] == 'reliable'
-    assert offered['durability'] == 'transient_local'
-
-
 def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
     log = record(field)
     # What is latched is heard by the reader before it as well.
@@ -210,22 +187,6 @@ def test_evidence_that_no_other_node_hears_is_refused_and_its_node_named(field, 
     assert reports.get_subscription_count() == 0
 
 
-def test_a_path_that_is_none_is_refused_and_the_rest_goes_on(field):
-    log = record(field)
-    paths = field.talk(Path, '/m/scout_1/path')
-    paths.publish(b'\0\1\0\0')
-    assert '/m/scout_1/path refused' in field.until_refused('/m/recorder', 1)
-    paths.publish(path(1))
-    field.until(lambda: len(recorded(log)['/m/scout_1/path']) == 1, 'path')
-
-
-def test_what_is_no_evidence_is_on_the_disk_while_it_is_recorded(field):
-    log = record(field)
-    talker = field.talk(String, '/m/chatter')
-    talker.publish(String(data='x'))
-    field.until(lambda: '/m/chatter' in recorded(log), 'message')
-
-
 def test_a_resumed_log_holds_everything(field):
     log, told, paths = record_path(field)
     recorder = field.processes.started['/m/recorder']
@@ -258,13 +219,6 @@ def test_a_log_has_one_recorder_at_a_time(field):
     assert is_finished(log)
     assert stamps_of(recorded(log)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
     assert list(log.parent.glob('*.mcap')) == [log]
-
-
-@pytest.mark.parametrize('size', [1, 90_000, 2**20 - 1])
-def test_files_smaller_than_what_they_begin_with_are_refused(field, size):
-    told = refusal(field, {'file': str(field.folder / 'mission.mcap'), 'max_file_size': size})
-    assert f'max_file_size is {size}: it must be 0 or from 1048576 to' in told
-    assert not list(field.folder.glob('*.mcap'))
 
 
 def test_a_message_too_large_to_be_read_again_is_refused_and_the_rest_goes_on(field):

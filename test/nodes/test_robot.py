@@ -87,14 +87,12 @@ def test_bad_fixes_are_refused_by_name_and_counted(field):
 
 
 def test_fixes_without_a_datum_are_refused_at_the_start(field):
-    fleet = Fleet(field)
-    assert fleet.start(position='fix').wait(60) == 2
+    assert Fleet(field).start(position='fix').wait(60) == 2
     assert "parameter position is 'fix', and datum is empty" in field.said('/scout_1/robot')
 
 
 def test_a_datum_off_the_earth_is_refused_at_the_start(field):
-    fleet = Fleet(field, datum=(91.0, 0.0, 0.0))
-    assert fleet.start().wait(60) == 2
+    assert Fleet(field, datum=(91.0, 0.0, 0.0)).start().wait(60) == 2
     assert 'datum has latitude 91.0' in field.said('/scout_1/robot')
 
 

@@ -15,12 +15,7 @@ pytestmark = pytest.mark.processes
 
 
 def flap(mission, number, times, rng):
-    """
-    Take the link up and down while a robot reports that it is home; it is down in the end.
-
-    Each time it is up so briefly that hardly a packet gets through, or so long that the report
-    may: then it is over. Return how often it was up.
-    """
+    """Take the link up and down while a robot reports that it is home; it is down in the end."""
     for ups in range(times):
         if len(mission.reports()) == number:
             return ups

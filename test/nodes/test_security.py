@@ -39,19 +39,7 @@ LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality'], 'filter.typ
 
 
 class Watched:
-    """
-    What nodes have had in the graph so far, beside what their policies allow.
-
-    Parameters
-    ----------
-    node : Node
-        Looks at the graph.
-    names : sequence of str
-        The files of the policies, without what they end with.
-    **replaced : (str, str)
-        What in the text of a policy stands for another text.
-
-    """
+    """What nodes have had in the graph so far, beside what their policies allow."""
 
     def __init__(self, node, names, **replaced):
         self._node = node

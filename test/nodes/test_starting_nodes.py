@@ -26,11 +26,7 @@ import pytest
 
 @pytest.fixture
 def run(server, tmp_path):
-    """
-    Return a function that runs commands at once, and returns of each exit code and words.
-
-    A node that cannot start waits for a moment to be heard.
-    """
+    """Return a function that runs commands at once, and returns of each exit code and words."""
 
     def run(commands):
         started = []
@@ -49,49 +45,70 @@ def complaints(said, told='[INFO]'):
     return [line for line in said.splitlines() if not line.startswith(told)]
 
 
+# Parameters that a node refuses, and what of its only line says why.
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
     ('planner', 'planner:=guess', "planner is 'guess': it must be one of relaxed, beam"),
+    ('planner', 'planner:=exact', "planner is 'exact'"),
+    ('planner', 'planner:=coverage objective:=behavioral', 'the planner coverage seeks'),
+    ('planner', 'planner:=coverage bound:=true', 'planner is coverage, which seeks'),
+    ('planner', 'alpha:=2.0', 'alpha is 2.0, which the objective information does not have'),
+    ('planner', 'objective:=behavioral alpha:=9.0', 'alpha is 9.0: it must be'),
+    ('planner', 'bound:=true agents:=[one,two]', 'there are 2 robots, and a bound'),
+    (
+        'planner',
+        'grid.width:=100 grid.height:=100 max_steps:=200 beam_width:=10000',
+        'a beam width of 10000 and max_visits = 3 takes about',
+    ),
     ('planner', 'agents:=[]', 'parameter agents is []: it must be one or more'),
     ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
-    (
-        'agent',
-        'sensor.lethality:=1.5',
-        'sensor.lethality is 1.5: it must be from 0.0 to 1.0',
-    ),
+    ('planner', 'agents:=[a,b,a]', "agents is ['a', 'b', 'a']"),
+    ('planner', 'loss_cost:=-1.0', 'loss_cost is -1.0'),
+    ('planner', 'allocation:=magic', "allocation is 'magic'"),
+    ('planner', 'return_deadline:=0.0', 'return_deadline is 0.0'),
+    ('planner', 'silent_loss:=true', 'silent_loss is true and step_period is 0 for scout_1'),
+    ('planner', 'grid.origin:=[1e16,0.0]', 'origin is (1e+16, 0.0): so far out'),
+    ('agent', 'grid.origin:=[1e308,0.0]', 'origin is (1e+308, 0.0): so far out'),
+    ('agent', 'map:=no.yaml', 'no.yaml cannot be read: No such file or directory'),
+    ('agent', 'sensor.lethality:=1.5', 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
     ('agent', 'grid.blocked:=[0]', 'base is 0: it must be a free cell, and that one is'),
     ('agent', 'agent:=/scout', "agent is '/scout': it must be of the form"),
+    ('agent', 'agent:=scout_2', 'agent is scout_2: it must be one of agents, scout_1'),
+    (
+        'agent',
+        'grid.width:=2 grid.height:=1 agents:=[a,b,c]',
+        'one for each of the 2 free cells',
+    ),
     ('agent', 'world.file:=no.yaml', 'agent: no.yaml: No such file or directory'),
     ('estimator', 'prior.hazard:=.nan', 'prior.hazard is nan: it must be from 0.0 to 1.0'),
     ('estimator', 'prior.target:=0.0', 'maps have no joint distribution at cell 0'),
+    ('estimator', 'prior.hazard_map:=no.npy', 'no.npy'),
     ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
     ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
-    (
-        'estimator',
-        'learn:=[lethalty]',
-        "learn is 'lethalty': did you mean lethality? it must",
-    ),
+    ('estimator', 'learn:=[lethalty]', "learn is 'lethalty': did you mean lethality? it must"),
     (
         'estimator',
         'hazards.move:=0.1',
         'parameter hazards.move is 0.1 and hazards are static: only moving ones have it',
     ),
+    (
+        'estimator',
+        'filter.type:=0 filter.multiplier:=2.0',
+        'filter.base is 0.0 and filter.multiplier 2.0',
+    ),
     ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
     ('recorder', 'file:=/', "'/'"),
     ('recorder', 'file', "Couldn't parse parameter override rule"),
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-    (
-        'recorder',
-        'step_period:=1.0',
-        'step_period is unknown to the recorder: it is one of',
-    ),
+    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
+    ('recorder', 'max_file_size:=90000', 'max_file_size is 90000: it must be 0 or from 1048576'),
 ]
 
 
 @pytest.mark.processes
 def test_a_node_that_cannot_start_says_why_in_one_line(run):
     commands = [
-        [name, '--ros-args', '--disable-rosout-logs', '-p', given]
+        [name, '--ros-args', '--disable-rosout-logs', '-p', *given.replace(' ', ' -p ').split()]
         for name, given, _ in CANNOT_START
     ]
     for (name, given, told), (code, said) in zip(CANNOT_START, run(commands)):

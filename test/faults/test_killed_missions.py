@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission of any kind, unbroken or killed, ends with the belief that core has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+from extent import some
+from kbnitp_ros.base.resumption import Resumption
+from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration.prior import earlier_belief
+from kbnitp_ros.maps import read_map
+from kbnitp_ros.messages.beliefs import read_belief_maps
+import numpy as np
+from PIL import Image
+import pytest
+from schedule import NODES
+from unbroken import core_mission, with_defaults
+
+SMALL = {
+    'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed', 'robots': 16,
+    'agents': ['scout_1', 'scout_2'], 'sensor.lethality': 0.7, 'world.hazard_density': 0.4,
+}  # fmt: skip
+
+# A dear robot with a good camera, and a cheap blind one that does not go far.
+TYPES = {
+    'robots.scout_1.sensor.true_positive': 0.99,
+    'robots.scout_1.loss_cost': 0.2,
+    'robots.scout_2.sensor.true_positive': 0.5,
+    'robots.scout_2.sensor.false_positive': 0.5,
+    'robots.scout_2.max_steps': 6,
+}
+FIELD_MAP = {'resolution': 0.25, 'occupied_thresh': 0.65, 'free_thresh': 0.196, 'mode': 'trinary'}
+PRIOR_MAP = {'resolution': 2.5, 'occupied_thresh': 1.0, 'free_thresh': 0.0, 'mode': 'scale'}
+
+
+def write_map(folder, name, gray, values):
+    """Write a map, its bottom row first, and return its YAML file."""
+    Image.fromarray(gray[::-1].astype(np.uint8)).save(folder / f'{name}.png')
+    lines = [f'image: {name}.png', 'origin: [-7.5, 2.5, 0.0]', 'negate: 0']
+    lines += [f'{key}: {value}' for key, value in values.items()]
+    (folder / f'{name}.yaml').write_text('\n'.join(lines))
+    return str(folder / f'{name}.yaml')
+
+
+def on_a_map(folder):
+    """Return the parameters of a mission on a map of 120x80 pixels, 60x40 cells of 0.5 m."""
+    rng = np.random.default_rng(2)
+    gray = np.full((80, 120), 254)
+    for row, column in rng.integers((0, 0), (76, 112), (60, 2)):
+        gray[slice(row, row + 4), slice(column, column + 8)] = 0
+    gray[60:, 100:] = 205
+    gray[36:44, 56:64] = 254
+    # Darker is likelier: hazards in the east, targets in the north, known more coarsely.
+    hazard = np.broadcast_to(np.linspace(250, 100, 12), (8, 12))
+    target = np.broadcast_to(np.linspace(195, 120, 8)[:, None], (8, 12))
+    return {
+        'map': write_map(folder, 'field', gray, FIELD_MAP),
+        'grid.resolution': 0.5,
+        'grid.base_position': [7.5, 12.5],
+        'prior.hazard_map': write_map(folder, 'hazard', hazard, PRIOR_MAP),
+        'prior.target_map': write_map(folder, 'target', target, PRIOR_MAP),
+        'prior.kappa': 0.3,
+        'max_steps': 24,
+        'robots.scout_2.sensor.malfunction': 0.02,
+        **TYPES,
+    }
+
+
+# A wall, and a base in two of the corners of a turned field.
+BASES = {
+    'grid.width': 9,
+    'grid.height': 7,
+    'grid.blocked': [13, 22, 31],
+    'grid.origin': [10.0, -5.0, 0.6],
+    'max_steps': 12,
+    'sensor.lethality': 0.3,
+    'allocation': 'voronoi',
+    'agents': ['scout_1', 'scout_2', 'scout_3'],
+    'robots.scout_2.base': 62,
+    'robots.scout_3.base_position': [13.5, 5.3],
+    **TYPES,
+}
+SILENT = {'silent_loss': True, 'return_deadline': 1.0, 'step_period': 0.001}
+LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality', 'hazard_density']}
+
+
+def moves(deployments):
+    """Say whether the hazards of a mission were not the same for all robots."""
+    return any((each.world.hazard != deployments[0].world.hazard).any() for each in deployments)
+
+
+def keeps_off_what_is_occupied(deployments, parameters):
+    """Say by the pixels that no robot touched what is occupied or unknown."""
+    field, grid = read_map(parameters['map']), grid_of(with_defaults(parameters))
+    for each in deployments:
+        for start, end in pairwise(grid.centers(each.observation.path)):
+            column, row = (
+                np.floor((np.linspace(start, end, 50) - field.origin) / field.resolution)
+                .astype(int)
+                .T
+            )
+            if field.data[row, column].any():
+                return False
+    return True
+
+
+# Parameters of each kind, and what shows in a mission that it is of this kind.
+KINDS = {
+    'map': (on_a_map, keeps_off_what_is_occupied),
+    'used_up': ({'hazards.dynamics': 'used_up'}, lambda made, _: moves(made)),
+    'bases': (BASES, lambda made, _: {int(each.plan.path[0]) for each in made} == {0, 62}),
+    'silent': (SILENT, lambda made, _: not all(each.observation.survived for each in made)),
+    'heard': (
+        {'contact_probability': 0.5},
+        lambda made, _: any(each.observation.lost_at is not None for each in made),
+    ),
+    'changing': (
+        {'hazards.dynamics': 'changing', 'hazards.appear': 0.05, 'hazards.vanish': 0.2},
+        lambda made, _: moves(made),
+    ),
+    'moving': ({'hazards.dynamics': 'moving', 'hazards.move': 0.1}, lambda made, _: moves(made)),
+    'banked': (
+        {'hazards.dynamics': 'used_up', 'learn': ['lethality', 'hazard_density']},
+        lambda made, _: {*made[-1].parameters} == {'lethality', 'hazard_density'},
+    ),
+    'sampled': (LEARNING, lambda made, _: {*made[-1].parameters} == {*LEARNING['learn']}),
+    'clustered': ({'prior.clustering': 'learn', **LEARNING}, lambda made, _: made),
+    'eight': (
+        {'agents': [f'scout_{number}' for number in range(1, 9)], 'method': 'relaxed_bnitp'},
+        lambda made, _: made,
+    ),
+    'coverage': ({'planner': 'coverage', 'method': 'relaxed_itp'}, lambda made, _: made),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    'kind, killed',
+    some(((kind, killed) for killed in ('all', 'each', 'none') for kind in KINDS), 7),
+)
+def test_a_mission_ends_as_that_of_core(set_out, tmp_path, kind, killed):
+    own, is_of_kind = KINDS[kind]
+    parameters = {**SMALL, 'seed': 6, **(own(tmp_path) if callable(own) else own)}
+    if not with_defaults(parameters)['silent_loss']:
+        # Long enough for nodes to be killed before the mission is over.
+        parameters['step_period'] = 0.03
+    mission = set_out(parameters)
+    mission.start(*NODES)
+    reports = mission.onlooker.evidence.reports
+    for number, nodes in enumerate(
+        {'all': [NODES], 'each': [[n] for n in NODES], 'none': []}[killed]
+    ):
+        mission.until(lambda number=number: len(reports) >= 2 * number + 3, 'more reports')
+        for node in nodes:
+            mission.kill(node)
+        mission.start(*nodes)
+    mission.until_over()
+    assert not mission.findings()
+    assert is_of_kind(core_mission(parameters), parameters)
+
+
+def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_others(set_out):
+    parameters = {**SMALL, **BASES, 'robots': 6}
+    mission = set_out(parameters)
+    mission.start(*NODES)
+    mission.until_over()
+    assert not mission.findings()
+    moved = with_defaults({**parameters, 'robots.scout_1.base': 62, 'robots.scout_2.base': 0})
+    with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
+        Resumption(str(mission.log), grid_of(moved), moved, parameters['agents'])
+    last = read_belief_maps(mission.onlooker.belief)
+    assert [last.base_of(agent) for agent in parameters['agents']] == [0, 62, 62]
+    # What was a base stays free of hazards, and what becomes one is.
+    prior = earlier_belief(str(mission.log), replace(last.grid, base=8, other_bases=(54,)))
+    bases = [0, 8, 54, 62]
+    assert prior.hazard[bases].tolist() == [0.0] * 4
+    assert (last.belief.hazard[[8, 54]] > 0.0).all()
+    others = np.delete(np.arange(last.grid.cells), bases)
+    assert prior.joint[others].tobytes() == last.belief.joint[others].tobytes()
