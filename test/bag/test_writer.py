@@ -33,24 +33,24 @@ TYPE = 'nav_msgs/msg/OccupancyGrid'
 EMPTY_MAP = rclpy.serialization.serialize_message(OccupancyGrid())
 
 
-def test_an_existing_file_is_refused_and_kept(tmp_path, whole_mission):
-    path = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    content = path.read_bytes()
-    with pytest.raises(FileExistsError, match='mission.mcap'):
-        LogWriter(path)
-    assert path.read_bytes() == content
-
-
-def test_a_missing_folder_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match='nowhere'):
-        LogWriter(tmp_path / 'nowhere' / 'mission.mcap')
-
-
-@for_each('name', ['mission', 'mission.db3', 'mission.mcap.1'])
-def test_a_name_that_does_not_end_as_that_of_a_log_is_refused(tmp_path, name):
-    with pytest.raises(LogError, match=f"{name}' is no name for a log: it must end in .mcap"):
-        LogWriter(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
+@for_each('name, options, error, told', [
+    ('run_2.mcap', {}, FileExistsError, 'run_2.mcap'),
+    ('nowhere/mission.mcap', {}, FileNotFoundError, 'nowhere'),
+    *((name, {}, LogError, f"{name}' is no name for a log: it must end in .mcap")
+      for name in ('mission', 'mission.db3', 'mission.mcap.1')),
+    ('mission.mcap', {'compression': 'lz5'}, ValueError, "'lz5': it must be none or zstd"),
+    ('run_2_1.mcap', {}, FileExistsError, 'run_2_1.mcap would be taken for a part'),
+    ('run.mcap', {}, FileExistsError, 'run_2.mcap would be taken for a part'),
+    ('folder', {'resume': True}, LogError, 'holds no log'),
+    ('mission.mcap', {'resume': True}, LogError, 'cannot be gone on with: No such file'),
+])  # fmt: skip
+def test_what_cannot_be_written_is_refused(tmp_path, whole_mission, name, options, error, told):
+    (tmp_path / 'folder').mkdir()
+    path = record(tmp_path / 'run_2.mcap', whole_mission.sent)
+    content, there = path.read_bytes(), sorted(tmp_path.iterdir())
+    with pytest.raises(error, match=told):
+        LogWriter(tmp_path / name, **options)
+    assert (path.read_bytes(), sorted(tmp_path.iterdir())) == (content, there)
 
 
 def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
@@ -161,6 +161,8 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
             assert sum(len(each.data) for each in alone) < 25_000
     for part in parts[1:]:
         assert list(read_log(part))
+        with pytest.raises(LogError, match=f'{part.name} is a part of the log beside it'):
+            LogWriter(part, resume=True)
         assert read_metadata(part)['run'] == {'seed': '7'}
 
 
@@ -230,30 +232,6 @@ def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
         assert read_metadata(path)['run'] == {'seed': '7'}
 
 
-def test_no_log_cannot_be_gone_on_with(tmp_path):
-    with pytest.raises(LogError, match='holds no log'):
-        LogWriter(tmp_path, resume=True)
-    with pytest.raises(LogError, match='cannot be gone on with: No such file'):
-        LogWriter(tmp_path / 'mission.mcap', resume=True)
-
-
-def test_a_part_is_no_log_to_go_on_with(tmp_path):
-    with LogWriter(tmp_path / 'mission.mcap', max_file_size=1) as log:
-        log.add_topic(TOPIC, TYPE, '[]')
-        for time in (1, 2):
-            log.write(TOPIC, EMPTY_MAP, time, time)
-    with pytest.raises(LogError, match='mission_1.mcap is a part of the log beside it'):
-        LogWriter(log.current_path, resume=True)
-
-
-@for_each('names', [('run.mcap', 'run_1.mcap'), ('run_1.mcap', 'run.mcap')])
-def test_a_name_that_makes_it_a_part_of_another_log_is_refused(tmp_path, names):
-    first, second = names
-    record(tmp_path / first, [])
-    with pytest.raises(FileExistsError, match=r'run_1.mcap would be taken for a part'):
-        LogWriter(tmp_path / second)
-
-
 def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission):
     record(tmp_path / 'first.mcap', whole_mission.sent[:3])
     described = (tmp_path / 'metadata.yaml').read_text()
@@ -263,11 +241,6 @@ def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission
     with LogWriter(tmp_path / 'first.mcap', resume=True) as log:
         assert not log.shares_folder
     assert (tmp_path / 'metadata.yaml').read_text() != described
-
-
-def test_an_unknown_compression_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="'lz5': it must be none or zstd"):
-        LogWriter(tmp_path / 'mission.mcap', compression='lz5')
 
 
 @for_each('compression, room', [('none', 30_000), ('zstd', 10_000)])

@@ -3,9 +3,7 @@
 
 from extent import FULL
 from kbnitp_ros.study import benchmark, report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import read_scenario
-from kbnitp_ros.study.trial import run_trial, trials_of
 import pytest
 import small_study
 
@@ -38,4 +36,4 @@ def scenario(tmp_path_factory):
 @pytest.fixture(scope='session')
 def results(scenario):
     """Return the results of all trials; not to be changed."""
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return small_study.run(scenario)

@@ -47,10 +47,14 @@ def write(path, content=CONTENT):
     return path
 
 
+def run(scenario):
+    """Return the results of all trials."""
+    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+
+
 def compared_by(scenario, teams):
     """Return the results of missions by some strategies, of one method at one lethality."""
-    scenario = replace(scenario, teams=teams, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return run(replace(scenario, teams=teams, methods=('kappa_bnitp',), lethalities=(0.9,)))
 
 
 def written(results, comparison, folder):

@@ -15,17 +15,13 @@ from kbnitp_ros.study.scenario import read_scenario, scenario_file, scenario_of,
 from kbnitp_ros.study.trial import measures_of, run_trial, Trial, trials_of
 import numpy as np
 import pytest
-from small_study import CONTENT
+from small_study import CONTENT, run
 
 pytestmark = pytest.mark.slow
 
 GOAL = 11
 LANE = (Strategy(), Strategy(goal='safest_lane'), Strategy(goal='lane'))
 METHOD = 'kappa_bnitp'
-
-
-def run(scenario):
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
 
 
 @pytest.fixture(scope='module')

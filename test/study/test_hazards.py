@@ -8,14 +8,13 @@ from kbnitp_ros.core import Grid, log_loss
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import BY_KIND, OF_HAZARDS
 from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Hazards, scenario_of, Strategy, team_labels
-from kbnitp_ros.study.trial import run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import run_trial, Trial
 from kbnitp_ros.study.worlds import blobs, rows, world_of
 from laws import for_each
 import numpy as np
 import pytest
-from small_study import changed
+from small_study import changed, run
 
 RIGHT, STATIC, SAME = (Strategy(), Strategy(dynamics='static'), Strategy(paths='static'))
 KINDS = {'changing': Hazards('changing', appear=0.1, vanish=0.3), 'used_up': Hazards('used_up')}
@@ -70,8 +69,7 @@ def test_who_has_the_same_paths_has_the_same_evidence(scenario, kind):
 @pytest.mark.slow
 def test_each_belief_is_compared_with_the_first(scenario, tmp_path):
     scenario = of_kind(scenario, 'used_up', (RIGHT, STATIC))
-    outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
-    results = Results(scenario, outcomes)
+    results = run(scenario)
     write_report(results, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
     assert (summary['kinds']['first'], summary['kinds']['robots']) == ('used up', [12])

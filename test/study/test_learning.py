@@ -14,10 +14,9 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS
 from kbnitp_ros.study.report import figures_of, write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
 from kbnitp_ros.study.summary import LOG_LOSS
-from kbnitp_ros.study.trial import LEARNT, run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
@@ -62,21 +61,16 @@ def study(tmp_path, content):
     return read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
 
 
-def run(scenario):
-    """Return the results of a scenario."""
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
-
-
 @pytest.fixture(scope='module')
 def learnt(tmp_path_factory):
     """Return a study that learns, run; not to be changed."""
-    return run(study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY))
+    return small_study.run(study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY))
 
 
 @pytest.fixture(scope='module')
 def drawn(tmp_path_factory):
     """Return a study whose numbers are drawn, run; not to be changed."""
-    return run(study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY))
+    return small_study.run(study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY))
 
 
 @for_each('believed', [None, 1.0])

@@ -4,12 +4,10 @@
 from dataclasses import replace
 
 from kbnitp_ros.study.comparison import BY_BASE
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import scenario_of, Strategy, team_labels
-from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
-from small_study import CONTENT
+from small_study import compared_by, CONTENT
 
 TEAMS = (Strategy(agents=2), Strategy(agents=2, second_base=11))
 
@@ -17,8 +15,7 @@ TEAMS = (Strategy(agents=2), Strategy(agents=2, second_base=11))
 @pytest.fixture(scope='module')
 def compared(scenario):
     """Return the results of missions from one base, and from two."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 def first_at(level, log_loss):

@@ -13,6 +13,7 @@ from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
 import pytest
+from small_study import run
 
 pytestmark = pytest.mark.slow
 
@@ -55,8 +56,7 @@ def changed(scenario, changes):
 @for_each('name', STUDIES, every=9)
 def test_figures_are_legible(scenario, name):
     scenario = changed(scenario, STUDIES[name])
-    outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
-    figures = figures_of(Results(scenario, outcomes))
+    figures = figures_of(run(scenario))
     assert {'entropy', 'log_loss', 'reliability'} <= figures.keys()
     for figure in figures.values():
         check_texts(figure)

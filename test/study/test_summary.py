@@ -7,9 +7,9 @@ import json
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.summary import LOG_LOSS, mean_of, summarise, table_of
-from kbnitp_ros.study.trial import run_trial, trials_of
 import numpy as np
 import pytest
+from small_study import run
 
 
 def test_the_interval_holds_the_true_mean_about_as_often_as_it_says():
@@ -55,9 +55,7 @@ def test_differences_are_paired(results):
 def test_teams_have_rows_of_their_own(scenario):
     teams = (Strategy(), Strategy(2), Strategy(2, 'independent', 0.25))
     scenario = replace(scenario, teams=teams, lethalities=(0.9,), trials=2)
-    results = Results(
-        scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
-    )
+    results = run(scenario)
     summary = summarise(results)
     rows = {(row['method'], row['agents'], row['loss_cost']): row for row in summary['rows']}
     assert len(rows) == len(summary['rows']) == 3 * 3

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 from kbnitp_ros.study.comparison import BY_SIZE
 from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.teams import after_rounds, differ_in_size
-from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import MEASURES, Trial
 from laws import for_each
 import numpy as np
 import pytest
+from small_study import compared_by
 
 pytestmark = pytest.mark.slow
 
@@ -21,8 +21,7 @@ TEAMS = (Strategy(), Strategy(3, 'independent'), Strategy(2, 'voronoi'))
 @pytest.fixture(scope='module')
 def teams(scenario):
     """Return the results of missions of four robots: in four rounds, and twice in two."""
-    scenario = replace(scenario, teams=TEAMS, methods=('kappa_bnitp',), lethalities=(0.9,))
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return compared_by(scenario, TEAMS)
 
 
 @for_each('robots, agents, expected', [
