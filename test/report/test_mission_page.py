@@ -82,6 +82,20 @@ def opened(tabs, shown):
     assert said == []
 
 
+def downloaded(page, name, last=False):
+    """Press a button; return the file that it saves."""
+    buttons = page.get_by_role('button', name=name)
+    with page.expect_download() as download:
+        (buttons.last if last else buttons.first).click()
+    return Path(download.value.path())
+
+
+def rows(file):
+    """Return the rows of a table in CSV."""
+    with file.open(newline='') as table:
+        return list(csv.DictReader(table))
+
+
 def is_sent(request):
     """Return whether a request asks for anything but the file, what is in it or made of it."""
     return not request.url.startswith(('file:', 'data:', 'blob:'))
@@ -278,13 +292,8 @@ def surveyed(tmp_path_factory):
 def test_what_was_found_is_told_on_the_earth(opened, surveyed):
     mission, file = surveyed
     page = opened(file=file, is_strict=True)
-    with page.expect_download() as download:
-        page.get_by_role('button', name='CSV').first.click()
-    with Path(download.value.path()).open(newline='') as told:
-        table = list(csv.DictReader(told))
-    with page.expect_download() as download:
-        page.get_by_role('button', name='GeoJSON').click()
-    collection = json.loads(Path(download.value.path()).read_text())
+    table = rows(downloaded(page, 'CSV'))
+    collection = json.loads(downloaded(page, 'GeoJSON').read_text())
     # As RFC 7946 has it: the coordinates of WGS84 alone, and nothing of another frame.
     assert set(collection) == {'type', 'name', 'features'}
     findings = findings_of(mission)
@@ -453,15 +462,10 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     mission, _ = shown
     page = opened(is_strict=True)
     page.locator('#findings th button').nth(1).click()
-    with page.expect_download() as download:
-        page.get_by_role('button', name='CSV').first.click()
-    with Path(download.value.path()).open(newline='') as file:
-        table = list(csv.DictReader(file))
+    table = rows(downloaded(page, 'CSV'))
     findings = findings_of(mission)
     assert [float(row['x (m)']) for row in table] == sorted(each.x for each in findings)
-    with page.expect_download() as download:
-        page.get_by_role('button', name='GeoJSON').click()
-    features = json.loads(Path(download.value.path()).read_text())['features']
+    features = json.loads(downloaded(page, 'GeoJSON').read_text())['features']
     told = {
         (each['properties']['what'], *each['geometry']['coordinates']): each['properties']
         for each in features
@@ -471,13 +475,8 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
         values = told[each.kind, each.x, each.y]
         assert values['probability'] == each.probability
         assert values['looks'] == each.looks
-    with page.expect_download() as download:
-        page.get_by_role('button', name='CSV').last.click()
-    with Path(download.value.path()).open(newline='') as file:
-        assert len(list(csv.DictReader(file))) == len(mission.deployments)
-    with page.expect_download() as download:
-        page.get_by_role('button', name='map of hazard, believed').click()
-    assert Image.open(download.value.path()).format == 'PNG'
+    assert len(rows(downloaded(page, 'CSV', last=True))) == len(mission.deployments)
+    assert Image.open(downloaded(page, 'map of hazard, believed')).format == 'PNG'
 
 
 def test_it_can_be_printed_on_a4(opened):
@@ -564,15 +563,12 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
     missions, file = two
     page = opened(file=file, is_strict=True)
     page.locator('#findings th button').last.click()
-    with page.expect_download() as download:
-        page.get_by_role('button', name='CSV').click()
-    with Path(download.value.path()).open(newline='') as table:
-        rows = list(csv.DictReader(table))
+    told = rows(downloaded(page, 'CSV'))
     found = {(each.kind, each.x, each.y) for mission in missions for each in findings_of(mission)}
-    assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in rows} == found
-    changes = [float(row['B less A']) for row in rows]
+    assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in told} == found
+    changes = [float(row['B less A']) for row in told]
     assert changes == sorted(changes)
-    for row in rows:
+    for row in told:
         change = float(row['in B']) - float(row['probability in A'])
         assert float(row['B less A']) == pytest.approx(change)
     page.get_by_role('button', name='Dark').click()

@@ -12,7 +12,8 @@ def test_a_returned_robot_brings_a_reading_for_each_step():
     assert observation.path.tolist() == [0, 1, 1, 0]
     assert observation.survived is True
     assert observation.readings.tolist() == [True, False, False]
-    assert observation.readings.dtype == bool
+    as_numbers = Observation([0, 1, 1, 0], True, np.array([1, 0, 0]))
+    assert observation.readings.dtype == as_numbers.readings.dtype == bool
 
 
 def test_a_lost_robot_brings_none():

@@ -192,6 +192,9 @@ def test_steps_that_cannot_be_are_survived():
     assert Observation([0, 1, 2, 3, 0], False, None, 1, [5.0, 3.0, 3.0, 3.0]).lost_at is None
 
 
+BACK = {'survived': True}
+
+
 @for_each('arguments, message', [
     ({'lost_at': [1.0, 2.0]}, r'lost_at has shape \(2,\): it must be \(3,\)'),
     ({'lost_at': [1.0, -2.0, 1.0]}, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
@@ -203,6 +206,14 @@ def test_steps_that_cannot_be_are_survived():
         {'survived': True, 'readings': [1, 0, 1], 'lost_at': [1.0, 1.0, 2.0]},
         'lost_at is given: a robot that returned',
     ),
+    ({'steps_survived': 3}, 'steps_survived is 3.*at most 2'),
+    ({'steps_survived': -1}, 'steps_survived is -1.*at least 0'),
+    ({'steps_survived': 1.5}, 'steps_survived is 1.5'),
+    ({**BACK, 'readings': [1, 0, 1], 'steps_survived': 1}, 'steps_survived is 1.*returned'),
+    ({**BACK, 'readings': [1, 0, -2]}, 'readings is -2'),
+    ({**BACK, 'readings': [-1, 0, 2]}, 'readings is 2'),
+    ({**BACK, 'readings': [-1, 0]}, 'readings has shape'),
+    ({**BACK, 'readings': [-1, 0, float('nan')]}, 'readings is nan'),
 ])  # fmt: skip
 def test_what_cannot_be_known_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):

@@ -9,9 +9,6 @@ from kbnitp_ros.core import (
     Dynamics,
     Estimator,
     Grid,
-    Learning,
-    run_mission,
-    SearchOptions,
     SensorModel,
     Unknowns,
     World,
@@ -217,28 +214,6 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
             estimator.assimilate(each)
         beliefs.append(estimator.belief.joint.tobytes())
     assert beliefs[0] == beliefs[1]
-
-
-def test_the_same_seed_gives_the_same_mission():
-    grid = Grid(3, 3)
-    world = World.random(grid, np.random.default_rng(1), 0.2, KAPPA, BACKGROUND)
-    learning = Learning(seed=3, clustering=Clustering(grid, 'learn'))
-    missions = [
-        run_mission(
-            grid,
-            prior_of(grid, 0.2),
-            SensorModel(0.5),
-            world,
-            4,
-            0,
-            METHOD,
-            SearchOptions('relaxed', 6),
-            learning=learning,
-        )
-        for _ in range(2)
-    ]
-    first, second = ([each.belief.joint.tobytes() for each in mission] for mission in missions)
-    assert first == second
 
 
 @for_each('changed, message', [
