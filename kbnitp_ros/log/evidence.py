@@ -66,6 +66,15 @@ def first_belief(log: str | Path) -> Snapshot | None:
     return None
 
 
+def required_belief(log: str | Path) -> Snapshot:
+    """Return the first belief on record; raise a LogError if none can be read."""
+    if belief := first_belief(log):
+        return belief
+    raise LogError(
+        f'{log} has no beliefs on record that can be read: it must have messages of type {BELIEF}'
+    )
+
+
 # Fields of beliefs that 0.3.0 did not have.
 ADDED = {'move'}
 

@@ -25,12 +25,12 @@ from kbnitp_ros.log.evidence import (
     BELIEF,
     DECISION,
     Evidence,
-    first_belief,
     GRID,
     MODEL,
     PATH,
     PROGRESS,
     REPORT,
+    required_belief,
 )
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.decisions import read_decision
@@ -114,12 +114,7 @@ def read_history(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
     """Read what happened in a mission."""
-    first = first_belief(path)
-    if first is None:
-        raise LogError(
-            f'{path} has no beliefs on record that can be read: it must have messages of type '
-            f'{BELIEF}'
-        )
+    first = required_belief(path)
     history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
     with same_types(path):

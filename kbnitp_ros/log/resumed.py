@@ -9,17 +9,12 @@ from pathlib import Path
 from kbnitp_ros.bag import LogError, read_log, same_types
 from kbnitp_ros.core import Ledger
 from kbnitp_ros.log.deployments import is_of_mission, read_mission
-from kbnitp_ros.log.evidence import begun, BELIEF, first_belief, PATH, record, REPORT
+from kbnitp_ros.log.evidence import begun, PATH, record, REPORT, required_belief
 
 
 def read_ledger(log: str | Path) -> Ledger:
     """Return the ledger of a mission on record, with all its evidence."""
-    prior = first_belief(log)
-    if prior is None:
-        raise LogError(
-            f'{log} has no beliefs on record that can be read: it must have messages of type '
-            f'{BELIEF}'
-        )
+    prior = required_belief(log)
     if prior.deployments:
         raise LogError(
             f'{log} begins with a belief in {prior.deployments} deployments: the prior is not on '
