@@ -39,14 +39,11 @@ def test_what_is_learnt_on_the_way_is_no_other_estimators():
         assert tracker.accept_belief(snapshot, known=3)
 
 
-@for_each(
-    'other, told',
-    [
-        ({'interval': (0.2, 1.0)}, '^unknowns is .*low=0.2.* and 2 nodes publish beliefs'),
-        ({'seed': 4}, "^seed is '4': it was '3' before"),
-        ({'malfunction': 0.04}, '^model is .*0.04'),
-    ],
-)
+@for_each('other, told', [
+    ({'interval': (0.2, 1.0)}, '^unknowns is .*low=0.2.* and 2 nodes publish beliefs'),
+    ({'seed': 4}, "^seed is '4': it was '3' before"),
+    ({'malfunction': 0.04}, '^model is .*0.04'),
+])  # fmt: skip
 def test_another_estimator_is_told_by_what_it_was_started_with(other, told):
     tracker = MissionTracker()
     tracker.accept_belief(snapshots()[2], known=3)

@@ -17,14 +17,9 @@ from laws import for_each
 from samples import HOME, key
 
 VALUES = {
-    'robots': 3,
-    'rolling': False,
-    'recorded': False,
-    'silent_loss': True,
-    'presume_departure': False,
-    'return_deadline': 10.0,
-    'step_period': 1.0,
-}
+    'robots': 3, 'rolling': False, 'recorded': False, 'silent_loss': True,
+    'presume_departure': False, 'return_deadline': 10.0, 'step_period': 1.0,
+}  # fmt: skip
 HERE = AgentPresence(is_present=True, says_status=True, is_left_alone=False)
 NAMES = FullNames(lambda name: f'/a/{name}', lambda name: f'/b/{name}')
 
@@ -123,15 +118,12 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
     assert replace(rolling, values={**rolling.values, 'robots': 2}).obstacle is Obstacle.ALL_LEFT
 
 
-@for_each(
-    'change, free',
-    [
-        ({'is_left_alone': True}, False),
-        ({'says_status': False}, False),
-        ({'is_present': False}, False),
-        ({}, True),
-    ],
-)
+@for_each('change, free', [
+    ({'is_left_alone': True}, False),
+    ({'says_status': False}, False),
+    ({'is_present': False}, False),
+    ({}, True),
+])  # fmt: skip
 def test_agents_are_free_that_answer_and_take_orders(change, free):
     agents = {'scout_1': HERE._replace(**change)}
     assert bool(replace(CLEAR, agents=agents).free_agents) is free
@@ -160,59 +152,45 @@ def test_a_mission_that_is_ended_waits_for_those_that_have_departed_alone():
     assert ended.obstacle is Obstacle.UNREPORTED
 
 
-@for_each(
-    'actions, obstacle, state',
-    [
-        ([], Obstacle.UNREPORTED, MissionState.RUNNING),
-        ([], Obstacle.OVER, MissionState.DONE),
-        ([], Obstacle.ALL_DEPLOYED, MissionState.DONE),
-        ([Action.PAUSE], Obstacle.UNREPORTED, MissionState.PAUSED),
-        ([Action.PAUSE], Obstacle.ALL_DEPLOYED, MissionState.DONE),
-        ([Action.PAUSE, Action.END], Obstacle.UNREPORTED, MissionState.ENDED),
-    ],
-)
+@for_each('actions, obstacle, state', [
+    ([], Obstacle.UNREPORTED, MissionState.RUNNING),
+    ([], Obstacle.OVER, MissionState.DONE),
+    ([], Obstacle.ALL_DEPLOYED, MissionState.DONE),
+    ([Action.PAUSE], Obstacle.UNREPORTED, MissionState.PAUSED),
+    ([Action.PAUSE], Obstacle.ALL_DEPLOYED, MissionState.DONE),
+    ([Action.PAUSE, Action.END], Obstacle.UNREPORTED, MissionState.ENDED),
+])  # fmt: skip
 def test_the_state_of_the_mission(actions, obstacle, state):
     assert replace(CLEAR, operator=operator(*actions)).mission_state(obstacle) is state
 
 
-@for_each(
-    'obstacle, change, words',
-    [
-        (Obstacle.NO_BELIEF, {'estimators': 0}, 'the belief on /a/belief, which nobody publishes'),
-        (Obstacle.NO_BELIEF, {}, 'its parameter await_nodes names'),
-        (
-            Obstacle.UNREPORTED,
-            {},
-            'scout_1 at 1.000000000 to depart, as its agent tells on /a/scout_1/status',
-        ),
-        (
-            Obstacle.UNREPORTED,
-            {'agents': {'scout_1': HERE._replace(says_status=False)}},
-            'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
-        ),
-        (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
-        (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
-        (
-            Obstacle.BELIEF_BEHIND,
-            {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
-            'the last one holds 0, and only the last 2 of each agent are heard again',
-        ),
-        (Obstacle.PAUSED, {}, 'by the service /b/pause'),
-        (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
-        (
-            Obstacle.ALL_DEPLOYED,
-            {'operator': operator(Action.END)},
-            'robots deployed, ended by the operator',
-        ),
-        (Obstacle.OVER, {}, '1 of 3 robots deployed: the lane is free'),
-        (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
-        (
-            Obstacle.NO_FREE_AGENT,
-            {'agents': {'scout_1': HERE._replace(says_status=False)}},
-            'nobody publishes /a/scout_1/status, so that the silence',
-        ),
-    ],
-)
+@for_each('obstacle, change, words', [
+    (Obstacle.NO_BELIEF, {'estimators': 0}, 'the belief on /a/belief, which nobody publishes'),
+    (Obstacle.NO_BELIEF, {}, 'its parameter await_nodes names'),
+    (Obstacle.UNREPORTED, {}, 'scout_1 at 1.000000000 to depart, as its agent tells on'),
+    (
+        Obstacle.UNREPORTED,
+        {'agents': {'scout_1': HERE._replace(says_status=False)}},
+        'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
+    ),
+    (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
+    (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
+    (
+        Obstacle.BELIEF_BEHIND,
+        {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
+        'the last one holds 0, and only the last 2 of each agent are heard again',
+    ),
+    (Obstacle.PAUSED, {}, 'by the service /b/pause'),
+    (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
+    (Obstacle.ALL_DEPLOYED, {'operator': operator(Action.END)}, 'robots deployed, ended by the'),
+    (Obstacle.OVER, {}, '1 of 3 robots deployed: the lane is free'),
+    (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
+    (
+        Obstacle.NO_FREE_AGENT,
+        {'agents': {'scout_1': HERE._replace(says_status=False)}},
+        'nobody publishes /a/scout_1/status, so that the silence',
+    ),
+])  # fmt: skip
 def test_an_obstacle_is_told_with_what_ends_it(obstacle, change, words):
     now = replace(CLEAR, **MADE_BY[obstacle] | change)
     assert words in describe_obstacle(now, obstacle, NAMES)

@@ -18,15 +18,12 @@ def test_what_the_mission_can_have_is_taken(changes):
     check_changes(changes, VALUES, GRID, {}, sent=4)
 
 
-@for_each(
-    'changes, why',
-    [
-        ({'robots': 3}, '^parameter robots is 3: 4 robots were sent'),
-        ({'beam_width': 0}, 'beam_width'),
-        ({'beam_width': 10**6}, 'beam_width'),
-        ({'planner': 'beem'}, 'beam'),
-    ],
-)
+@for_each('changes, why', [
+    ({'robots': 3}, '^parameter robots is 3: 4 robots were sent'),
+    ({'beam_width': 0}, 'beam_width'),
+    ({'beam_width': 10**6}, 'beam_width'),
+    ({'planner': 'beem'}, 'beam'),
+])  # fmt: skip
 def test_what_the_mission_cannot_have_is_refused(changes, why):
     with pytest.raises(ValueError, match=why):
         check_changes(changes, VALUES, GRID, {}, sent=4)

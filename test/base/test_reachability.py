@@ -8,24 +8,21 @@ from kbnitp_ros.core import Grid
 from laws import for_each
 
 
-@for_each(
-    'grid, max_steps, told',
-    [
-        (
-            Grid(30, 30),
-            18,
-            '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
-        ),
-        (
-            Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
-            2,
-            '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
-        ),
-        (Grid(9, 9), 18, ''),
-        (Grid(9, 9), 16, ''),
-        (Grid(3, 1, blocked=(1,)), 4, ''),
-    ],
-)
+@for_each('grid, max_steps, told', [
+    (
+        Grid(30, 30),
+        18,
+        '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
+    ),
+    (
+        Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
+        2,
+        '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
+    ),
+    (Grid(9, 9), 18, ''),
+    (Grid(9, 9), 16, ''),
+    (Grid(3, 1, blocked=(1,)), 4, ''),
+])  # fmt: skip
 def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
     assert reach_note(grid, max_steps) == told
 

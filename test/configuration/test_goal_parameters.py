@@ -9,12 +9,8 @@ from PIL import Image
 import pytest
 
 SMALL = {
-    'grid.width': 3,
-    'grid.height': 2,
-    'grid.resolution': 0.5,
-    'max_steps': 2,
-    'robots': 4,
-}
+    'grid.width': 3, 'grid.height': 2, 'grid.resolution': 0.5, 'max_steps': 2, 'robots': 4,
+}  # fmt: skip
 
 
 def checked(**given):
@@ -54,41 +50,32 @@ def test_stops_are_those_of_the_parameters():
     assert checked(stop__gain=0.3) == (None, Stop(gain=0.3))
 
 
-@for_each(
-    'given, complaint',
-    [
-        ({'goal__cells': [4]}, 'goal map has no such thing as cells'),
-        ({'stop__confidence': 0.9}, 'goal map has no such thing as a confidence'),
-        ({'goal': 'lane'}, 'goal lane has 0 cells'),
-        ({'goal': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
-        ({'goal': 'lane', 'goal__cells': [6]}, 'off the map'),
-        ({'goal': 'lane', 'goal__cells': [0]}, 'the base'),
-        ({'goal': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
-        ({'goal': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
-        ({'goal': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
-        ({'goal': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of them'),
-        ({'goal': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
-        (
-            {'goal': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976},
-            'takes 2083 independent draws',
-        ),
-        ({'stop__losses': 5}, 'stop.losses is 5'),
-    ],
-)
+@for_each('given, complaint', [
+    ({'goal__cells': [4]}, 'goal map has no such thing as cells'),
+    ({'stop__confidence': 0.9}, 'goal map has no such thing as a confidence'),
+    ({'goal': 'lane'}, 'goal lane has 0 cells'),
+    ({'goal': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
+    ({'goal': 'lane', 'goal__cells': [6]}, 'off the map'),
+    ({'goal': 'lane', 'goal__cells': [0]}, 'the base'),
+    ({'goal': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
+    ({'goal': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
+    ({'goal': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
+    ({'goal': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of them'),
+    ({'goal': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
+    ({'goal': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 independent'),
+    ({'stop__losses': 5}, 'stop.losses is 5'),
+])  # fmt: skip
 def test_what_cannot_be_sought_is_refused(given, complaint):
     with pytest.raises(ValueError, match=complaint):
         checked(**given)
 
 
-@for_each(
-    'occupied, resolution, complaint',
-    [
-        ([[0, 1]], 0.5, '2 x 1 pixels of 0.5 m, and the field 3 x 2 cells'),
-        ([[0, 1], [0, 1], [0, 0]], 0.5, '2 x 3 pixels'),
-        ([[0, 1, 0], [0, 1, 0]], 0.25, 'pixels of 0.25 m, .* cells of 0.5 m'),
-        ([[0, 0, 0], [0, 0, 0]], 0.5, 'without cells'),
-    ],
-)
+@for_each('occupied, resolution, complaint', [
+    ([[0, 1]], 0.5, '2 x 1 pixels of 0.5 m, and the field 3 x 2 cells'),
+    ([[0, 1], [0, 1], [0, 0]], 0.5, '2 x 3 pixels'),
+    ([[0, 1, 0], [0, 1, 0]], 0.25, 'pixels of 0.25 m, .* cells of 0.5 m'),
+    ([[0, 0, 0], [0, 0, 0]], 0.5, 'without cells'),
+])  # fmt: skip
 def test_a_mask_that_is_none_of_the_field_is_refused(occupied, resolution, complaint, tmp_path):
     drawn = mask(tmp_path, occupied, resolution)
     with pytest.raises(ValueError, match=complaint):

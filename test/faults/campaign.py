@@ -47,15 +47,12 @@ from unbroken import draw_parameters
 
 # What can be found, and how a table calls it.
 FINDINGS = {
-    'stuck': 'missions that did not end',
-    'lost': 'deployments lost',
+    'stuck': 'missions that did not end', 'lost': 'deployments lost',
     'false': 'reports of robots that did not depart, or came home',
-    'double': 'deployments counted twice',
-    'belief': 'beliefs that are not those of core',
-    'replay': 'logs that do not replay',
-    'log': 'logs that cannot be read',
+    'double': 'deployments counted twice', 'belief': 'beliefs that are not those of core',
+    'replay': 'logs that do not replay', 'log': 'logs that cannot be read',
     'exit': 'nodes that ended badly',
-}
+}  # fmt: skip
 
 # What the exit codes of robots mean.
 CRASHES = {

@@ -22,15 +22,9 @@ from unbroken import folded
 
 BASE = ('recorder', 'estimator', 'planner')
 SILENT = {
-    'silent_loss': True,
-    'step_period': 0.02,
-    'return_deadline': 1.0,
-    'robots': 8,
-    'max_steps': 8,
-    'grid.width': 5,
-    'grid.height': 5,
-    'method': 'kappa_bnitp',
-}
+    'silent_loss': True, 'step_period': 0.02, 'return_deadline': 1.0, 'robots': 8, 'max_steps': 8,
+    'grid.width': 5, 'grid.height': 5, 'method': 'kappa_bnitp',
+}  # fmt: skip
 
 
 # The most agents of a mission.

@@ -33,15 +33,9 @@ from std_msgs.msg import Bool
 
 # Where an order ends, and how probably.
 FATES = {
-    'home': 0.3,
-    'late': 0.1,
-    'refuse': 0.15,
-    'crash before': 0.1,
-    'crash before and refuse': 0.05,
-    'crash at the gate': 0.1,
-    'crash in the field': 0.1,
-    'crash at home': 0.1,
-}
+    'home': 0.3, 'late': 0.1, 'refuse': 0.15, 'crash before': 0.1, 'crash before and refuse': 0.05,
+    'crash at the gate': 0.1, 'crash in the field': 0.1, 'crash at home': 0.1,
+}  # fmt: skip
 # Exit codes of crashes.
 CRASHED, UNPLUGGED = 9, 10
 

@@ -17,14 +17,9 @@ from unbroken import core_mission
 
 # A mission that lasts as long as the forgeries do: a robot takes half a second.
 PARAMETERS = {
-    'grid.width': 5,
-    'grid.height': 5,
-    'max_steps': 10,
-    'robots': 12,
-    'planner': 'relaxed',
-    'step_period': 0.05,
-    'seed': 5,
-}
+    'grid.width': 5, 'grid.height': 5, 'max_steps': 10, 'robots': 12, 'planner': 'relaxed',
+    'step_period': 0.05, 'seed': 5,
+}  # fmt: skip
 
 # By how many megabytes a node may grow beyond what it has in an undisturbed mission.
 GROWTH = 50.0

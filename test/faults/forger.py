@@ -34,16 +34,12 @@ FLOOD = 20.0
 
 # The topics that bytes are sent on.
 TOPICS = {
-    f'{AGENT}/path': (Path, qos.EVIDENCE),
-    f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
-    f'{AGENT}/recorded': (Recorded, qos.EVIDENCE),
-    f'{AGENT}/readings': (Marker, qos.LATCHED),
-    'belief': (BeliefMaps, qos.LATCHED),
-    'belief/hazard': (OccupancyGrid, qos.LATCHED),
-    'belief/target': (OccupancyGrid, qos.LATCHED),
-    'belief/kappa': (OccupancyGrid, qos.LATCHED),
+    f'{AGENT}/path': (Path, qos.EVIDENCE), f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
+    f'{AGENT}/recorded': (Recorded, qos.EVIDENCE), f'{AGENT}/readings': (Marker, qos.LATCHED),
+    'belief': (BeliefMaps, qos.LATCHED), 'belief/hazard': (OccupancyGrid, qos.LATCHED),
+    'belief/target': (OccupancyGrid, qos.LATCHED), 'belief/kappa': (OccupancyGrid, qos.LATCHED),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
-}
+}  # fmt: skip
 
 # The methods that are kinds of forgery.
 FORGERIES = (

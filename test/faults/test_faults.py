@@ -43,13 +43,10 @@ def test_many_missions_under_faults_end_as_if_unbroken(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    'is_apart, codes',
-    [
-        (False, {CRASHED}),
-        pytest.param(True, {CRASHED, UNPLUGGED, NEW_LINKS}, marks=LONG),
-    ],
-)
+@pytest.mark.parametrize('is_apart, codes', [
+    (False, {CRASHED}),
+    pytest.param(True, {CRASHED, UNPLUGGED, NEW_LINKS}, marks=LONG),
+])  # fmt: skip
 def test_no_robot_is_lost_that_stayed_and_none_forgotten_that_left(tmp_path, is_apart, codes):
     jobs = [(seed, 'mixed', tmp_path) for seed in (1, 2)]
     try:

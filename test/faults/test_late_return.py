@@ -17,12 +17,8 @@ import pytest
 from unbroken import folded, with_defaults
 
 PARAMETERS = {
-    'grid.width': 5,
-    'grid.height': 5,
-    'max_steps': 10,
-    'robots': 8,
-    'planner': 'relaxed',
-}
+    'grid.width': 5, 'grid.height': 5, 'max_steps': 10, 'robots': 8, 'planner': 'relaxed',
+}  # fmt: skip
 
 
 class Agent:

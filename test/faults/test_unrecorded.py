@@ -9,13 +9,8 @@ from schedule import NODES
 
 # The search for a path takes long enough to stop the recorder meanwhile.
 PARAMETERS = {
-    'grid.width': 6,
-    'grid.height': 6,
-    'max_steps': 14,
-    'robots': 4,
-    'beam_width': 40,
-    'seed': 13,
-}
+    'grid.width': 6, 'grid.height': 6, 'max_steps': 14, 'robots': 4, 'beam_width': 40, 'seed': 13,
+}  # fmt: skip
 
 
 def test_a_path_that_only_the_agent_remembers_is_not_taken(set_out):

@@ -27,21 +27,13 @@ def draw_parameters(rng):
     method = str(rng.choice(list(METHODS)))
     learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
     drawn = {
-        'grid.width': side,
-        'grid.height': side,
-        'max_steps': 10,
-        'robots': 15,
-        'method': method,
-        'learn': learn,
-        'planner': str(rng.choice(['relaxed', 'beam'])),
-        'beam_width': 4,
+        'grid.width': side, 'grid.height': side, 'max_steps': 10, 'robots': 15, 'method': method,
+        'learn': learn, 'planner': str(rng.choice(['relaxed', 'beam'])), 'beam_width': 4,
         'seed': int(rng.integers(2**31)),
         'agents': [f'scout_{number + 1}' for number in range(rng.integers(1, 4, endpoint=True))],
-        'rolling': bool(rng.random() < 0.25),
-        'silent_loss': bool(rng.random() < 0.25),
-        'return_deadline': 0.5,
-        **draw_conduct(rng),
-    }
+        'rolling': bool(rng.random() < 0.25), 'silent_loss': bool(rng.random() < 0.25),
+        'return_deadline': 0.5, **draw_conduct(rng),
+    }  # fmt: skip
     if drawn['silent_loss']:
         # The simulation refuses robots that are heard of on their way and lost in silence.
         drawn.pop('contact_probability', None)

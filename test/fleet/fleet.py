@@ -29,12 +29,9 @@ SIMULATOR = Path(__file__).with_name('simulator.py')
 # 12 m by 12 m with four obstacles; robots keep off the corners of these.
 GRID = Grid(12, 12, blocked=[26, 27, 50, 64], through_corners=False)
 FIELD = {
-    'grid.width': 12,
-    'grid.height': 12,
-    'grid.blocked': sorted(GRID.blocked),
-    'grid.corners': 'avoid',
-    'max_steps': 20,
-}
+    'grid.width': 12, 'grid.height': 12, 'grid.blocked': sorted(GRID.blocked),
+    'grid.corners': 'avoid', 'max_steps': 20,
+}  # fmt: skip
 TARGETS = [2, 14, 25, 38, 52, 65]
 
 # How near the middle of a cell a robot that is sent there comes, in metres.

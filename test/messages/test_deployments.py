@@ -82,22 +82,19 @@ def set_frame(of, frame_id):
     return lambda message: setattr(of(message).header, 'frame_id', frame_id)
 
 
-@for_each(
-    'spoil, error',
-    [
-        (set_frame(lambda message: message, 'odom'), "^header.frame_id is 'odom'.*'map'"),
-        (set_frame(lambda message: message, ''), "^header.frame_id is ''.*'map'"),
-        (set_position(nan, 2.1), r'poses\[3\].pose.position is \(nan, 2.1\): it must be finite'),
-        (set_position(0.0, inf), r'poses\[3\].pose.position is \(0.0, inf\): it must be finite'),
-        (set_position(1.01, 2.1), r'\(1.01, 2.1\) is outside the grid'),
-        (set_position(-1.01, 2.1), r'\(-1.01, 2.1\) is outside the grid'),
-        (set_position(0.0, 3.51), r'\(0.0, 3.51\) is outside the grid'),
-        (set_position(0.0, 1.99), r'\(0.0, 1.99\) is outside the grid'),
-        (set_position(1e300, 2.1), r'\(1e\+300, 2.1\) is outside the grid'),
-        (lambda message: message.poses.clear(), 'poses is empty'),
-        (set_frame(lambda path: path.poses[5], 'x'), r"poses\[5\].header.frame_id is 'x'.*'map'"),
-    ],
-)
+@for_each('spoil, error', [
+    (set_frame(lambda message: message, 'odom'), "^header.frame_id is 'odom'.*'map'"),
+    (set_frame(lambda message: message, ''), "^header.frame_id is ''.*'map'"),
+    (set_position(nan, 2.1), r'poses\[3\].pose.position is \(nan, 2.1\): it must be finite'),
+    (set_position(0.0, inf), r'poses\[3\].pose.position is \(0.0, inf\): it must be finite'),
+    (set_position(1.01, 2.1), r'\(1.01, 2.1\) is outside the grid'),
+    (set_position(-1.01, 2.1), r'\(-1.01, 2.1\) is outside the grid'),
+    (set_position(0.0, 3.51), r'\(0.0, 3.51\) is outside the grid'),
+    (set_position(0.0, 1.99), r'\(0.0, 1.99\) is outside the grid'),
+    (set_position(1e300, 2.1), r'\(1e\+300, 2.1\) is outside the grid'),
+    (lambda message: message.poses.clear(), 'poses is empty'),
+    (set_frame(lambda path: path.poses[5], 'x'), r"poses\[5\].header.frame_id is 'x'.*'map'"),
+])  # fmt: skip
 def test_a_bad_path_is_refused(spoil, error):
     message = over_the_wire(path_message(GRID, PATH, STAMP))
     spoil(message)
@@ -195,15 +192,12 @@ def test_a_report_on_the_topic_of_another_agent_is_refused():
         read_report(message, 'scout_1')
 
 
-@for_each(
-    'topic, agent',
-    [
-        ('/scout_1/report', 'scout_1'),
-        ('/north/scout_1/path', 'scout_1'),
-        ('/scout_1/scout_2/report', 'scout_2'),
-        ('/report', ''),
-        ('report', ''),
-    ],
-)
+@for_each('topic, agent', [
+    ('/scout_1/report', 'scout_1'),
+    ('/north/scout_1/path', 'scout_1'),
+    ('/scout_1/scout_2/report', 'scout_2'),
+    ('/report', ''),
+    ('report', ''),
+])  # fmt: skip
 def test_whose_topic_it_is(topic, agent):
     assert agent_of(topic) == agent

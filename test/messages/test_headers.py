@@ -49,14 +49,11 @@ def test_another_frame_is_refused(frame_id):
         check_frame('poses[2].header.frame_id', frame_id)
 
 
-@for_each(
-    'stamp, told',
-    [
-        (Time(sec=2**31 - 1, nanosec=999_999_999), '2147483647.999999999 s: it must be from 0'),
-        (Time(sec=-5), 'stamp is -5.000000000 s'),
-        (Time(nanosec=10**9), 'nanosec is 1000000000: it must be below'),
-    ],
-)
+@for_each('stamp, told', [
+    (Time(sec=2**31 - 1, nanosec=999_999_999), '2147483647.999999999 s: it must be from 0'),
+    (Time(sec=-5), 'stamp is -5.000000000 s'),
+    (Time(nanosec=10**9), 'nanosec is 1000000000: it must be below'),
+])  # fmt: skip
 def test_what_is_no_time_that_others_can_follow_is_refused(stamp, told):
     for read in (read_stamp, read_name):
         with pytest.raises(ValueError, match=told):

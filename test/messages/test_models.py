@@ -61,14 +61,11 @@ def test_what_is_learnt_comes_back_bit_for_bit():
     assert before['lethality'].effective_samples == inf
 
 
-@for_each(
-    'field, value, error',
-    [
-        ('mean', array('d', [0.5]), 'mean has 1 values: it must have one for each of the 2 names'),
-        ('quantile_95', array('d'), 'quantile_95 has 0 values'),
-        ('name', ['lethality'], 'mean has 2 values: it must have one for each of the 1 names'),
-    ],
-)
+@for_each('field, value, error', [
+    ('mean', array('d', [0.5]), 'mean has 1 values: it must have one for each of the 2 names'),
+    ('quantile_95', array('d'), 'quantile_95 has 0 values'),
+    ('name', ['lethality'], 'mean has 2 values: it must have one for each of the 1 names'),
+])  # fmt: skip
 def test_a_bad_message_is_refused(field, value, error):
     message = model_belief(ledger_of(), 0)
     setattr(message, field, value)

@@ -8,8 +8,10 @@ from kbnitp_ros.messages.operator_action import (
     OperatorAction,
     read_operator_action,
 )
+from laws import for_each
 import numpy as np
 import pytest
+from samples import changed
 
 GRID = Grid(6, 5, base=0, other_bases=(29,))
 
@@ -21,3 +23,15 @@ def test_paths_from_each_base_are_refused_by_operators():
     assert {key: path.tolist() for key, path in seen.paths.items()} == paths
     with pytest.raises(ValueError, match='start at the base 0, not at cell 29'):
         read_operator_action(Grid(6, 5), operator_action_message(GRID, action))
+
+
+@for_each('fields, told', [
+    ({'action': 0}, 'action is 0: it must be from 1 to 6'),
+    ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
+    ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
+])  # fmt: skip
+def test_actions_that_are_none_are_refused(fields, told):
+    message = operator_action_message(GRID, OperatorAction(7, Action.PAUSE, 3, {}, 0))
+    assert read_operator_action(GRID, message).action is Action.PAUSE
+    with pytest.raises(ValueError, match=told):
+        read_operator_action(GRID, changed(message, **fields))

@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.bag.writer import LogWriter
-from kbnitp_ros.core import Execution, Grid, Observation, Report, SensorModel, World
-from kbnitp_ros.messages.deployments import path_message, read_report, report_message
+from kbnitp_ros.core import Observation, Report, SensorModel, World
+from kbnitp_ros.messages.deployments import read_report, report_message
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from samples import BAD_PATHS, changed, FIELD, GRID, HOME, key, on_disk, path
+from samples import BAD_PATHS, FIELD, GRID, HOME, key, on_disk, path
 from visualization_msgs.msg import Marker
 
 PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
@@ -71,32 +69,6 @@ def test_a_robot_on_its_way_returns_though_the_system_s_clock_is_set_back(system
     field.until(lambda: reports, 'report')
 
 
-def test_robots_make_of_their_orders_what_they_do_in_the_core(field):
-    """Detours, early returns, last contacts and failed cameras, some of each."""
-    conduct = Execution(detour=0.3, early_return=0.15, contact=0.5, camera_failure=0.2)
-    reports = field.listen(DeploymentReport, '/scout_1/report')
-    probabilities = {f'{name}_probability': value for name, value in asdict(conduct).items()}
-    field.start('agent', {**PARAMETERS, **probabilities})
-    paths = field.talk(Path, '/scout_1/path')
-    tours = [[0, 4, 8, 9, 6, 1, 0], [0, 1, 2, 3, 2, 1, 0]] * 10
-    for number, cells in enumerate(tours):
-        paths.publish(path(number, cells))
-    field.until(lambda: len(reports) == len(tours), 'last report')
-    rng = np.random.default_rng(PARAMETERS['seed'])
-    world = World.random(GRID, rng, 0.15, 0.8, 0.1)
-    told = set()
-    for number, (cells, report) in enumerate(zip(tours, reports)):
-        made = conduct.traverse(world, GRID, cells, SensorModel(0.5), rng.spawn(1)[0])
-        seen = made.observation
-        assert report == changed(report_message(key(number), seen, 0), header=report.header)
-        told |= {
-            ('contact', seen.steps_survived > 0),
-            ('walk', seen.survived and (len(seen.path) > 7) - (len(seen.path) < 7)),
-            ('unseen', seen.survived and bool((seen.readings == -1).any())),
-        }
-    assert told >= {('contact', True), ('walk', 1), ('walk', -1), ('walk', 0), ('unseen', True)}
-
-
 def test_a_world_from_a_file_is_shown_only_on_request(field):
     file = field.folder / 'world.yaml'
     file.write_text('hazard: [..x., ...., ....]\ntarget: [x..., ...x, .x..]')
@@ -105,12 +77,9 @@ def test_a_world_from_a_file_is_shown_only_on_request(field):
     readings = field.listen(Marker, '/scout_1/readings')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     sure = {
-        'sensor.malfunction': 0.0,
-        'sensor.false_positive': 0,
-        'sensor.true_positive': 1,
-        'sensor.lethality': 1,
-        'sensor.false_negative': 0,
-    }
+        'sensor.malfunction': 0.0, 'sensor.false_positive': 0, 'sensor.true_positive': 1,
+        'sensor.lethality': 1, 'sensor.false_negative': 0,
+    }  # fmt: skip
     parameters = {**PARAMETERS, **sure, 'world.file': str(file)}
     field.start('agent', {**parameters, 'publish_truth': True})
     field.start('agent', {**parameters, 'await_nodes': []}, '/b')
@@ -140,19 +109,6 @@ def test_a_world_from_a_file_is_shown_only_on_request(field):
     assert not any(hidden.values())
 
 
-def test_the_grid_may_lie_anywhere(field):
-    reports = field.listen(DeploymentReport, '/scout_1/report')
-    lies = {'grid.resolution': 0.05, 'grid.origin': [-7.3, 11.1]}
-    field.start('agent', {**PARAMETERS, **lies})
-    grid = Grid(4, 3, resolution=0.05, origin=(-7.3, 11.1), blocked=[5])
-    tours = [[0, 1, 2, 3, 7, 6, 1], [0, 4, 8, 9, 4, 0]]
-    paths = field.talk(Path, '/scout_1/path')
-    paths.publish(path_message(grid, tours[0][:3] + tours[0][2::-1], 1))
-    paths.publish(path_message(grid, tours[1], 2))
-    field.until(lambda: len(reports) == 2, 'both reports')
-    assert field.count('/agent', 'refused') <= 0
-
-
 def test_a_robot_leaves_when_its_path_is_on_disk(field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
@@ -171,35 +127,6 @@ def test_a_robot_leaves_when_its_path_is_on_disk(field):
         recorded.publish(on_disk(path(number)))
     field.until(lambda: len(reports) == 3, 'last report')
     assert [read_report(report)[0] for report in reports] == [key(2), key(3), key(1)]
-
-
-def test_a_resumed_agent_repeats_its_reports_and_no_traverse(field):
-    log = field.folder / 'mission.mcap'
-    tours = [HOME, [0, 4, 8, 4, 0], [0, 1, 0], HOME, [0, 0]]
-    expected = list(expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours))
-    reports = field.listen(DeploymentReport, '/scout_1/report')
-    field.start('agent', PARAMETERS)
-    paths = field.talk(Path, '/scout_1/path')
-    with LogWriter(log) as writer:
-        writer.add_topic('/scout_1/path', 'nav_msgs/msg/Path', '[]')
-        writer.add_topic('/scout_1/report', 'kbnitp_msgs/msg/DeploymentReport', '[]')
-        for number, cells in enumerate(tours[:3]):
-            paths.publish(path(number, cells))
-            writer.write('/scout_1/path', serialize_message(path(number, cells)), 1, 1)
-            field.until(lambda n=number: len(reports) > n, 'report')
-            # The third was not on disk yet.
-            if number < 2:
-                writer.write('/scout_1/report', serialize_message(reports[number]), 1, 1)
-    field.kill('/agent')
-    field.start('agent', {**PARAMETERS, 'resume': str(log)})
-    field.until(lambda: len(reports) == 6, 'old reports and the third once more')
-    for number in (3, 4):
-        paths.publish(path(number, tours[number]))
-    field.until(lambda: len(reports) == 8, 'new reports')
-    assert reports[3:5] == reports[:2]
-    made = [read_report(report) for report in reports[:3] + reports[6:]]
-    assert made == [(key(number), outcome) for number, outcome in enumerate(expected)]
-    assert read_report(reports[5]) == made[2]
 
 
 def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_have(field):

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import re
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
+from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, plan, SensorModel
 from kbnitp_ros.files import counted
-from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
-from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
 from nav_msgs.msg import Path
 import pytest
@@ -46,65 +44,6 @@ def test_who_serves_a_role_may_be_called_anything(field):
         }
         field.start(node, parameters, remaps={'__node': f'some_{node}'})
     field.until(lambda: len(paths) == len(reports) == 2, 'mission')
-
-
-def test_who_listens_without_serving_the_role_is_none(field):
-    beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
-    beliefs.publish(belief_maps(ledger(), 0))
-    paths = field.listen(Path, '/scout_1/path')
-    field.start('planner', {**PARAMETERS, 'await_nodes': ['agent', 'recorder']})
-    until_said(
-        field,
-        '/planner',
-        'waiting for agent to listen to /scout_1/path and recorder to listen to /scout_1/path '
-        '(parameter await_nodes)',
-    )
-    assert not paths
-
-
-def test_the_planner_says_for_whom_it_waits(field):
-    paths = field.listen(Path, '/scout_1/path')
-    field.start('planner', {**PARAMETERS, 'await_nodes': [], 'robots': 2})
-    until_said(field, '/planner', 'waiting for the belief on /belief, which nobody publishes')
-    beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
-    until_said(field, '/planner', 'waits for those that its parameter await_nodes names')
-    beliefs.publish(belief_maps(ledger(), 0))
-    until_said(
-        field,
-        '/planner',
-        'waiting for an agent whose robot is home: nobody publishes /scout_1/report '
-        '(parameter agents)',
-    )
-    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
-    until_said(
-        field,
-        '/planner',
-        ' to be reported on /scout_1/report, however long that takes (parameter silent_loss is',
-    )
-    assert len(paths) == 1
-
-
-@pytest.mark.parametrize(
-    'parameters, told',
-    [
-        (
-            {'silent_loss': True, 'step_period': 1.0, 'presume_departure': True},
-            'at most until 10.0 s after it is due (parameter return_deadline',
-        ),
-        (
-            {'silent_loss': True, 'step_period': 1.0},
-            'nobody publishes /scout_1/status, so that the silence of a robot that has not left '
-            'would count as its loss (parameter presume_departure)',
-        ),
-        ({'recorded': True}, 'it may leave when the recorder tells on /scout_1/recorded'),
-    ],
-)
-def test_the_planner_says_what_ends_the_wait_for_a_robot(field, parameters, told):
-    beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
-    beliefs.publish(belief_maps(ledger(), 0))
-    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
-    field.start('planner', {**PARAMETERS, 'await_nodes': [], **parameters})
-    until_said(field, '/planner', told)
 
 
 def test_the_others_say_for_whom_they_wait(field):

@@ -84,12 +84,9 @@ def started(field, **parameters):
     np.save(field.folder / 'hazard.npy', hazard)
     beliefs = field.listen(BeliefMaps, '/mission/belief')
     own = {
-        'grid.width': 4,
-        'grid.height': 3,
-        'grid.blocked': [7],
-        'prior.hazard_map': str(field.folder / 'hazard.npy'),
-        'await_nodes': ['test'],
-    }
+        'grid.width': 4, 'grid.height': 3, 'grid.blocked': [7],
+        'prior.hazard_map': str(field.folder / 'hazard.npy'), 'await_nodes': ['test'],
+    }  # fmt: skip
     field.start('estimator', own | parameters, '/mission')
     field.until(lambda: beliefs, 'belief')
     return np.array(beliefs[-1].hazard)
@@ -140,16 +137,13 @@ def test_without_a_filter_nothing_is_told(field):
     assert not field.node.count_publishers('/mission/belief/costmap_filter_info')
 
 
-@for_each(
-    'filter_type, base, multiplier, why',
-    [
-        (KEEPOUT, 0.0, 0.5, 'a KeepoutFilter, they must be 0 and 1'),
-        (KEEPOUT, 1.0, 1.0, 'a KeepoutFilter, they must be 0 and 1'),
-        (SPEED_PERCENT, 0.0, -1.0, '-1 % at 1 % of hazard and -100 % at 100 %'),
-        (SPEED_PERCENT, 101.5, -1.0, '100.5 % at 1 % of hazard .* must be from 0 to 100 %'),
-        (SPEED_ABSOLUTE, 1.0, -0.02, '0.98 m/s at 1 % of hazard and -1 m/s at 100 %'),
-    ],
-)
+@for_each('filter_type, base, multiplier, why', [
+    (KEEPOUT, 0.0, 0.5, 'a KeepoutFilter, they must be 0 and 1'),
+    (KEEPOUT, 1.0, 1.0, 'a KeepoutFilter, they must be 0 and 1'),
+    (SPEED_PERCENT, 0.0, -1.0, '-1 % at 1 % of hazard and -100 % at 100 %'),
+    (SPEED_PERCENT, 101.5, -1.0, '100.5 % at 1 % of hazard .* must be from 0 to 100 %'),
+    (SPEED_ABSOLUTE, 1.0, -0.02, '0.98 m/s at 1 % of hazard and -1 m/s at 100 %'),
+])  # fmt: skip
 def test_limits_that_nav2_takes_for_none_are_refused(filter_type, base, multiplier, why):
     with pytest.raises(ValueError, match=why):
         check_filter(filter_type, base, multiplier)

@@ -15,21 +15,11 @@ import pytest
 from unbroken import core_mission, with_defaults
 
 LANE = {
-    'grid.width': 5,
-    'grid.height': 4,
-    'max_steps': 10,
-    'method': 'kappa_bnitp',
-    'planner': 'relaxed',
-    'sensor.lethality': 0.6,
-    'prior.hazard': 0.3,
-    'prior.target': 0.4,
-    'world.hazard_density': 0.05,
-    'robots': 60,
-    'goal': 'lane',
-    'goal.cells': [19],
-    'stop.confidence': 0.9,
-    'seed': 7,
-}
+    'grid.width': 5, 'grid.height': 4, 'max_steps': 10, 'method': 'kappa_bnitp',
+    'planner': 'relaxed', 'sensor.lethality': 0.6, 'prior.hazard': 0.3, 'prior.target': 0.4,
+    'world.hazard_density': 0.05, 'robots': 60, 'goal': 'lane', 'goal.cells': [19],
+    'stop.confidence': 0.9, 'seed': 7,
+}  # fmt: skip
 
 
 def ask(field, kind, service, request):

@@ -46,17 +46,14 @@ def array(*objects, sec=0):
     return message
 
 
-@for_each(
-    'wanted, objects, seen',
-    [
-        ('target', [], False),
-        ('target', [[]], False),
-        ('target', [[ROCK], [ROCK, DOUBTFUL, NOT_A_NUMBER]], False),
-        ('target', [[ROCK], [ROCK, TARGET]], True),
-        ('', [[ROCK]], True),
-        ('', [[DOUBTFUL]], False),
-    ],
-)
+@for_each('wanted, objects, seen', [
+    ('target', [], False),
+    ('target', [[]], False),
+    ('target', [[ROCK], [ROCK, DOUBTFUL, NOT_A_NUMBER]], False),
+    ('target', [[ROCK], [ROCK, TARGET]], True),
+    ('', [[ROCK]], True),
+    ('', [[DOUBTFUL]], False),
+])  # fmt: skip
 def test_a_target_is_an_object_of_the_class_that_is_sure_enough(wanted, objects, seen):
     values = {
         'detection_type': 'detection2d_array',

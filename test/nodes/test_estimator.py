@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, TargetReading
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.configuration import LEARN
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message
-from nav_msgs.msg import OccupancyGrid, Path
+from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from samples import BAD_PATHS, changed, FIELD, GRID, HOME, in_frame, key, lost, path, returned
@@ -42,22 +42,6 @@ def until_held(field, deployments):
         f'belief {deployments}',
     )
     return read_belief_maps(field.beliefs[-1]).belief.joint
-
-
-def test_beliefs_and_maps_have_one_stamp(estimator):
-    names = ('hazard', 'target', 'kappa')
-    maps = {name: estimator.listen(OccupancyGrid, f'/belief/{name}') for name in names}
-    estimator.paths.publish(path(1))
-    estimator.reports.publish(returned(1))
-    joint = until_held(estimator, 1)
-    stamp = estimator.beliefs[-1].header
-    estimator.until(lambda: all(m and m[-1].header == stamp for m in maps.values()), 'maps')
-    expected = update(PRIOR, MODEL, Observation(HOME, True, [True, False, True, False]))
-    assert joint.tobytes() == expected.joint.tobytes()
-    for name, shown in maps.items():
-        assert shown[-1].data[5] == -1
-        percent = np.rint(100 * getattr(expected, name))
-        assert [p for p in shown[-1].data if p >= 0] == percent[GRID.free].tolist()
 
 
 def test_a_report_waits_for_its_path_and_is_shown_waiting(estimator):
@@ -163,30 +147,6 @@ def test_an_outcome_that_cannot_be_is_refused(field):
     assert 'impossible' in field.until_refused('/estimator', 1)
     reports.publish(returned(1))
     assert np.isfinite(until_held(field, 1)).all()
-
-
-def test_a_restarted_estimator_has_learnt_the_same(field):
-    parameters = {**PARAMETERS, **SAMPLED, 'learn': ['lethality', 'kappa']}
-    beliefs = field.listen(BeliefMaps, '/belief')
-    models = field.listen(ModelBelief, '/model')
-    field.start('estimator', parameters)
-    paths, reports = evidence(field)
-    for number in range(1, 6):
-        paths.publish(path(number))
-        reports.publish(lost(number) if number % 2 else returned(number))
-    field.until(lambda: beliefs and beliefs[-1].deployments == 5, 'belief in all')
-    field.until(lambda: models and models[-1].deployments == 5, 'model of all')
-    before = beliefs[-1], models[-1]
-    field.kill('/estimator')
-    beliefs.clear()
-    models.clear()
-    field.start('estimator', parameters)
-    # What was last told is told of whatever comes last, and that is decided by DDS.
-    field.until(lambda: beliefs and beliefs[-1].deployments == 5, 'belief in all again')
-    field.until(lambda: models and models[-1].deployments == 5, 'model of all again')
-    for again, first in zip((beliefs[-1], models[-1]), before):
-        for name in ('joint', 'lethality', 'mean', 'sd', 'quantile_95', 'effective_sample_size'):
-            assert getattr(again, name, None) == getattr(first, name, None)
 
 
 def test_a_model_is_told_only_if_something_is_learnt(field):

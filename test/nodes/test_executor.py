@@ -69,16 +69,13 @@ def fail_for_another_thread(node, _):
     Timer(0.1, node.call_next, [fail]).start()
 
 
-@pytest.mark.parametrize(
-    'fail_in',
-    [
-        fail_in_a_timer,
-        fail_in_a_subscription,
-        fail_in_a_service,
-        fail_at_an_answer,
-        fail_for_another_thread,
-    ],
-)
+@pytest.mark.parametrize('fail_in', [
+    fail_in_a_timer,
+    fail_in_a_subscription,
+    fail_in_a_service,
+    fail_at_an_answer,
+    fail_for_another_thread,
+])  # fmt: skip
 def test_an_error_in_a_callback_is_raised(here, fail_in):
     node, until = here
     fail_in(node, until)

@@ -40,12 +40,9 @@ occupied_thresh: 0.65
 free_thresh: 0.196
 """
 PARAMETERS = {
-    'grid.resolution': 1.0,
-    'grid.base_position': [-1.5, 3.5],
-    'max_steps': 9,
-    'robots': 8,
+    'grid.resolution': 1.0, 'grid.base_position': [-1.5, 3.5], 'max_steps': 9, 'robots': 8,
     'seed': 5,
-}
+}  # fmt: skip
 GRID = Grid(
     6,
     4,
@@ -117,12 +114,9 @@ def test_a_mission_waits_for_a_map_that_can_be_and_may_be_turned(field, file):
     shown = field.listen(OccupancyGrid, '/m/belief/hazard')
     poses = field.listen(TFMessage, '/tf', volatile=True)
     parameters = {
-        **PARAMETERS,
-        'grid.base_position': [base.real, base.imag],
-        'map_topic': 'map',
-        'publish_pose': True,
-        'step_period': 0.01,
-    }
+        **PARAMETERS, 'grid.base_position': [base.real, base.imag], 'map_topic': 'map',
+        'publish_pose': True, 'step_period': 0.01,
+    }  # fmt: skip
     field.start_mission(parameters, '/m', log)
     names = [f'/m/{name}' for name in ('planner', 'agent', 'estimator')]
     for name in names:

@@ -31,15 +31,9 @@ def test_a_day_in_the_field_is_as_the_page_shows_it(field):
     log = field.folder / 'log' / 'mission.mcap'
     log.parent.mkdir()
     base = {
-        **FIELD,
-        'max_steps': 8,
-        'robots': 2,
-        'recorded': True,
-        'silent_loss': True,
-        'step_period': 1.0,
-        'return_deadline': 300.0,
-        'keep_running': False,
-    }
+        **FIELD, 'max_steps': 8, 'robots': 2, 'recorded': True, 'silent_loss': True,
+        'step_period': 1.0, 'return_deadline': 300.0, 'keep_running': False,
+    }  # fmt: skip
 
     def until_said(node, words):
         field.until(lambda: words in field.said(node), words)

@@ -30,36 +30,21 @@ def written(folder, content):
     return str(path)
 
 
-@for_each(
-    'config, told',
-    [
-        (
-            section('/**/plannr'),
-            "'/**/plannr' is for no node: did you mean planner? the nodes are",
-        ),
-        (section('nav2'), "'nav2' is for no node: the nodes are planner, agent"),
-        ({'planner': {'robots': 3}}, "'planner/robots' must hold ros__parameters"),
-        ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
-        ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
-        ([], 'it holds []: it must hold sections'),
-        (None, 'it holds None: it must hold sections'),
-        (
-            section('planner', seed=3),
-            'seed is unknown to the planner: it is one of agent, estimator',
-        ),
-        (
-            section('recorder', step_period=1.0),
-            'step_period is unknown to the recorder: it is one of planner, agent',
-        ),
-        (
-            section('/**', sensor={'lethal': 1.0}),
-            "'/**': parameter sensor.lethal is unknown to every node: did you mean sensor.leth",
-        ),
-        (section('/**', seed='x'), "seed is 'x': it must be a whole number"),
-        (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
-        ({'a': section('agent', seed=-1)}, "'a/agent': parameter seed is -1"),
-    ],
-)
+@for_each('config, told', [
+    (section('/**/plannr'), "'/**/plannr' is for no node: did you mean planner? the nodes are"),
+    (section('nav2'), "'nav2' is for no node: the nodes are planner, agent"),
+    ({'planner': {'robots': 3}}, "'planner/robots' must hold ros__parameters"),
+    ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
+    ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
+    ([], 'it holds []: it must hold sections'),
+    (None, 'it holds None: it must hold sections'),
+    (section('planner', seed=3), 'seed is unknown to the planner: it is one of agent, estimator'),
+    (section('recorder', step_period=1.0), 'step_period is unknown to the recorder: it is one'),
+    (section('/**', sensor={'lethal': 1.0}), "'/**': parameter sensor.lethal is unknown to"),
+    (section('/**', seed='x'), "seed is 'x': it must be a whole number"),
+    (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
+    ({'a': section('agent', seed=-1)}, "'a/agent': parameter seed is -1"),
+])  # fmt: skip
 def test_a_bad_file_is_refused(tmp_path, config, told):
     path = written(tmp_path, config)
     with pytest.raises(ValueError) as refusal:
@@ -69,25 +54,19 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
     assert len(str(refusal.value)) < len(path) + 200
 
 
-@for_each(
-    'text, told',
-    [
-        ('/**: {', 'it is not YAML'),
-        ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
-        (
-            '/**: {ros__parameters: {robots: 20, robots: {scout_1: {max_steps: 9}}}}',
-            "the key 'robots' stands .*named in one, such as robots.scout_1.max_steps",
-        ),
-        (
-            '/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}',
-            "a mapping 'robots', to which ROS gives up.* such as robots.scout_1.max_steps",
-        ),
-        (
-            '/**: {ros__parameters: {robots.scout_1.max_step: 9}}',
-            'did you mean robots.scout_1.max_steps',
-        ),
-    ],
-)
+@for_each('text, told', [
+    ('/**: {', 'it is not YAML'),
+    ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
+    (
+        '/**: {ros__parameters: {robots: 20, robots: {scout_1: {max_steps: 9}}}}',
+        "the key 'robots' stands .*named in one, such as robots.scout_1.max_steps",
+    ),
+    (
+        '/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}',
+        "a mapping 'robots', to which ROS gives up.* such as robots.scout_1.max_steps",
+    ),
+    ('/**: {ros__parameters: {robots.scout_1.max_step: 9}}', 'did you mean robots.scout_1.max_st'),
+])  # fmt: skip
 def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
     with pytest.raises(ValueError, match=told):
         read_sections(written(tmp_path, text))
@@ -172,20 +151,13 @@ def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
     assert values_for(read_sections(path), full_name) == given
 
 
-@for_each(
-    'name, rule, told',
-    [
-        ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
-        ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-        ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help tells'),
-        ('planner', 'planer:robots:=3', "'planer' is for no node: did you mean planner?"),
-        (
-            'planner',
-            'recorder:robots:=3',
-            'robots is unknown to the recorder: it is one of planner',
-        ),
-    ],
-)
+@for_each('name, rule, told', [
+    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
+    ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+    ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help tells'),
+    ('planner', 'planer:robots:=3', "'planer' is for no node: did you mean planner?"),
+    ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is one of planner'),
+])  # fmt: skip
 def test_a_bad_rule_is_refused(name, rule, told):
     for flag in ('-p', '--param'):
         with pytest.raises(ValueError) as refusal:
@@ -194,17 +166,14 @@ def test_a_bad_rule_is_refused(name, rule, told):
         assert len(str(refusal.value)) < 150
 
 
-@for_each(
-    'arguments',
-    [
-        ['-p', 'flie:=a.mcap'],
-        ['--ros-args', '-r', 'path:=way', '-p', 'file:=a.mcap', '--log-level', 'info'],
-        ['--ros-args', '--', '-p', 'flie:=a.mcap'],
-        ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'qos_overrides./a.publisher.depth:=2'],
-        ['--ros-args', '-p', 'planner:robots:=3'],
-        ['--ros-args', '-r', '__node:=scribe', '-p', 'scribe:file:=a.mcap'],
-    ],
-)
+@for_each('arguments', [
+    ['-p', 'flie:=a.mcap'],
+    ['--ros-args', '-r', 'path:=way', '-p', 'file:=a.mcap', '--log-level', 'info'],
+    ['--ros-args', '--', '-p', 'flie:=a.mcap'],
+    ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'qos_overrides./a.publisher.depth:=2'],
+    ['--ros-args', '-p', 'planner:robots:=3'],
+    ['--ros-args', '-r', '__node:=scribe', '-p', 'scribe:file:=a.mcap'],
+])  # fmt: skip
 def test_what_is_right_or_not_for_ros_passes(arguments):
     check_given('recorder', arguments)
 

@@ -17,21 +17,6 @@ from samples import changed, FIELD, GRID, HOME, key, on_disk, path, prior
 WALKS = (HOME, [0, 4, 8, 4, 0])
 
 
-def test_a_belief_that_comes_at_once_with_its_publisher_ends_no_mission(field):
-    paths = field.listen(Path, '/scout_1/path')
-    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
-    field.start('planner', {**FIELD, 'robots': 40, 'await_nodes': ['test']})
-    beliefs = field.talk(BeliefMaps, '/belief', qos.LATCHED)
-    beliefs.publish(prior())
-    field.until(lambda: paths, 'path')
-    forged = changed(prior(), deployments=40, agent='scout_1', deployment=paths[0].header.stamp)
-    # It is sent to whoever matches.
-    field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED).publish(forged)
-    why = 'belief refused: deployments is 40: the paths of only 1 are known'
-    field.until(lambda: why in field.said('/planner'), why)
-    field.until(lambda: 'waiting for scout_1' in field.state('/planner'), 'waiting planner')
-
-
 def test_of_two_paths_of_one_stamp_that_on_disk_first_holds_for_all(field):
     log = field.folder / 'mission.mcap'
     told = field.listen(Recorded, '/scout_1/recorded')

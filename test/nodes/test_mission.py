@@ -43,20 +43,13 @@ ODD = {
     'step_period': 0.01,
 }
 LARGE = {
-    'grid.width': 100,
-    'grid.height': 100,
-    'max_steps': 200,
-    'sensor.malfunction': 0.001,
+    'grid.width': 100, 'grid.height': 100, 'max_steps': 200, 'sensor.malfunction': 0.001,
     'planner': 'relaxed',
-}
+}  # fmt: skip
 HUGE = {
-    'grid.width': 300,
-    'grid.height': 300,
-    'grid.base': 150 * 300 + 150,
-    'max_steps': 60,
-    'sensor.malfunction': 0.001,
-    'planner': 'relaxed',
-}
+    'grid.width': 300, 'grid.height': 300, 'grid.base': 150 * 300 + 150, 'max_steps': 60,
+    'sensor.malfunction': 0.001, 'planner': 'relaxed',
+}  # fmt: skip
 
 LEARNING = {
     **SMALL,

@@ -9,14 +9,12 @@ import shlex
 from shutil import which
 import subprocess
 
-from base import Base, GRID, PARAMETERS, SERVICES
+from base import Base, PARAMETERS, SERVICES
 from documented import ROOT
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.messages.operator_action import Action, read_operator_action
+from kbnitp_ros.messages.operator_action import Action
 import pytest
-from samples import changed
 from std_srvs.srv import SetBool, Trigger
 import yaml
 
@@ -306,22 +304,3 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
     assert len(report.evidence.reports) == 1
     assert [report.evidence.path(key).tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)
-
-
-def test_actions_that_are_none_are_not_read(field):
-    base = Base(field)
-    base.until_sent(1)
-    base.do('pause', data=True)
-    field.until(lambda: base.actions, 'action')
-    base.replayed()
-    (logged,) = read_log(base.log, ['kbnitp_msgs/msg/OperatorAction'])
-    message = base.actions[0]
-    on_record, heard = (read_operator_action(GRID, each) for each in (logged.message, message))
-    assert on_record.stamp == heard.stamp
-    for fields, told in (
-        ({'action': 0}, 'action is 0: it must be from 1 to 6'),
-        ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
-        ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
-    ):
-        with pytest.raises(ValueError, match=told):
-            read_operator_action(GRID, changed(message, **fields))

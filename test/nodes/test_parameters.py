@@ -80,41 +80,26 @@ def test_nodes_declare_the_table(make_node, name):
         assert limits == ([(low, high)] if parameter.limits else [])
 
 
-@for_each(
-    'overrides, told',
-    [
-        ({'sensor.lethality': 1.5}, 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
-        ({'sensor.lethality': float('nan')}, 'sensor.lethality is nan: it must be from 0.0'),
-        ({'sensor.lethality': 'high'}, "sensor.lethality is 'high': it must be a number"),
-        ({'sensor.lethality': True}, 'sensor.lethality is True: it must be a number'),
-        ({'grid.width': 9.0}, 'grid.width is 9.0: it must be a whole number'),
-        ({'grid.width': 0}, 'grid.width is 0: it must be from 1 to 1000'),
-        ({'grid.origin': 3.0}, 'grid.origin is 3.0: it must be a list, each a number'),
-        ({'grid.origin': 'ab'}, "grid.origin is 'ab': it must be a list, each a number"),
-        ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
-        ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
-        ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
-        (
-            {'lethality': 0.5},
-            'every node: did you mean learn.lethality or sensor.lethality? ',
-        ),
-        (
-            {'robots.scout_1.max_step': 9},
-            'every node: did you mean robots.scout_1.max_steps? ',
-        ),
-        (
-            {'robots.scout_1.lethality': 0.5},
-            'every node: did you mean robots.scout_1.sensor.lethality? ',
-        ),
-        ({'robots.scout_1.seed': 3}, 'robots.scout_1.seed: all agents have the same seed'),
-        (
-            {'robots.scuot_1.max_steps': 9},
-            'is for scuot_1: did you mean scout_1? the parameter agents names scout_1',
-        ),
-        ({'robots.scout_1.max_steps': 0}, 'robots.scout_1.max_steps is 0: it must be from 1'),
-        ({'robots.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
-    ],
-)
+@for_each('overrides, told', [
+    ({'sensor.lethality': 1.5}, 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
+    ({'sensor.lethality': float('nan')}, 'sensor.lethality is nan: it must be from 0.0'),
+    ({'sensor.lethality': 'high'}, "sensor.lethality is 'high': it must be a number"),
+    ({'sensor.lethality': True}, 'sensor.lethality is True: it must be a number'),
+    ({'grid.width': 9.0}, 'grid.width is 9.0: it must be a whole number'),
+    ({'grid.width': 0}, 'grid.width is 0: it must be from 1 to 1000'),
+    ({'grid.origin': 3.0}, 'grid.origin is 3.0: it must be a list, each a number'),
+    ({'grid.origin': 'ab'}, "grid.origin is 'ab': it must be a list, each a number"),
+    ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
+    ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
+    ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
+    ({'lethality': 0.5}, 'every node: did you mean learn.lethality or sensor.lethality? '),
+    ({'robots.scout_1.max_step': 9}, 'every node: did you mean robots.scout_1.max_steps? '),
+    ({'robots.scout_1.lethality': 0.5}, 'every node: did you mean'),
+    ({'robots.scout_1.seed': 3}, 'robots.scout_1.seed: all agents have the same seed'),
+    ({'robots.scuot_1.max_steps': 9}, 'is for scuot_1: did you mean scout_1? the parameter'),
+    ({'robots.scout_1.max_steps': 0}, 'robots.scout_1.max_steps is 0: it must be from 1'),
+    ({'robots.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
+])  # fmt: skip
 def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
     with pytest.raises(ValueError) as refusal:
         declare(make_node(**overrides), 'estimator')
@@ -132,20 +117,17 @@ def test_numbers_to_learn_have_intervals_or_distributions():
     assert list(LEARN) == [field.name for field in fields(Unknowns)]
 
 
-@for_each(
-    'learn, given, told',
-    [
-        (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
-        ((), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
-        (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
-        (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
-        (('lethality',), (-0.1, 0.5), r'learn.lethality is \[-0.1, 0.5\]: low is -0.1'),
-        (('lethality',), (0.1, float('nan')), 'high is nan'),
-        (('lethality',), (), r'learn.lethality is \[\]: it must be low and high'),
-        (('lethality',), (0.1, 0.5, 2.0), 'it must be low and high, or low, high, a and b'),
-        (('lethality',), (0.1, 0.5, 0.0, 1.0), 'a of a Beta is 0.0: it must be above 0'),
-    ],
-)
+@for_each('learn, given, told', [
+    (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
+    ((), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
+    (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
+    (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
+    (('lethality',), (-0.1, 0.5), r'learn.lethality is \[-0.1, 0.5\]: low is -0.1'),
+    (('lethality',), (0.1, float('nan')), 'high is nan'),
+    (('lethality',), (), r'learn.lethality is \[\]: it must be low and high'),
+    (('lethality',), (0.1, 0.5, 2.0), 'it must be low and high, or low, high, a and b'),
+    (('lethality',), (0.1, 0.5, 0.0, 1.0), 'a of a Beta is 0.0: it must be above 0'),
+])  # fmt: skip
 def test_what_is_no_distribution_is_refused(learn, given, told):
     with pytest.raises(ValueError, match=told):
         unknowns_of(DEFAULTS | {'learn': learn, 'learn.lethality': given})
@@ -186,15 +168,10 @@ def test_parameters_of_other_nodes_and_of_ros_are_passed_over(make_node):
 
 def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     given = {
-        'agents': ['scout_1', 'scout_2'],
-        'max_steps': 12,
-        'max_distance': 9.5,
-        'robots': 20,
-        'robots.scout_2.max_steps': 7,
-        'robots.scout_2.max_distance': 5.0,
-        'robots.scout_2.loss_cost': 2.0,
-        'robots.scout_2.step_period': 3.0,
-    }
+        'agents': ['scout_1', 'scout_2'], 'max_steps': 12, 'max_distance': 9.5, 'robots': 20,
+        'robots.scout_2.max_steps': 7, 'robots.scout_2.max_distance': 5.0,
+        'robots.scout_2.loss_cost': 2.0, 'robots.scout_2.step_period': 3.0,
+    }  # fmt: skip
     node = make_node(**given)
     values = declare(node, 'planner')
     assert values['robots'] == 20
@@ -240,15 +217,12 @@ def test_values_follow_changes(make_node):
     assert values['robots'] == 7
 
 
-@for_each(
-    'name, value, told',
-    [
-        ('grid.width', 5, 'read-only'),
-        ('robots', -1, 'out of range'),
-        ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
-        ('beam_width', 2.5, 'type'),
-    ],
-)
+@for_each('name, value, told', [
+    ('grid.width', 5, 'read-only'),
+    ('robots', -1, 'out of range'),
+    ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
+    ('beam_width', 2.5, 'type'),
+])  # fmt: skip
 def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, told):
     node = make_node()
     values = declare(node, 'planner')
@@ -264,22 +238,19 @@ def test_the_reference_page_is_up_to_date():
     assert page == reference_page(), 'python3 -m kbnitp_ros.configuration > docs/parameters.md'
 
 
-@for_each(
-    'name, text, value',
-    [
-        ('sensor.lethality', '0.3', 0.3),
-        ('sensor.lethality', '1', 1.0),
-        ('loss_cost', '1e-3', 0.001),
-        ('robots', '7', 7),
-        ('rolling', 'true', True),
-        ('method', 'relaxed_itp', 'relaxed_itp'),
-        ('world.file', '7', '7'),
-        ('world.file', '', ''),
-        ('grid.blocked', '[3, 4]', (3, 4)),
-        ('grid.blocked', '[]', ()),
-        ('agents', '[a, b]', ('a', 'b')),
-    ],
-)
+@for_each('name, text, value', [
+    ('sensor.lethality', '0.3', 0.3),
+    ('sensor.lethality', '1', 1.0),
+    ('loss_cost', '1e-3', 0.001),
+    ('robots', '7', 7),
+    ('rolling', 'true', True),
+    ('method', 'relaxed_itp', 'relaxed_itp'),
+    ('world.file', '7', '7'),
+    ('world.file', '', ''),
+    ('grid.blocked', '[3, 4]', (3, 4)),
+    ('grid.blocked', '[]', ()),
+    ('agents', '[a, b]', ('a', 'b')),
+])  # fmt: skip
 def test_values_are_read_as_they_are_typed(name, text, value):
     row = next(parameter for parameter in TABLE if parameter.name == name)
     assert row.read(text) == value
@@ -333,24 +304,18 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
     assert grid_of(DEFAULTS | {'grid.corners': 'avoid'}) == Grid(9, 9, through_corners=False)
 
 
-@for_each(
-    'given, told',
-    [
-        ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
-        ({'grid.base': 5}, 'the base, cell 5 around .* is blocked'),
-        ({'grid.base_position': (0.9, 2.1)}, 'outside the grid'),
-        ({'grid.base_position': (float('nan'), 2.1)}, 'outside the grid'),
-        ({'grid.base_position': (1.0,)}, r'grid.base_position is \[1.0\]: it must be x and y'),
-        ({'grid.base': 8}, 'base is 8'),
-        (
-            {'grid.resolution': 0.25},
-            'grid resolution is 0.25: it must be at least that of the map',
-        ),
-        ({'grid.connectivity': 6}, 'connectivity is 6'),
-        ({'map_topic': '/map'}, 'map and map_topic are both given'),
-        ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
-    ],
-)
+@for_each('given, told', [
+    ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
+    ({'grid.base': 5}, 'the base, cell 5 around .* is blocked'),
+    ({'grid.base_position': (0.9, 2.1)}, 'outside the grid'),
+    ({'grid.base_position': (float('nan'), 2.1)}, 'outside the grid'),
+    ({'grid.base_position': (1.0,)}, r'grid.base_position is \[1.0\]: it must be x and y'),
+    ({'grid.base': 8}, 'base is 8'),
+    ({'grid.resolution': 0.25}, 'grid resolution is 0.25: it must be at least that of the map'),
+    ({'grid.connectivity': 6}, 'connectivity is 6'),
+    ({'map_topic': '/map'}, 'map and map_topic are both given'),
+    ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
+])  # fmt: skip
 def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
         grid_of(write_map(tmp_path, ['.#..', '....']) | given)
@@ -380,29 +345,17 @@ def with_base(node):
     return parameter_of(node, 'robots.scout_2.base').check(3)
 
 
-@for_each(
-    'given, told',
-    [
-        (
-            {'robots.scout_2.base': 1},
-            'robots.scout_2.base: base is 1.*that one is blocked; choose',
-        ),
-        ({'robots.scout_2.base': 8}, 'robots.scout_2.base: base is 8.*from 0 to 7; choose a free'),
-        (
-            {'robots.scout_2.base': 2},
-            'scout_2.base: base is 2, which obstacles cut off.*base 0.*joi',
-        ),
-        ({'robots.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),
-        (
-            {'robots.scout_2.base_position': (9.0,)},
-            r'base_position is \[9.0\]: it must be x and y',
-        ),
-        (
-            {'robots.scout_2.base': 4, 'robots.scout_2.base_position': (0.0, 0.0)},
-            'robots.scout_2.base and robots.scout_2.base_position name the same',
-        ),
-    ],
-)
+@for_each('given, told', [
+    ({'robots.scout_2.base': 1}, 'robots.scout_2.base: base is 1.*that one is blocked; choose'),
+    ({'robots.scout_2.base': 8}, 'robots.scout_2.base: base is 8.*from 0 to 7; choose a free'),
+    ({'robots.scout_2.base': 2}, 'scout_2.base: base is 2, which obstacles cut off.*base 0.*joi'),
+    ({'robots.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),
+    ({'robots.scout_2.base_position': (9.0,)}, r'base_position is \[9.0\]: it must be x and y'),
+    (
+        {'robots.scout_2.base': 4, 'robots.scout_2.base_position': (0.0, 0.0)},
+        'robots.scout_2.base and robots.scout_2.base_position name the same',
+    ),
+])  # fmt: skip
 def test_bases_that_cannot_be_are_refused_by_name(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
         grid_of(write_map(tmp_path, ['.#..', '.#..']) | given)

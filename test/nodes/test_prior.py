@@ -17,13 +17,9 @@ import pytest
 
 VALUES = {parameter.name: parameter.default for parameter in TABLE}
 FIELD = {
-    'grid.width': 5,
-    'grid.height': 4,
-    'grid.base': 2,
-    'grid.resolution': 0.1,
-    'grid.origin': [-1.3, 0.7],
-    'grid.blocked': [8, 9],
-}
+    'grid.width': 5, 'grid.height': 4, 'grid.base': 2, 'grid.resolution': 0.1,
+    'grid.origin': [-1.3, 0.7], 'grid.blocked': [8, 9],
+}  # fmt: skip
 
 
 def write(path, values):
@@ -90,21 +86,14 @@ def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path
     assert prior_of(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
 
 
-@for_each(
-    'name, values, told',
-    [
-        ('hazard', [[0.5, 1.5]], '1.5 in row 0, column 1: a probability must be from 0 to 1'),
-        ('target', [[float('nan')]], 'nan in row 0'),
-        ('kappa', [0.5], 'rows and columns'),
-        (
-            'target',
-            np.zeros((4, 5)),
-            'no joint distribution at cell 0: .*; likewise at cells 1, 2',
-        ),
-        ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
-        ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
-    ],
-)
+@for_each('name, values, told', [
+    ('hazard', [[0.5, 1.5]], '1.5 in row 0, column 1: a probability must be from 0 to 1'),
+    ('target', [[float('nan')]], 'nan in row 0'),
+    ('kappa', [0.5], 'rows and columns'),
+    ('target', np.zeros((4, 5)), 'no joint distribution at cell 0: .*; likewise at cells 1, 2'),
+    ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
+    ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
+])  # fmt: skip
 def test_what_no_prior_can_be_is_refused(tmp_path, name, values, told):
     given = {f'prior.{name}_map': write(tmp_path / 'prior.npy', values)}
     with pytest.raises(ValueError, match=told):

@@ -234,31 +234,6 @@ def test_a_message_too_large_to_be_read_again_is_refused_and_the_rest_goes_on(fi
     assert [len(each.data) for each in recorded(log)['/m/points']] == [1000]
 
 
-def test_a_publisher_may_come_back_with_other_quality_of_service(field):
-    log = record(field)
-    number = 0
-    promised = set()
-    for profile in (RELIABLE, BEST_EFFORT, qos.EVIDENCE, RELIABLE, qos.EVIDENCE, BEST_EFFORT):
-        first = number
-        publisher = field.node.create_publisher(Int32, '/m/number', profile)
-        if profile is qos.EVIDENCE:
-            publisher.publish(Int32(data=number))
-            number += 1
-        field.until(lambda p=publisher: p.get_subscription_count() > 0, 'listener')
-        # Some of what is sent with best effort may be lost, whoever listens.
-        while number < first + 20 or max(values(log, '/m/number'), default=-1) < first:
-            publisher.publish(Int32(data=number))
-            number += 1
-            field.executor.spin_once(timeout_sec=0.01)
-        if profile is not BEST_EFFORT:
-            promised.update(range(first, number))
-        field.until(lambda: promised <= set(values(log, '/m/number')), 'all messages')
-        field.node.destroy_publisher(publisher)
-    # Of two subscriptions one may get its first message before the other gets what is older.
-    numbers = values(log, '/m/number')
-    assert len(numbers) == len(set(numbers))
-
-
 def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(field):
     log = record(field)
     kept = field.node.create_publisher(Int32, '/m/number', qos.EVIDENCE)

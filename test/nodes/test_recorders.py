@@ -11,7 +11,6 @@ from base import Base
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.bag import is_finished, read_log
-from kbnitp_ros.bag.log_files import parts_of
 from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.nodes import recorder, recorders
@@ -59,16 +58,6 @@ def test_recorders_of_other_namespaces_do_not_matter(field):
         field.start('recorder', {'file': str(log)}, namespace)
     for name in ('/recorder', '/m/deeper/recorder', '/mm/recorder'):
         field.until(lambda name=name: field.told(name, recorders.LOG), name)
-
-
-def test_a_recorder_that_was_killed_is_replaced(field):
-    log = field.folder / 'first.mcap'
-    start(field, log)
-    field.kill('/m/recorder')
-    field.start('recorder', {'resume': str(log)}, '/m')
-    field.until(lambda: len(parts_of(log)) == 2, 'second part')
-    field.until(lambda: field.told('/m/recorder', recorders.LOG), 'recorder')
-    assert field.diagnosed('/m/recorder').level == DiagnosticStatus.OK
 
 
 def test_a_publisher_that_says_nothing_is_waited_for_and_named(field):

@@ -116,14 +116,11 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
     assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == folded(log)
 
 
-@pytest.mark.parametrize(
-    'before, depth',
-    [
-        (70, 50),
-        pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
-        pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
-    ],
-)
+@pytest.mark.parametrize('before, depth', [
+    (70, 50),
+    pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
+    pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
+])  # fmt: skip
 def test_deployments_survive_every_restart(field, before, depth):
     """Publishers keep the newest `depth`; the log has them all."""
     if depth < qos.DEPTH:

@@ -240,13 +240,10 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     assert before[0] == (1, False)
 
 
-@pytest.mark.parametrize(
-    'lifecycle, told',
-    [
-        (True, 'waiting for /scout_1/waypoint_follower to be active: its lifecycle state is '),
-        (False, 'waiting for Nav2 to be ready: the action server /scout_1/follow_waypoints '),
-    ],
-)
+@pytest.mark.parametrize('lifecycle, told', [
+    (True, 'waiting for /scout_1/waypoint_follower to be active: its lifecycle state is '),
+    (False, 'waiting for Nav2 to be ready: the action server /scout_1/follow_waypoints '),
+])  # fmt: skip
 def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told):
     fleet = Fleet(field, lifecycle=lifecycle)
     reports = fleet.reports()

@@ -29,14 +29,11 @@ def flap(mission, number, times, rng):
 @pytest.mark.full
 # How many robots leave, how long the link is down at least, in seconds, and how often it is up for
 # a moment when the robot is home.
-@pytest.mark.parametrize(
-    'robots, longest, flaps',
-    [
-        (2, 1.5, 3),
-        pytest.param(20, 90.0, 0, marks=LONG),
-        pytest.param(20, 1.5, 12, marks=LONG),
-    ],
-)
+@pytest.mark.parametrize('robots, longest, flaps', [
+    (2, 1.5, 3),
+    pytest.param(20, 90.0, 0, marks=LONG),
+    pytest.param(20, 1.5, 12, marks=LONG),
+])  # fmt: skip
 def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, longest, flaps):
     rng = np.random.default_rng(9)
     cuts, ups = [], []
@@ -107,13 +104,10 @@ def test_a_robot_is_heard_again_that_was_rebooted_without_a_link_or_has_another_
 
 @pytest.mark.full
 @pytest.mark.campaign
-@pytest.mark.parametrize(
-    'discovery',
-    [
-        {'ROS_DISCOVERY_SERVER': '10.77.0.1:11811', 'ROS_SUPER_CLIENT': 'TRUE'},
-        {'ROS_STATIC_PEERS': '10.77.0.1;10.77.0.2'},
-    ],
-)
+@pytest.mark.parametrize('discovery', [
+    {'ROS_DISCOVERY_SERVER': '10.77.0.1:11811', 'ROS_SUPER_CLIENT': 'TRUE'},
+    {'ROS_STATIC_PEERS': '10.77.0.1;10.77.0.2'},
+])  # fmt: skip
 def test_base_and_robot_find_each_other_without_multicast(tmp_path, discovery):
     with apart(tmp_path, 1, discovery=discovery) as mission:
         mission.until(lambda: mission.count('leaving on') == 1, 'departure')

@@ -14,13 +14,9 @@ import pytest
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
 WIDE = {
-    'grid.width': 30,
-    'grid.height': 30,
-    'max_steps': 60,
-    'robots': 16,
-    'recorded': False,
+    'grid.width': 30, 'grid.height': 30, 'max_steps': 60, 'robots': 16, 'recorded': False,
     'beam_width': 24,
-}
+}  # fmt: skip
 GOAL = {
     'goal': 'lane',
     'goal.cells': [899],

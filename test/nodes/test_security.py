@@ -25,16 +25,9 @@ from tf2_msgs.msg import TFMessage
 
 # All that a parameter can have a node publish or listen to; the map tells the field.
 PARAMETERS = {
-    'map_topic': '/map',
-    'max_steps': 6,
-    'robots': 4,
-    'planner': 'relaxed',
-    'publish_pose': True,
-    'publish_truth': True,
-    'recorded': True,
-    'seed': 1,
-    'step_period': 0.05,
-}
+    'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
+    'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05,
+}  # fmt: skip
 LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality'], 'filter.type': 0}
 
 

@@ -95,19 +95,6 @@ def test_the_demo_uses_none_whatever_the_user_has_set(monkeypatch):
         assert shared_memory(talker) == set()
 
 
-def test_a_profile_alone_does_not_keep_it_away_on_localhost():
-    """If this fails, rmw_fastrtps obeys the profile, and `udp_only` need not replace the range."""
-    with free_domain() as domain:
-        user = of_user(domain, **LOCAL[0])
-        profile = {PROFILES: str(CONFIG / 'fastdds.xml'), 'RMW_FASTRTPS_USE_QOS_FROM_XML': '1'}
-        with started(TALKER.format(word='a'), user | profile) as talker:
-            left = shared_memory(talker)
-            assert left
-        assert any(Path(each).exists() for each in left)
-        for each in left:
-            Path(each).unlink(missing_ok=True)
-
-
 def test_a_tool_on_localhost_hears_nodes_without_shared_memory():
     with free_domain() as domain:
         user = of_user(domain, **LOCAL[0])

@@ -29,23 +29,20 @@ def test_the_first_row_is_the_top_row(write):
     assert world.target.tolist() == [False, True, False, False, False, False]
 
 
-@for_each(
-    'text, told',
-    [
-        ('hazard: ["...", "..."', 'is not YAML'),
-        ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
-        ('', 'must have hazard and target and nothing else'),
-        ('- 1', 'must have hazard and target and nothing else'),
-        ('hazard: ["...", "..."]', 'must have hazard and target and nothing else'),
-        ('hazard: ["...", "..."]\ntarget: 3', 'target is 3: it must be a list of texts'),
-        ('hazard: ["...", 100]\ntarget: []', "hazard is ['...', 100]: it must be a list of texts"),
-        ('hazard: ["..."]\ntarget: []', 'hazard has 1 rows: the grid has 2'),
-        ('hazard: ["...", "...."]\ntarget: []', 'hazard has 4 cells in row 2 from the top: the'),
-        ('hazard: ["...", "..#"]\ntarget: []', "hazard has '..#' in row 2 from the top: cells"),
-        ('hazard: ["...", "x.."]\ntarget: ["...", "..."]', 'hazard at the base 0'),
-        ('hazard: ["..x", "..."]\ntarget: ["...", "..."]', 'cell 5: that cell is blocked'),
-    ],
-)
+@for_each('text, told', [
+    ('hazard: ["...", "..."', 'is not YAML'),
+    ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
+    ('', 'must have hazard and target and nothing else'),
+    ('- 1', 'must have hazard and target and nothing else'),
+    ('hazard: ["...", "..."]', 'must have hazard and target and nothing else'),
+    ('hazard: ["...", "..."]\ntarget: 3', 'target is 3: it must be a list of texts'),
+    ('hazard: ["...", 100]\ntarget: []', "hazard is ['...', 100]: it must be a list of texts"),
+    ('hazard: ["..."]\ntarget: []', 'hazard has 1 rows: the grid has 2'),
+    ('hazard: ["...", "...."]\ntarget: []', 'hazard has 4 cells in row 2 from the top: the'),
+    ('hazard: ["...", "..#"]\ntarget: []', "hazard has '..#' in row 2 from the top: cells"),
+    ('hazard: ["...", "x.."]\ntarget: ["...", "..."]', 'hazard at the base 0'),
+    ('hazard: ["..x", "..."]\ntarget: ["...", "..."]', 'cell 5: that cell is blocked'),
+])  # fmt: skip
 def test_what_is_no_world_is_refused(write, text, told):
     path = write(text)
     with pytest.raises(ValueError) as refusal:

@@ -259,31 +259,28 @@ print('strangers_of_theirs' in sys.modules)
     assert done.stdout == 'False\n', done.stderr
 
 
-@for_each(
-    'use, told',
-    [
-        (
-            "e = Estimator(belief, model, 'small'); e.assimilate(lost)",
-            f"method 'small' {OF} small = strangers_of_theirs:Small) gives a belief of 8 cells "
-            'where the field has 9',
-        ),
-        (
-            "e = Estimator(belief, model, 'breaks'); e.assimilate(lost)",
-            f"method 'breaks' {OF} breaks = strangers_of_theirs:Breaks) failed: KeyError",
-        ),
-        (
-            "e = Estimator(belief, model); plan(grid, belief, model, 4, 'half_way')",
-            f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns a path "
-            'that is none: path must end at the base 4',
-        ),
-        (
-            'e = Estimator(belief, model); '
-            "plan_team(grid, belief, model, Team(2, 'one_for_all'), SearchOptions(max_steps=4))",
-            f"allocation 'one_for_all' {OF} one_for_all = strangers_of_theirs:one_for_all) "
-            'returns 1 paths for 2 robots',
-        ),
-    ],
-)
+@for_each('use, told', [
+    (
+        "e = Estimator(belief, model, 'small'); e.assimilate(lost)",
+        f"method 'small' {OF} small = strangers_of_theirs:Small) gives a belief of 8 cells "
+        'where the field has 9',
+    ),
+    (
+        "e = Estimator(belief, model, 'breaks'); e.assimilate(lost)",
+        f"method 'breaks' {OF} breaks = strangers_of_theirs:Breaks) failed: KeyError",
+    ),
+    (
+        "e = Estimator(belief, model); plan(grid, belief, model, 4, 'half_way')",
+        f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns a path "
+        'that is none: path must end at the base 4',
+    ),
+    (
+        'e = Estimator(belief, model); '
+        "plan_team(grid, belief, model, Team(2, 'one_for_all'), SearchOptions(max_steps=4))",
+        f"allocation 'one_for_all' {OF} one_for_all = strangers_of_theirs:one_for_all) "
+        'returns 1 paths for 2 robots',
+    ),
+])  # fmt: skip
 def test_what_breaks_the_rules_in_use_is_named_and_changes_nothing(bad, use, told):
     program = f"""
 from kbnitp_ros.core import *
