@@ -31,6 +31,7 @@ import shutil
 import sys
 import tempfile
 import time
+from typing import Any
 
 from departing import DepartingMission, MOST_AGENTS
 from fickle_robot import CRASHED, UNPLUGGED
@@ -74,7 +75,6 @@ class Outcome:
     folder: Path
     faults: Counter[str] = field(default_factory=Counter)
     strikes: Counter[tuple[str, str]] = field(default_factory=Counter)
-    phases: Counter[str] = field(default_factory=Counter)
     crashes: Counter[int] = field(default_factory=Counter)
     findings: list[tuple[str, str]] = field(default_factory=list)
     unused: int = 0
@@ -85,38 +85,17 @@ class Outcome:
         return f'mission --kind {self.kind} --seed {self.seed} in {self.folder}:{found}'
 
 
-def run_mission(job: tuple[int, str, Path], processes: type[Processes] = Processes) -> Outcome:
-    """Run the mission of a seed with faults of a kind; `processes` start its nodes."""
+def run_mission(
+    job: tuple[int, str, Path],
+    processes: type[Processes] = Processes,
+    has_robots: bool = False,
+    is_apart: bool = False,
+) -> Outcome:
+    """Run the mission of a seed with faults of a kind, perhaps with robots that crash."""
     seed, kind, folder = job
     rng = np.random.default_rng(seed)
     parameters = draw_parameters(rng)
     outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
-    begun = time.monotonic()
-    with free_domain() as domain:
-        os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
-        with Mission(domain, outcome.folder, parameters, processes=processes) as mission:
-            mission.start(*NODES)
-            try:
-                for fault in draw_faults(rng, kind, parameters['robots']):
-                    outcome.phases[mission.suffer(fault)] += 1
-                    outcome.faults[fault.kind] += 1
-                    outcome.strikes.update((fault.kind, node) for node in fault.pauses)
-                mission.until_over()
-                outcome.findings = mission.findings()
-                outcome.unused = mission.unused
-            except StuckError as error:
-                outcome.findings = [('stuck', str(error))]
-    outcome.seconds = time.monotonic() - begun
-    if not outcome.findings:
-        shutil.rmtree(outcome.folder)
-    return outcome
-
-
-def run_departing(job: tuple[int, str, Path], is_apart: bool = False) -> Outcome:
-    """Run the mission of a seed with robots that crash, in a process of its own."""
-    seed, kind, folder = job
-    outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
-    outcome.folder.mkdir()
     begun = time.monotonic()
     with ExitStack() as stack:
         made = stack.enter_context(networks(MOST_AGENTS)) if is_apart else None
@@ -125,12 +104,18 @@ def run_departing(job: tuple[int, str, Path], is_apart: bool = False) -> Outcome
         if made is not None:
             made.join()
             os.environ |= ENVIRONMENT
-        mission = stack.enter_context(DepartingMission(domain, outcome.folder, seed, made))
+        mission: Any = stack.enter_context(
+            DepartingMission(domain, outcome.folder, seed, made)
+            if has_robots
+            else Mission(domain, outcome.folder, parameters, processes=processes)
+        )
         try:
-            for fault in mission.live():
+            faults = None if has_robots else draw_faults(rng, kind, parameters['robots'])
+            for fault in mission.live(faults):
                 outcome.faults[fault.kind] += 1
                 outcome.strikes.update((fault.kind, node) for node in fault.pauses)
             outcome.findings = mission.findings()
+            outcome.unused = mission.unused
         except StuckError as error:
             outcome.findings = [('stuck', str(error))]
         outcome.crashes = mission.ended
@@ -161,7 +146,6 @@ def table(outcomes: list[Outcome]) -> str:
     """Return the totals, in Markdown."""
     strikes = sum((outcome.strikes for outcome in outcomes), Counter())
     faults = sum((outcome.faults for outcome in outcomes), Counter())
-    phases = sum((outcome.phases for outcome in outcomes), Counter())
     found = Counter(kind for outcome in outcomes for kind, _ in outcome.findings)
     crashes = sum((outcome.crashes for outcome in outcomes), Counter())
     seconds = [outcome.seconds for outcome in outcomes]
@@ -173,7 +157,6 @@ def table(outcomes: list[Outcome]) -> str:
     rows += [(what, crashes[code]) for code, what in CRASHES.items()]
     rows += [('two nodes killed at once', faults['two'])]
     rows += [('all nodes killed at once', faults['all'])]
-    rows += [(f'faults in phase: {phase}', count) for phase, count in sorted(phases.items())]
     rows += [(words, found[kind]) for kind, words in FINDINGS.items()]
     rows += [('paths that no robot took', sum(outcome.unused for outcome in outcomes))]
     rows += [('seconds a mission, mean', f'{np.mean(seconds):.1f}')]
@@ -229,7 +212,7 @@ def main() -> int:
     begun = time.monotonic()
     run = run_mission
     if options.robots or options.apart:
-        run = partial(run_departing, is_apart=options.apart)
+        run = partial(run_mission, has_robots=True, is_apart=options.apart)
     jobs = [(seed, options.kind, folder) for seed in seeds]
     outcomes = run_missions(jobs, options.parallel, run)
     print(table(outcomes))

@@ -57,7 +57,6 @@ class DepartingMission(Mission):
         # Until when robots have no link, by agent; None as long as they are not up again.
         self._unplugged = {}
         self._crashes_without_link = Counter()
-        self.ended = Counter()
 
     def __exit__(self, *exception):
         """End all nodes and robots."""
@@ -108,7 +107,7 @@ class DepartingMission(Mission):
     def _switch(self, agent, state):
         self._networks.switch(self._own['agents'].index(agent) + 1, state)
 
-    def live(self):
+    def live(self, _):
         """Run the mission with faults of the base, and return these."""
         for agent in self._own['agents']:
             self._start_robot(agent)

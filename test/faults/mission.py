@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -54,6 +55,8 @@ class Mission:
         self._awaited = AWAITED | (awaited or {})
         self._remaps = remaps or {}
         self._struck = set()
+        # How often robots ended, by exit code.
+        self.ended = Counter()
         with ExitStack() as stack:
             context = rclpy.Context()
             rclpy.init(
@@ -132,12 +135,19 @@ class Mission:
         self.kill(name)
         self.start(name)
 
+    def live(self, faults):
+        """Run the mission with these faults, and return them."""
+        self.start(*NODES)
+        for fault in faults:
+            self.suffer(fault)
+        self.until_over()
+        return faults
+
     def suffer(self, fault):
-        """Wait for a fault's moment, let it happen, and return the phase that it came in."""
+        """Wait for a fault's moment, and let it happen."""
         reports = self.onlooker.evidence.reports
         self.until(lambda: len(reports) >= fault.reports, f'report {fault.reports}')
         self.wait(fault.delay)
-        phase = self.onlooker.phase(self._parameters['robots'])
         self._struck.update(fault.pauses)
         for name in fault.pauses:
             self._signal(name, fault.signal)
@@ -149,7 +159,6 @@ class Mission:
                 self._signal(name, signal.SIGCONT)
             else:
                 self.restart(name)
-        return phase
 
     def wait(self, seconds):
         """Handle messages for a while."""

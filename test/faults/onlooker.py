@@ -93,13 +93,3 @@ class Onlooker:
     def held(self):
         """Return how many deployments the newest belief holds; -1 before the first."""
         return -1 if self.belief is None else self.belief.deployments
-
-    def phase(self, robots):
-        """Return what a mission of so many robots is doing, in a few words."""
-        paths, reports = self.evidence.paths, self.evidence.reports
-        if len(paths) > len(reports):
-            on_disk = paths.keys() - reports.keys() <= self.recorded
-            return 'robot out' if on_disk else 'path being recorded'
-        if len(reports) > self.held:
-            return 'report being believed'
-        return 'planning' if len(reports) < robots else 'over'

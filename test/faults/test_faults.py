@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import partial
 
-from campaign import run_departing, run_mission, run_missions
+from campaign import run_mission, run_missions
 from extent import LONG
 from fickle_robot import CRASHED, UNPLUGGED
 from kbnitp_ros.nodes.robot import NEW_LINKS
@@ -50,7 +50,7 @@ def test_many_missions_under_faults_end_as_if_unbroken(tmp_path):
 def test_no_robot_is_lost_that_stayed_and_none_forgotten_that_left(tmp_path, is_apart, codes):
     jobs = [(seed, 'mixed', tmp_path) for seed in (1, 2)]
     try:
-        outcomes = run_missions(jobs, run=partial(run_departing, is_apart=is_apart))
+        outcomes = run_missions(jobs, run=partial(run_mission, has_robots=True, is_apart=is_apart))
     except NoNetworksError as error:
         pytest.skip(f'no networks can be made: {error}')
     assert not [str(outcome) for outcome in outcomes if outcome.findings]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from campaign import run_forged_missions
 from extent import some
 from forged import run_forged
 from forger import FORGERIES
@@ -40,9 +39,3 @@ def test_a_mission_survives_all_of_it(tmp_path, processes, undisturbed):
 def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     outcome = run_forged(tmp_path, ['topics'], 10.0)
     assert not outcome.findings, outcome
-
-
-@pytest.mark.full
-@pytest.mark.campaign
-def test_a_hundred_missions_survive_all_of_it(tmp_path):
-    assert run_forged_missions(100, 1, SCALE, tmp_path) == 0

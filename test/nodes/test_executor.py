@@ -42,8 +42,11 @@ def fail(*_):
     raise OSError('the disk is full')
 
 
-def fail_in_a_timer(node, _):
-    node.create_timer(0.01, fail)
+def ask(node, until):
+    """Call a service, and return what its answer comes to."""
+    client = node.create_client(Trigger, 'how')
+    until(client.service_is_ready)
+    return client.call_async(Trigger.Request())
 
 
 def fail_in_a_subscription(node, _):
@@ -53,28 +56,20 @@ def fail_in_a_subscription(node, _):
 
 def fail_in_a_service(node, until):
     node.create_service(Trigger, 'how', fail)
-    client = node.create_client(Trigger, 'how')
-    until(client.service_is_ready)
-    client.call_async(Trigger.Request())
+    ask(node, until)
 
 
 def fail_at_an_answer(node, until):
     node.create_service(Trigger, 'how', lambda _, response: response)
-    client = node.create_client(Trigger, 'how')
-    until(client.service_is_ready)
-    client.call_async(Trigger.Request()).add_done_callback(node.guarded(fail))
-
-
-def fail_for_another_thread(node, _):
-    Timer(0.1, node.call_next, [fail]).start()
+    ask(node, until).add_done_callback(node.guarded(fail))
 
 
 @pytest.mark.parametrize('fail_in', [
-    fail_in_a_timer,
+    lambda node, _: node.create_timer(0.01, fail),
     fail_in_a_subscription,
     fail_in_a_service,
     fail_at_an_answer,
-    fail_for_another_thread,
+    lambda node, _: Timer(0.1, node.call_next, [fail]).start(),
 ])  # fmt: skip
 def test_an_error_in_a_callback_is_raised(here, fail_in):
     node, until = here
@@ -97,9 +92,7 @@ def test_a_service_may_answer_later(here):
     node, until = here
     answer = Future()
     node.create_service(Trigger, 'how', lambda *_: answer)
-    client = node.create_client(Trigger, 'how')
-    until(client.service_is_ready)
-    heard = client.call_async(Trigger.Request())
+    heard = ask(node, until)
     node.create_poll(lambda: answer.set_result(Trigger.Response(message='well')), 0.2)
     until(heard.done)
     assert heard.result().message == 'well'

@@ -163,11 +163,3 @@ def test_a_map_that_changes_changes_no_mission(field, file):
     server.publish(other)
     assert 'the map has changed' in field.until_refused('/estimator', 1)
     assert len(beliefs) == 1
-
-
-def test_who_waits_for_a_map_can_be_ended(field):
-    field.start('planner', {**PARAMETERS, 'map_topic': '/map'})
-    field.until(
-        lambda: 'waiting for a map on /map (param' in field.state('/planner'), 'waiting planner'
-    )
-    assert field.processes.stop() == {'/planner': 0}

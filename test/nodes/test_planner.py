@@ -32,7 +32,6 @@ from kbnitp_ros.nodes.planner import PlannerNode
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import POLL
 from nav_msgs.msg import Path
-import pytest
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -124,6 +123,16 @@ def test_paths_are_planned_with_the_robots_that_the_belief_tells_of(field):
     assert path != plan(GRID, prior, MODEL, 4).path.tolist()
 
 
+def test_a_belief_of_agents_of_other_bases_is_refused(field):
+    mission = Mission(field, {'agents': ['scout_1', 'scout_2'], 'robots.scout_2.base': 8})
+    grid = Grid(3, 3, other_bases=(8,))
+    estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), MODEL)
+    mission.ledger = Ledger(grid, 4, estimator, {'scout_1': RobotType(base=8)})
+    mission.show_belief()
+    told = field.until_refused('/planner', 1)
+    assert 'the base of scout_1 is 8: the parameters say 0' in told
+
+
 def test_a_belief_of_too_many_cameras_is_refused(field):
     agents = [f'scout_{number}' for number in range(1, 8)]
     cameras = {agent: RobotType(true_positive=0.8 + n / 100) for n, agent in enumerate(agents)}
@@ -194,9 +203,6 @@ def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
     assert stamps[0] < stamps[1] == stamps[2] < stamps[3]
 
 
-TEAM = ['scout_1', 'scout_2', 'scout_3']
-
-
 SILENT = {
     'silent_loss': True,
     'step_period': 0.001,
@@ -206,7 +212,7 @@ SILENT = {
 
 
 def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
-    agents = TEAM[:2]
+    agents = ['scout_1', 'scout_2']
     paths = {agent: field.listen(Path, f'/{agent}/path') for agent in agents}
     reports = {agent: field.listen(DeploymentReport, f'/{agent}/report') for agent in agents}
     recorded = {
@@ -229,34 +235,26 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
     field.until(lambda: reports['scout_1'], 'loss of the other one')
 
 
-@pytest.fixture
-def planner_here(field, monkeypatch):
-    """Return a function that makes a planner in the test, and its clock, in nanoseconds."""
-    clock = [1]
-    for name in ('now', 'elapsed'):
-        monkeypatch.setattr(PlannerNode, name, lambda _: clock[-1])
-
-    def start(parameters):
-        args = ['--ros-args', '--log-level', 'fatal']
-        for name, value in parameters.items():
-            args += ['--param', f'{name}:={json.dumps(value)}']
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        executor = SingleThreadedExecutor()
-        executor.add_node(PlannerNode())
-        return executor, clock
-
-    yield start
-    rclpy.try_shutdown()
-
-
-def test_a_report_that_waits_to_be_heard_keeps_its_robot_from_being_given_up(field, planner_here):
+def test_a_report_that_waits_to_be_heard_keeps_its_robot_from_being_given_up(
+    field, monkeypatch, request
+):
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
     ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
     beliefs.publish(belief_maps(ledger, 0))
-    executor, clock = planner_here({**PARAMETERS, **SILENT, 'robots': 3})
+    # The planner is in the test, on a clock of the test's, in nanoseconds.
+    clock = [1]
+    for name in ('now', 'elapsed'):
+        monkeypatch.setattr(PlannerNode, name, lambda _: clock[-1])
+    args = ['--ros-args', '--log-level', 'fatal']
+    for name, value in {**PARAMETERS, **SILENT, 'robots': 3}.items():
+        args += ['--param', f'{name}:={json.dumps(value)}']
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    request.addfinalizer(rclpy.try_shutdown)
+    executor = SingleThreadedExecutor()
+    executor.add_node(PlannerNode())
 
     def until(condition, what):
         field.until(lambda: executor.spin_once(timeout_sec=0.02) or condition(), what)

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.configuration import prior_of, TABLE
 from kbnitp_ros.core import Belief
-from kbnitp_ros.messages.beliefs import read_belief_maps
 from laws import for_each
 from mission_log import GRID, Mission, mission, record
 import numpy as np
@@ -130,13 +128,3 @@ def test_logs_that_tell_no_belief_are_refused(log, tmp_path):
             prior_of(VALUES | {'prior.log': file}, GRID)
     with pytest.raises(ValueError, match='prior.log is given with a map'):
         prior_of(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
-
-
-def test_a_mission_goes_on_from_an_earlier_one(field, log):
-    path, known = log
-    beliefs = field.listen(BeliefMaps, '/belief')
-    field.start('estimator', {**FIELD, 'prior.log': path, 'await_nodes': ['test']})
-    field.until(lambda: beliefs, 'prior')
-    snapshot = read_belief_maps(beliefs[0])
-    assert snapshot.deployments == 0
-    assert snapshot.belief.joint == pytest.approx(known.joint, abs=1e-15)

@@ -30,22 +30,14 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
     assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
-def test_a_robot_walks_a_turned_field(field):
-    fleet, reports = Fleet.simulated(field, placed=(40.0, -7.0, 2.1))
-    fleet.start(driver='navigate_through_poses')
-    report = fleet.report_of(reports, fleet.send(1, ROUND))
-    assert [cell for cell, _ in report.readings] == ROUND[1:]
-    fleet.see_that_it_is_true(report)
-    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
-
-
 DATUM = (55.944904, -3.186693, -0.8)
 
 
-def test_a_robot_walks_by_fixes(field):
+# In the second case nobody tells where this frame is but fixes.
+@pytest.mark.parametrize('own', [{}, {'position': 'fix', 'remapped': {'/tf': '/nobody'}}])
+def test_a_robot_walks_a_turned_field(field, own):
     fleet, reports = Fleet.simulated(field, placed=(40.0, -7.0, 2.1), datum=DATUM)
-    # Nobody tells where this frame is but fixes.
-    fleet.start(driver='navigate_through_poses', position='fix', remapped={'/tf': '/nobody'})
+    fleet.start(driver='navigate_through_poses', **own)
     report = fleet.report_of(reports, fleet.send(1, ROUND))
     assert [cell for cell, _ in report.readings] == ROUND[1:]
     fleet.see_that_it_is_true(report)

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import resource
 import signal
-import subprocess
-import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -230,30 +228,6 @@ def test_a_robot_in_the_field_says_that_it_hears_of_another_of_its_name(field):
     assert fleet.report_of(reports, key).readings
     first.send_signal(signal.SIGINT)
     assert first.wait(60) == 0
-
-
-def start_alone(fleet, **parameters):
-    """Run a robot that cannot start, and return what it said and its exit code."""
-    given = {**FIELD, 'agent': 'scout_1', 'journal': str(fleet.journal('scout_1')), **parameters}
-    command = [sys.executable, '-m', 'kbnitp_ros', 'robot', '--ros-args']
-    for name, value in given.items():
-        command += ['-p', f'{name}:={value}']
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    return ended.stderr, ended.returncode
-
-
-def test_a_journal_that_is_not_its_own_keeps_a_robot_from_starting(field):
-    fleet = Fleet(field)
-    path = fleet.journal('scout_1')
-    Journal(path, 'scout_2', GRID).close()
-    content = path.read_bytes()
-    said, code = start_alone(fleet)
-    assert (code, path.read_bytes()) == (2, content)
-    assert f'robot: journal {path} has agent "scout_2": here it is "scout_1"' in said
-    path.write_text('dear diary\n')
-    said, code = start_alone(fleet)
-    assert (code, path.read_text()) == (2, 'dear diary\n')
-    assert f'robot: {path} is no journal of a robot' in said
 
 
 def test_a_disk_that_is_full_costs_no_step(field):

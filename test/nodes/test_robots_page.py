@@ -6,11 +6,9 @@ import re
 import subprocess
 import sys
 
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.log.replay import replay
-from nav_msgs.msg import Path as PathMessage
 import pytest
-from std_msgs.msg import Bool
 
 PAGE = Path(__file__).parents[2] / 'docs/robots.md'
 PRINTED = re.search(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)[1]
@@ -51,16 +49,3 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     replayed = replay(log)
     assert replayed.reproduced
     assert len(replayed.evidence.reports) == 3
-
-
-def test_the_page_names_topics_of_their_types():
-    for topic, kind in (
-        ('path', PathMessage),
-        ('recorded', Recorded),
-        ('status', AgentStatus),
-        ('report', DeploymentReport),
-        ('hold', Bool),
-    ):
-        package = kind.__module__.partition('.')[0]
-        above = '' if topic == 'hold' else 'AGENT/'
-        assert f'| `{above}{topic}` | {package}/{kind.__name__} |' in PAGE.read_text()
