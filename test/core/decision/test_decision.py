@@ -291,18 +291,6 @@ def test_a_mission_with_a_goal_is_decided_after_each_deployment(goal):
     assert not run_mission(GRID, PRIOR, MODEL, world, 0, 7, options=NEAR, goal=goal)
 
 
-def test_without_a_goal_a_mission_is_what_it_was():
-    world = World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1)
-    estimator = Estimator(PRIOR, MODEL)
-    rng = np.random.default_rng(7)
-    for each in run_mission(GRID, PRIOR, MODEL, world, 5, 7, options=NEAR):
-        path = plan(GRID, estimator.belief, MODEL, 12, 'relaxed').path
-        estimator.assimilate(world.traverse(path, MODEL, rng.spawn(1)[0]))
-        assert np.array_equal(each.plan.path, path)
-        assert np.array_equal(each.belief.joint, estimator.belief.joint)
-        assert each.decision is None
-
-
 def test_missions_stop_by_themselves():
     safe = World(np.zeros(25, bool), np.zeros(25, bool))
     certain = SensorModel(0.9, malfunction=0.0, false_negative=0.0)
