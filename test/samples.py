@@ -19,6 +19,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, report_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 GRID = Grid(4, 3, blocked=[5])
 FIELD = {'grid.width': 4, 'grid.height': 3, 'grid.blocked': [5], 'max_steps': 6}
@@ -104,3 +105,8 @@ BAD_PATHS = [
     (path(2, [0, 1, 0, 1, 0, 1, 0, 0]), 'max_steps = 6'),
     (changed(path(1), poses=path(1, [0, 1, 0]).poses), 'is known and differs'),
 ]
+
+
+def over_the_wire(message):
+    """Return what a subscriber gets."""
+    return deserialize_message(serialize_message(message), type(message))

@@ -24,18 +24,13 @@ from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_bel
 from laws import for_each
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
+from samples import over_the_wire
 from std_msgs.msg import Header
 
 KNOWN = Unknowns()
 LEARNT = Unknowns(lethality=(0.1, 0.9), kappa=Beta(3, 2), true_positive=Beta(9, 1, low=0.5))
 MODEL = SensorModel(0.3, 0.02, 0.07, 0.9, 0.04)
 KEY = DeploymentKey('scout_3', 5_000_000_007)
-
-
-def over_the_wire(message):
-    """Return what a subscriber gets."""
-    return deserialize_message(serialize_message(message), type(message))
 
 
 def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNOWN):

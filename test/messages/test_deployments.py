@@ -17,17 +17,12 @@ from kbnitp_ros.messages.headers import LAST_NAME
 from laws import for_each
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
+from samples import over_the_wire
 
 GRID = Grid(4, 3, base=1, resolution=0.5, origin=(-1.0, 2.0))
 PATH = [1, 6, 11, 6, 6, 1]
 STAMP = 12_000_000_034
 KEY = DeploymentKey('scout_2', 77)
-
-
-def over_the_wire(message):
-    """Return what a subscriber gets."""
-    return deserialize_message(serialize_message(message), type(message))
 
 
 def test_poses_are_the_centres_of_cells():

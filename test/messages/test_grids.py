@@ -17,12 +17,7 @@ from laws import for_each
 from nav_msgs.msg import MapMetaData
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
-
-
-def over_the_wire(message):
-    """Return what a subscriber gets."""
-    return deserialize_message(serialize_message(message), type(message))
+from samples import over_the_wire
 
 
 @st.composite

@@ -77,6 +77,17 @@ def test_a_file_that_is_not_there_is_named():
         read_sections('no/where.yaml')
 
 
+def given_by_ros(arguments, namespace=None):
+    """Return the parameters that a planner with these arguments is given."""
+    context = rclpy.Context()
+    rclpy.init(context=context, args=arguments)
+    node = Node('planner', namespace=namespace, context=context)
+    given = {name: each.value for name, each in node._parameter_overrides.items()}
+    node.destroy_node()
+    context.try_shutdown()
+    return given
+
+
 def test_the_shipped_configuration_has_every_parameter():
     sections = read_sections(SHIPPED)
     for name in NODES:
@@ -110,13 +121,7 @@ def test_what_an_agent_has_of_its_own_stands_beside_the_number_of_robots(tmp_pat
     }
     path = written(tmp_path, text)
     assert read_sections(path) == {'/**': expected}
-    rclpy.init(args=['--ros-args', '--params-file', path])
-    try:
-        node = rclpy.create_node('planner')
-        assert {name: each.value for name, each in node._parameter_overrides.items()} == expected
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+    assert given_by_ros(['--ros-args', '--params-file', path]) == expected
 
 
 def test_what_all_share_may_be_of_any_node():
@@ -141,14 +146,8 @@ ORDERS = [
 @for_each('config, namespace', product(ORDERS, ['/', '/north']))
 def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
     path = written(tmp_path, config)
-    context = rclpy.Context()
-    rclpy.init(context=context, args=['--ros-args', '--params-file', path])
-    node = Node('planner', namespace=namespace, context=context)
-    given = {name: each.value for name, each in node._parameter_overrides.items()}
-    full_name = node.get_fully_qualified_name()
-    node.destroy_node()
-    context.try_shutdown()
-    assert values_for(read_sections(path), full_name) == given
+    given = given_by_ros(['--ros-args', '--params-file', path], namespace)
+    assert values_for(read_sections(path), f'{namespace.rstrip("/")}/planner') == given
 
 
 @for_each('name, rule, told', [
@@ -193,13 +192,7 @@ def test_a_renamed_node_has_a_section_of_its_own(tmp_path):
 def test_a_rule_that_ros_would_overrule_is_refused(tmp_path, config, namespace):
     given = ['--ros-args', '-r', f'__ns:={namespace}', '--params-file', written(tmp_path, config)]
     given += ['-p', 'max_steps:=5']
-    context = rclpy.Context()
-    rclpy.init(context=context, args=given)
-    node = Node('planner', context=context)
-    counts = node._parameter_overrides['max_steps'].value == 5
-    node.destroy_node()
-    context.try_shutdown()
-    if counts:
+    if given_by_ros(given)['max_steps'] == 5:
         check_given('planner', given)
     else:
         with pytest.raises(ValueError, match='-p max_steps:=5 would change nothing.*change max_'):

@@ -9,12 +9,17 @@ import shlex
 from shutil import which
 import subprocess
 
-from base import Base, PARAMETERS, SERVICES
+from base import Base, GRID, PARAMETERS, SERVICES
 from documented import ROOT
 from kbnitp_msgs.msg import Progress
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.log.operator_state import MOST_TIMES
 from kbnitp_ros.messages.operator_action import Action
+from kbnitp_ros.nodes.operator_services import Operator
+from kbnitp_ros.nodes.runtime.node import MissionNode
 import pytest
+import rclpy
 from std_srvs.srv import SetBool, Trigger
 import yaml
 
@@ -176,6 +181,30 @@ def test_a_flood_of_calls_is_answered_and_changes_nothing(field):
     base.until_held(1)
     base.until_sent(2)
     assert base.replayed().actions == []
+
+
+def test_a_pause_that_is_begun_and_ended_for_ever_stays_and_fills_no_log(field, request):
+    rclpy.init(args=[])
+    request.addfinalizer(rclpy.shutdown)
+    node = MissionNode('planner')
+    ignore = lambda _: None  # noqa: E731
+    operator = Operator(node, GRID, DeploymentsInFlight({}, 1), None, ignore, ignore)
+
+    def call(data):
+        return operator._on_pause(SetBool.Request(data=data), SetBool.Response())
+
+    for _ in range(MOST_TIMES):
+        assert call(True).success
+        assert call(False).success
+    assert call(True).success
+    for _ in range(10):
+        told = call(False)
+        assert not told.success
+        assert f'RESUME was taken {MOST_TIMES} times' in told.message
+        assert operator.state.is_paused
+    assert len(operator.state.actions) == 2 * MOST_TIMES + 1
+    assert operator._on_end(Trigger.Request(), Trigger.Response()).success
+    node.destroy_node()
 
 
 def test_nothing_is_decided_before_it_is_on_disk(field):

@@ -16,31 +16,22 @@ CONFIG = Path(__file__).parents[2] / 'config'
 
 pytestmark = pytest.mark.processes
 
-TALKER = """
+PROGRAM = """
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 rclpy.init()
-node = rclpy.create_node('talker')
+node = rclpy.create_node('told')
 qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-node.create_publisher(String, 'told', qos).publish(String(data='{word}'))
+node.create_{what}
 print('ready', flush=True)
 rclpy.spin(node)
 """
-
-LISTENER = """
-import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
-
-rclpy.init()
-node = rclpy.create_node('listener')
-qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-node.create_subscription(String, 'told', lambda message: print(message.data, flush=True), qos)
-print('ready', flush=True)
-rclpy.spin(node)
-"""
+TALKER = PROGRAM.format(what="publisher(String, 'told', qos).publish(String(data='{word}'))")
+LISTENER = PROGRAM.format(
+    what="subscription(String, 'told', lambda message: print(message.data, flush=True), qos)"
+)
 
 LOCAL = [{'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}, {'ROS_LOCALHOST_ONLY': '1'}]
 
