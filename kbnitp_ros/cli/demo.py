@@ -43,7 +43,7 @@ from kbnitp_ros.configuration import (
 )
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.world_file import read_world
-from kbnitp_ros.core import Belief, DeploymentKey
+from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import PATH
@@ -80,12 +80,11 @@ RETURN_DEADLINE = 1.0
 # What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
 SILENT_STEP = 0.01
 
-# What the demo sets by itself unless told otherwise. With the method that learns, estimator and
-# planner know neither the lethality nor the hazard density: a lethality learnt under a wrong
-# density is wrong, since fewer hazards that are more lethal destroy as many robots.
-LEARNER = 'kappa_bnitp_sampled'
+# What the demo sets by itself unless told otherwise. Methods that can learn neither the lethality
+# nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
+# fewer hazards that are more lethal destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
-DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'method': LEARNER, 'learn': None}
+DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn': None}
 
 # Options that set one parameter of that name in every node that has it.
 OPTIONS = {
@@ -112,7 +111,7 @@ mission, compute every belief of the recording again, and write the report. Or r
 that was killed.
 
 Estimator and planner know neither the lethality nor the hazard density. They learn both, unless
-you name another method or give --set learn=[].
+you name a method that learns nothing or give --set learn=[].
 
 --set overrides the other options, and these override the file of --params.
 """
@@ -248,7 +247,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
             values['step_period'] = values['step_period'] or SILENT_STEP
     estimator = parameters['estimator']
     if estimator['learn'] is None:
-        estimator['learn'] = LEARNT if estimator['method'] == LEARNER else ()
+        estimator['learn'] = LEARNT if METHODS.find(estimator['method']).learns else ()
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
         values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}

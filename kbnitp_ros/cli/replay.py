@@ -101,6 +101,13 @@ def lines(report: ReplayReport) -> Iterator[str]:
     if report.standing is not NOT_KNOWN:
         state, reason = report.standing
         yield f'the mission was {state.name} when the log ended{": " * bool(reason)}{reason}'
+    if len(report.kinds) > 1:
+        yield 'hazards: ' + ', '.join(
+            f'{kind.replace("_", " ")} {probability:.2f}'
+            for kind, probability in report.kinds.items()
+        )
+    if report.check is not None and report.check.alternatives:
+        yield f'model check: {report.check.reason}'
     missed = Counter(each.topic for each in report.mismatches)
     rounded = Counter(each.topic for each in report.roundings)
     left = Counter(each.topic for each in report.not_compared)

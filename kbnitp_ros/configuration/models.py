@@ -31,8 +31,8 @@ def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
     )
 
 
-def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
-    """Return which numbers these parameters leave to be learnt."""
+def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
+    """Return what these parameters say of numbers and rates that can be learnt, by name."""
     learn = values['learn']
     if len(set(learn)) < len(learn):
         raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
@@ -45,15 +45,30 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
             priors[name] = Beta(**dict(zip(('low', 'high', 'a', 'b'), believed)))
         except ValueError as error:
             raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
-    return Unknowns(**{name: priors[name] for name in learn})
+    return priors
+
+
+def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
+    """Return which numbers these parameters leave to be learnt."""
+    priors, rates = priors_of(values), [*itertools.chain(*HAZARD_RATES.values())]
+    return Unknowns(**{name: priors[name] for name in values['learn'] if name not in rates})
 
 
 def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
     """Return how hazards change by these parameters."""
     try:
-        names = itertools.chain(*HAZARD_RATES.values())
-        rates = {name: values[f'hazards.{name}'] for name in names}
-        return Dynamics(values['hazards.dynamics'], **rates)
+        kind = values['hazards.dynamics']
+        rates = {
+            name: values[f'hazards.{name}'] for name in itertools.chain(*HAZARD_RATES.values())
+        }
+        # Simulated agents learn nothing.
+        for name, prior in priors_of(values).items() if 'learn' in values else ():
+            if name in values['learn'] and rates.get(name):
+                raise ValueError(f'{name} is {rates[name]}, and learn has it: leave it at 0')
+            is_open = kind == 'learn' and not rates.get(name)
+            if name in rates and (is_open or name in values['learn']):
+                rates[name] = prior
+        return Dynamics(kind, **rates)
     except ValueError as error:
         raise ValueError(f'parameter hazards.{error}') from error
 

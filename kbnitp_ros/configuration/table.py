@@ -42,6 +42,9 @@ LEARN = {
     ),
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
     'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
+    # a of 0 and b of 1: log-uniform.
+    'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
+    'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
 }
 
 TABLE = (
@@ -185,14 +188,16 @@ TABLE = (
         'static',
         'What becomes of hazards: they stay, come and go from one deployment to the next, move to '
         'cells around, or are used up when they strike. That of the agent is the truth, that of '
-        'the estimator what estimator and planner believe.',
+        'the estimator what estimator and planner believe; learn for one of these that the '
+        'evidence tells.',
         SENSING,
         choices=HAZARDS,
     ),
     Parameter(
         'hazards.appear',
         0.0,
-        'Probability per deployment that a free cell becomes a hazard, of changing hazards.',
+        'Probability per deployment that a free cell becomes a hazard, of changing hazards; 0 '
+        'where hazards.vanish is learnt for the rate that keeps the number of hazards.',
         SENSING,
         limits=PROBABILITY,
     ),
@@ -300,8 +305,9 @@ TABLE = (
     Parameter(
         'learn',
         (),
-        'Numbers that are not known but learnt, by kappa_bnitp_sampled. Robots are then planned '
-        'with what is known of them.',
+        'Numbers that are not known but learnt, by kappa_bnitp, relaxed_itp (all but kappa) or, '
+        'in a static field, kappa_bnitp_sampled. Robots are then planned with what is known of '
+        'them.',
         ('estimator',),
         element=str,
         choices=tuple(LEARN),

@@ -223,7 +223,7 @@ def run_mission(
 
     """
     truth, learning = truth or Truth(), learning or Learning()
-    truth = replace(truth, model=truth.model or model)
+    truth = replace(truth, model=truth.model or model, dynamics=truth.dynamics or dynamics)
     estimator = Estimator(
         belief,
         model,
@@ -283,7 +283,8 @@ def continue_mission(
     rng = np.random.default_rng(rng)
     world.check(grid)
     estimator, model = estimator.copy(), truth.model or estimator.model
-    dynamics = truth.dynamics or estimator.dynamics
+    dynamics = truth.dynamics or estimator.probable_dynamics
+    dynamics.known_rates()
     possible = grid.may_be_hazardous & (estimator.prior.hazard > 0.0)
     robots = whole_number('robots', robots, 0)
     team_size(grid, team.agents)

@@ -37,7 +37,7 @@ from kbnitp_ros.messages.decisions import read_decision
 from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.models import Known, read_model_belief
+from kbnitp_ros.messages.models import Known, ModelState, read_model_belief
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -73,11 +73,8 @@ class History:
     sent: dict[DeploymentKey, int] = field(default_factory=dict)
     # When the report of a deployment with this stamp was received, in nanoseconds.
     reported: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
-    # What was known of the numbers that were learnt, by their names; in the order on record, empty
-    # if none were.
-    learnt: list[dict[str, Known]] = field(default_factory=list)
-    # The stamps of the beliefs that these go with, in nanoseconds.
-    learnt_stamps: list[int] = field(default_factory=list)
+    # Learnt numbers, kinds of hazard, and model check, by the stamp of the belief, nanoseconds.
+    models: dict[int, ModelState] = field(default_factory=dict)
     # What no path was worth more than given the belief of a stamp, nats, where that was computed.
     bounds: dict[int, float] = field(default_factory=dict)
     # The last one on record: what may be relied on of the goal.
@@ -103,6 +100,11 @@ class History:
         return table
 
     @property
+    def learnt(self) -> list[dict[str, Known]]:
+        """Return what was known of the numbers that were learnt, in the order on record."""
+        return [state.numbers for state in self.models.values()]
+
+    @property
     def observations(self) -> list[Observation]:
         """Of the deployments that ended, each once: the return if a loss was reported too."""
         ended = sorted(self.evidence.reports, key=deployment_order)
@@ -126,8 +128,7 @@ def read_history(
                     take_belief(history, logged)
                 elif logged.type_name == MODEL:
                     stamp = from_stamp(logged.message.header.stamp)
-                    history.learnt.append(read_model_belief(logged.message))
-                    history.learnt_stamps.append(stamp)
+                    history.models[stamp] = read_model_belief(logged.message)
                 elif logged.type_name == DECISION:
                     history.decision = read_decision(first.grid, logged.message)
                 elif logged.type_name == PROGRESS:

@@ -232,6 +232,9 @@ class Fold:
     def finish(self) -> None:
         """Compare the views with their beliefs, and find decisions and deployments left over."""
         report = self.report
+        if self._ledger is not None:
+            estimator = self._ledger.estimator
+            report.kinds, report.check = estimator.kinds, estimator.check
         self.views.compare(report)
         self.decisions.finish(report)
         for key in report.evidence.reports:

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from math import isnan
 
 from kbnitp_ros.bag import LogError
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import DeploymentKey, ModelCheck
 from kbnitp_ros.log.compare import Difference
 from kbnitp_ros.log.departures import Departures
 from kbnitp_ros.log.evidence import Evidence
@@ -67,6 +68,9 @@ class ReplayReport:
     changes: list[str] = field(default_factory=list)
     # The last prior on record.
     prior: Snapshot | None = None
+    # Probability of each kind of hazard in the end, and the check of the model.
+    kinds: Mapping[str, float] = field(default_factory=dict)
+    check: ModelCheck | None = None
     # How many messages were compared, by topic: the beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
     # Those that are different, and those that are equal to `TOLERANCE` but not identical.

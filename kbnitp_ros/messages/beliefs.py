@@ -141,6 +141,11 @@ def belief_fields(
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
     unknowns = estimator.unknowns.priors
+    learnt = {**unknowns, **estimator.dynamics.unknown_rates}
+    rates = {
+        name: 0.0 if name in learnt else getattr(estimator.dynamics, name)
+        for name in ('appear', 'vanish', 'move')
+    }
     coupling = 0.0 if estimator.clustering is None else estimator.clustering.coupling
     is_other = not ledger.deployments and (unknowns or coupling)
     given = estimator.prior.joint if is_other else np.empty(0)
@@ -156,7 +161,7 @@ def belief_fields(
         method=estimator.method,
         method_version=estimator.version,
         **asdict(estimator.model),
-        unknowns=[Fields(name=name, **asdict(prior)) for name, prior in unknowns.items()],
+        unknowns=[Fields(name=name, **asdict(prior)) for name, prior in learnt.items()],
         seed=estimator.seed,
         own=[
             Fields(agent=agent, name=name, value=float(value))
@@ -164,9 +169,7 @@ def belief_fields(
             for name, value in robot_type.own.items()
         ],
         dynamics=estimator.dynamics.kind,
-        appear=estimator.dynamics.appear,
-        vanish=estimator.dynamics.vanish,
-        move=estimator.dynamics.move,
+        **rates,
         clustering=np.nan if coupling == LEARNT_COUPLING else float(coupling),
         deployments=len(ledger.deployments),
         agent=newest.agent,
@@ -246,6 +249,10 @@ def read_belief_maps(message: Any) -> Snapshot:
         through_corners=message.through_corners,
     )
     belief = read_joint('joint', message.joint, grid)
+    priors = read_unknowns(message.unknowns)
+    # Logs of 0.3.0 know of no moving hazards.
+    rates = {'vanish': message.vanish, 'move': getattr(message, 'move', 0.0)}
+    rates.update({name: priors.pop(name) for name in rates if name in priors})
     read_name('deployment', message.deployment)
     return Snapshot(
         stamp=read_stamp('header.stamp', message.header.stamp),
@@ -256,14 +263,11 @@ def read_belief_maps(message: Any) -> Snapshot:
             **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
         ),
         robot_types=robot_types,
-        unknowns=read_unknowns(message.unknowns),
+        unknowns=Unknowns(**priors),
         method=message.method,
         version=message.method_version,
         seed=message.seed,
-        # Logs of 0.3.0 know of no moving hazards.
-        dynamics=Dynamics(
-            message.dynamics, message.appear, message.vanish, getattr(message, 'move', 0.0)
-        ),
+        dynamics=Dynamics(message.dynamics, message.appear, **rates),
         clustering=read_clustering(message.clustering, grid),
         deployments=message.deployments,
         newest=newest_deployment(message),
@@ -295,17 +299,17 @@ def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
         raise ValueError(f'clustering: {error}') from error
 
 
-def read_unknowns(numbers: Iterable[Any]) -> Unknowns:
-    """Return what kbnitp_msgs/UnknownNumbers say is learnt."""
+def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
+    """Return the priors of the numbers and rates that are learnt, by name."""
     priors: dict[str, Beta] = {}
-    known = [field.name for field in fields(Unknowns)]
+    known = [*(field.name for field in fields(Unknowns)), 'vanish', 'move']
     for number in numbers:
         if number.name not in known or number.name in priors:
             raise ValueError(
                 f'unknowns has {shown(number.name)}: it must name each once, of {", ".join(known)}'
             )
         priors[number.name] = Beta(number.a, number.b, number.low, number.high)
-    return Unknowns(**priors)
+    return priors
 
 
 def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:

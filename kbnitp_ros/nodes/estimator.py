@@ -71,11 +71,13 @@ class EstimatorNode(FieldNode):
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
             self._tell_nav2()
+        is_checked = bool(estimator.check.alternatives)
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
-            if estimator.parameters
+            if estimator.parameters or is_checked
             else None
         )
+        self._doubt = ''
         self._new = NewEvidence()
         self._belief = self.create_publisher(
             BeliefMaps,
@@ -281,6 +283,11 @@ class EstimatorNode(FieldNode):
             self.get_logger().warning(self._weak_density)
         error = f'{estimator.sampling_error:.2g}'
         self.diagnostics.values['sampling_error'] = error
+        check = estimator.check
+        self.diagnostics.values['model_check'] = check.reason
+        if check.is_in_doubt and not self._doubt:
+            self.get_logger().warning(check.reason)
+        self._doubt = check.reason if check.is_in_doubt else ''
         self._unconverged = (
             ''
             if estimator.is_converged
@@ -295,7 +302,7 @@ class EstimatorNode(FieldNode):
         if pending > MOST_AGENTS:
             unknown = f'{pending} reports are of deployments whose paths are not known'
         self.diagnostics.warning = '; '.join(
-            filter(None, (self._unconverged, self._weak_density, unknown))
+            filter(None, (self._unconverged, self._weak_density, self._doubt, unknown))
         )
 
     def _say_what_is_held(self) -> None:

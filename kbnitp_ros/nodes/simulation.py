@@ -51,11 +51,13 @@ class Simulation:
         common = sensor_model_of(node.values)
         robot_types = robot_types_of(node.values, self.grid)
         self.agents = agents_of(node.values, self.grid)
+        dynamics = dynamics_of(node.values)
+        dynamics.known_rates()
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.field = HiddenField(
             self.grid,
             self._hidden_world(),
-            dynamics_of(node.values),
+            dynamics,
             execution_of(node.values),
             {agent: robot_type.model(common) for agent, robot_type in robot_types.items()},
             self.agents,

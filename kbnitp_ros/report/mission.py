@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from math import nan
@@ -32,7 +32,7 @@ from kbnitp_ros.log.departures import read_departures
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
 from kbnitp_ros.maps import Datum, Site
-from kbnitp_ros.messages.models import Known
+from kbnitp_ros.messages.models import Known, ModelState, NOTHING_LEARNT
 from kbnitp_ros.report.place import datum_of, site_of
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +62,15 @@ class Moment:
     is_late: bool = False
     # Whether beliefs are missing before it.
     is_after_gap: bool = False
-    # What was known of the numbers that are learnt, by name.
-    learnt: dict[str, Known] = field(default_factory=dict)
+    # Learnt numbers, kinds of hazard, and the check of the model.
+    state: ModelState = NOTHING_LEARNT
     # What no path was worth more than, nats; NaN where it was not computed.
     upper_bound: float = nan
+
+    @property
+    def learnt(self) -> dict[str, Known]:
+        """Return what was known of the numbers that are learnt, by name."""
+        return self.state.numbers
 
     def model_of(self, agent: str) -> SensorModel:
         """Return what the robots of an agent were believed to be like."""
@@ -206,7 +211,6 @@ def moments_of(
 ) -> tuple[list[Moment], list[str]]:
     """Return the recorded beliefs as moments, and remarks on missing ones."""
     place = {key: number for number, key in enumerate(keys)}
-    learnt = dict(zip(history.learnt_stamps, history.learnt))
     ends = list(accumulate(part.stat().st_size for part in parts_of(log)))
     moments: list[Moment] = []
     notes = []
@@ -249,7 +253,7 @@ def moments_of(
                 outcome_of(history.evidence, said.newest, said.stamp),
                 is_late=said.newest in known,
                 is_after_gap=missing > 0,
-                learnt=learnt.get(said.stamp, {}),
+                state=history.models.get(said.stamp, NOTHING_LEARNT),
                 upper_bound=history.bounds.get(said.stamp, nan),
             )
         )

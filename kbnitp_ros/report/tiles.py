@@ -79,6 +79,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{len(ended) - lost} returned, {mission.in_flight} in flight',
     )
     yield where_lost(mission, lost)
+    yield fit(mission)
     answer, why = advice(mission)
     yield Tile('What to do next?', answer, why)
 
@@ -118,6 +119,24 @@ def risk(mission: Mission) -> str:
         return f'Lethality: {100.0 * last.model.lethality:.0f} % (given).'
     low, _, middle, _, high = (100.0 * each for each in last.learnt['lethality'].quantiles)
     return f'Lethality: {middle:.0f} % (learnt, {low:.0f} to {high:.0f} %).'
+
+
+def fit(mission: Mission) -> Tile:
+    """Return whether the evidence fits the model, and the kind of hazards where it is learnt."""
+    question, (_, kinds, check) = 'Does the model fit?', mission.moments[-1].state
+    if not check.alternatives:
+        return Tile(question, 'Not checked', check.reason or 'the log has no check of the model')
+    learnt = ', '.join(
+        f'{kind.replace("_", " ")} {100.0 * probability:.0f} %'
+        for kind, probability in kinds.items()
+    )
+    details = [f'Hazards: {learnt}.'] if len(kinds) > 1 else []
+    details += [f'{check.reason[0].upper()}{check.reason[1:]}.']
+    if mission.rules['dynamics'] == 'static':
+        details.append('Moving hazards hardly show in returns.')
+    return Tile(
+        question, 'In doubt' if check.is_in_doubt else 'Nothing against it', ' '.join(details)
+    )
 
 
 def where_lost(mission: Mission, lost: int) -> Tile:

@@ -349,6 +349,7 @@ class Scenario:
     def check_hazards(self) -> None:
         """Refuse rates that no hazards have, and methods that do not take those believed in."""
         hazards, truth = self.hazards, self.truth(self.lethalities[0], 0)
+        hazards.of_kind('').known_rates()
         kinds = {hazards.dynamics, *(team.dynamics for team in self.teams)}
         for kind, names in HAZARD_RATES.items():
             rates = {name: getattr(hazards, name) for name in names}

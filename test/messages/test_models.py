@@ -34,7 +34,7 @@ def ledger_of(unknowns=SOME):
 
 def test_what_is_learnt_comes_back_bit_for_bit():
     ledger = ledger_of()
-    before = read_model_belief(over_the_wire(model_belief(ledger, 3_000_000_001)))
+    before = read_model_belief(over_the_wire(model_belief(ledger, 3_000_000_001))).numbers
     for number in range(1, 4):
         key = DeploymentKey('scout_1', number)
         ledger.record_path(key, [0, 1, 2, 1, 0])
@@ -42,7 +42,7 @@ def test_what_is_learnt_comes_back_bit_for_bit():
     message = over_the_wire(model_belief(ledger, 3_000_000_001))
     assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
     assert message.deployments == 3
-    known = read_model_belief(message)
+    known = read_model_belief(message).numbers
     assert list(known) == ['lethality', 'false_positive']
     for name, number in ledger.estimator.parameters.items():
         assert (known[name].mean, known[name].sd) == (number.mean, number.sd)

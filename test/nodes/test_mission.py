@@ -174,7 +174,7 @@ def test_what_is_learnt_is_that_of_core_also_on_record(field):
     assert [message.deployments for message in models] == list(range(21))
     for message, belief, deployment in zip(models[1:], heard[2][1:], expected):
         assert message.header == belief.header
-        known = read_model_belief(message)
+        known = read_model_belief(message).numbers
         assert known.keys() == deployment.parameters.keys() == set(parameters['learn'])
         for name, number in deployment.parameters.items():
             assert known[name].mean == number.mean

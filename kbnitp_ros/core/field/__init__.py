@@ -6,10 +6,14 @@ from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number,
 from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.compiled import compiled, inlined, while_compiling
 from kbnitp_ros.core.field.dynamics import (
+    appearance,
     Dynamics,
     HAZARD_RATES,
     HAZARDS,
+    joint_after_change,
+    joint_after_moves,
     neighbors_to_move_to,
+    Rates,
     STATIC,
 )
 from kbnitp_ros.core.field.execution import AS_ORDERED, Execution, Traverse
@@ -46,6 +50,7 @@ __all__ = [
     'Grid',
     'Learnt',
     'Observation',
+    'Rates',
     'RobotType',
     'SensorModel',
     'Traverse',
@@ -53,6 +58,7 @@ __all__ = [
     'Value',
     'Visits',
     'World',
+    'appearance',
     'as_path',
     'binary_entropy',
     'brier_score',
@@ -60,6 +66,8 @@ __all__ = [
     'cost',
     'frozen',
     'inlined',
+    'joint_after_change',
+    'joint_after_moves',
     'log_loss',
     'log_predicted_survival',
     'longest',

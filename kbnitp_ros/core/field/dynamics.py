@@ -3,17 +3,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 from kbnitp_ros.core.field.check import probability
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.unknowns import Beta
 import numpy as np
 from numpy.typing import NDArray
 
-HAZARDS = ('static', 'changing', 'used_up', 'moving')
+HAZARDS = ('static', 'changing', 'used_up', 'moving', 'learn')
+
+Rate: TypeAlias = 'float | Sequence[float] | Beta'
+Rates: TypeAlias = 'float | NDArray[np.float64]'
 
 # The rates that each kind has.
 HAZARD_RATES = {'changing': ('appear', 'vanish'), 'moving': ('move',)}
+
+# The prior of a rate of which nothing is known: log-uniform.
+ANY_RATE = Beta(0.0, 1.0, 0.001, 0.1)
 
 
 @dataclass(frozen=True)
@@ -27,12 +36,20 @@ class Dynamics:
         ``'static'``: they stay, whatever they strike. ``'changing'``: before every deployment but
         the first, each cell changes by itself. ``'used_up'``: a hazard that strikes is gone,
         whether or not the robot survives. ``'moving'``: before every deployment but the first,
-        each hazard may go to a neighbouring cell that has none and may have one.
-    appear, vanish : float
-        Of a changing field, the chances in [0, 1] that a cell without a hazard has one at the next
-        deployment, and that a hazard is gone by then. Both 0 is a static field.
-    move : float
-        Of moving hazards, the chance in [0, 1] that one leaves its cell if it can. 0 is static.
+        each hazard may go to a neighbouring cell that has none and may have one. ``'learn'``: one
+        of these, which the evidence tells.
+    appear : float
+        Of a changing field, the chance in [0, 1] that a cell without a hazard has one at the next
+        deployment. 0 where `vanish` is unknown stands for the rate that keeps the expected number
+        of hazards of the prior.
+    vanish : float, (float, float) or Beta
+        Of a changing field, the chance in [0, 1] that a hazard is gone by the next deployment.
+        Two numbers, or a prior, where it is unknown: log-uniform between the two.
+    move : float, (float, float) or Beta
+        Of moving hazards, the chance in [0, 1] that one leaves its cell if it can, likewise.
+
+    Rates of 0 are static hazards, but with 'learn', where 0 stands for a rate that is unknown,
+    log-uniform from .001 to .1.
 
     Raises
     ------
@@ -44,16 +61,18 @@ class Dynamics:
 
     kind: str = 'static'
     appear: float = 0.0
-    vanish: float = 0.0
-    move: float = 0.0
+    vanish: Rate = 0.0
+    move: Rate = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in HAZARDS:
             raise ValueError(f'dynamics is {self.kind!r}: it must be one of {", ".join(HAZARDS)}')
         for kind, names in HAZARD_RATES.items():
             for name in names:
-                rate = probability(name, getattr(self, name))
-                if rate and self.kind != kind:
+                rate = rate_of(name, getattr(self, name))
+                if self.kind == 'learn' and name != 'appear' and not rate:
+                    rate = ANY_RATE
+                if rate and self.kind not in (kind, 'learn'):
                     raise ValueError(
                         f'{name} is {rate} and hazards are {self.kind}: only {kind} ones have it'
                     )
@@ -62,79 +81,132 @@ class Dynamics:
     @property
     def effect(self) -> str:
         """Return the kind, which is static where hazards change at rates of 0."""
-        has_effect = self.kind == 'used_up' or self.appear or self.vanish or self.move
-        return self.kind if has_effect else 'static'
+        always = self.kind in ('used_up', 'learn')
+        return self.kind if always or self.appear or self.vanish or self.move else 'static'
 
-    def hazard_after(self, hazard: NDArray[np.float64]) -> NDArray[np.float64]:
+    @property
+    def unknown_rates(self) -> dict[str, Beta]:
+        """Return the priors of the rates that are unknown, by name."""
+        rates = {name: getattr(self, name) for name in ('vanish', 'move')}
+        return {name: rate for name, rate in rates.items() if isinstance(rate, Beta)}
+
+    @property
+    def kinds(self) -> tuple[Dynamics, ...]:
+        """Return the kinds that hazards may be of."""
+        if self.kind != 'learn':
+            return (self,)
+        return (
+            STATIC,
+            Dynamics('used_up'),
+            Dynamics('changing', self.appear, self.vanish),
+            Dynamics('moving', move=self.move),
+        )
+
+    def known_rates(self) -> dict[str, float]:
         """
-        Return P(Z = 1) after a change of a changing field.
+        Return the rates by name.
 
-        Equation :eq:`hazard-change`.
-
-        Parameters
-        ----------
-        hazard : ndarray
-            P(Z = 1), or Z, before it, of cells that may have a hazard; any shape.
-
-        """
-        after: NDArray[np.float64] = hazard * (1.0 - self.vanish) + (1.0 - hazard) * self.appear
-        return after
-
-    def joint_after(
-        self, joint: NDArray[np.float64], possible: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
-        """
-        Return the cells' joints after a change of a changing field: targets stay.
-
-        Equation :eq:`hazard-change`.
-
-        Parameters
-        ----------
-        joint : ndarray, shape (cells, 2, 2, ...)
-            P(Z = z, X = x) before it, and any axes of further cases.
-        possible : ndarray of bool, shape (cells,)
-            Which cells may have a hazard; the others stay free of it.
+        Raises
+        ------
+        ValueError
+            If the kind or a rate is unknown: no world can have such hazards.
 
         """
-        move = np.array([[1.0 - self.appear, self.appear], [self.vanish, 1.0 - self.vanish]])
-        after = joint.copy()
-        after[possible] = np.einsum('czx...,zy->cyx...', joint[possible], move)
-        return after
+        if self.kind == 'learn':
+            raise ValueError(
+                "dynamics is 'learn', which is no kind that the hazards of a world can be of: "
+                'use one of ' + ', '.join(HAZARDS[:-1])
+            )
+        for name, prior in self.unknown_rates.items():
+            raise ValueError(
+                f'{name} is unknown from {prior.low} to {prior.high}: that of a world is a number'
+            )
+        return {name: getattr(self, name) for name in ('appear', 'vanish', 'move')}
 
-    def joint_after_moves(
-        self, joint: NDArray[np.float64], neighbors: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """
-        Return the cells' joints after hazards moved, cells taken for independent: targets stay.
 
-        Equations :eq:`hazard-leaves`, :eq:`hazard-arrives` and :eq:`hazard-moves`.
+def rate_of(name: str, given: Rate) -> float | Beta:
+    """Return a rate, or its prior where it is unknown."""
+    if isinstance(given, Beta):
+        return given
+    if isinstance(given, int | float | np.number):
+        return probability(name, given)
+    if name == 'appear' or np.shape(given) != (2,):
+        raise ValueError(
+            f'{name} is {given}: it must be a number'
+            + (' or low and high' if name != 'appear' else ', and is unknown with vanish')
+        )
+    low, high = (probability(name, each) for each in given)
+    if not 0.0 < low < high:
+        raise ValueError(f'{name} is unknown within {given}: it must go from above 0 to more')
+    return Beta(0.0, 1.0, low, high)
 
-        Parameters
-        ----------
-        joint : ndarray, shape (cells, 2, 2, ...)
-            P(Z = z, X = x) before it, and any axes of further cases.
-        neighbors : ndarray of int, shape (cells, 8)
-            The cells around each that may have a hazard; the number of cells for none.
 
-        """
-        hazard = joint[:, 1].sum(axis=1)
+def appearance(vanish: Any, density: Any) -> Any:
+    """Return the rate of appearing that keeps a share of hazards, a number or an array."""
+    return np.minimum(vanish * density / (1.0 - density), 1.0)
 
-        def around(values: NDArray[np.float64], without: float) -> NDArray[np.float64]:
-            """Return the values of the cells around each, (cells, 8, ...)."""
-            padded = np.concatenate([values, np.full_like(values[:1], without)])
-            return padded[neighbors]
 
-        free = around(1.0 - hazard, 0.0).sum(axis=1)
-        can_leave = 1.0 - around(hazard, 1.0).prod(axis=1)
-        to_each = self.move * can_leave * inverse(free)
-        comes = around(to_each * hazard, 0.0)
-        into = 1.0 - (1.0 - comes).prod(axis=1)
-        share = into * inverse(comes.sum(axis=1))
-        out = to_each * around((1.0 - hazard) * share, 0.0).sum(axis=1)
-        into, out = into[:, None], out[:, None]
-        safe, hazardous = joint[:, 0], joint[:, 1]
-        after = [safe * (1.0 - into) + hazardous * out, hazardous * (1.0 - out) + safe * into]
-        return np.stack(after, axis=1)
+def joint_after_change(
+    joint: NDArray[np.float64], possible: NDArray[np.bool_], appear: Rates, vanish: Rates
+) -> NDArray[np.float64]:
+    """
+    Return the cells' joints after a change of a changing field: targets stay.
+
+    Equation :eq:`hazard-change`.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (cells, 2, 2, ...)
+        P(Z = z, X = x) before it, and any axes of further cases.
+    possible : ndarray of bool, shape (cells,)
+        Which cells may have a hazard; the others stay free of it.
+    appear, vanish : float or ndarray, shape (...)
+        The rates, one for each case.
+
+    """
+    safe, hazardous = joint[possible, 0], joint[possible, 1]
+    after = joint.copy()
+    after[possible, 0] = safe * (1.0 - appear) + hazardous * vanish
+    after[possible, 1] = safe * appear + hazardous * (1.0 - vanish)
+    return after
+
+
+def joint_after_moves(
+    joint: NDArray[np.float64], neighbors: NDArray[np.intp], move: Rates
+) -> NDArray[np.float64]:
+    """
+    Return the cells' joints after hazards moved, cells taken for independent: targets stay.
+
+    Equations :eq:`hazard-leaves`, :eq:`hazard-arrives` and :eq:`hazard-moves`.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (cells, 2, 2, ...)
+        P(Z = z, X = x) before it, and any axes of further cases.
+    neighbors : ndarray of int, shape (cells, 8)
+        The cells around each that may have a hazard; the number of cells for none.
+    move : float or ndarray, shape (...)
+        The rate, one for each case.
+
+    """
+    hazard = joint[:, 1].sum(axis=1)
+
+    def around(values: NDArray[np.float64], without: float) -> NDArray[np.float64]:
+        """Return the values of the cells around each, (cells, 8, ...)."""
+        padded = np.concatenate([values, np.full_like(values[:1], without)])
+        return padded[neighbors]
+
+    free = around(1.0 - hazard, 0.0).sum(axis=1)
+    can_leave = 1.0 - around(hazard, 1.0).prod(axis=1)
+    to_each = move * can_leave * inverse(free)
+    comes = around(to_each * hazard, 0.0)
+    into = 1.0 - (1.0 - comes).prod(axis=1)
+    share = into * inverse(comes.sum(axis=1))
+    out = to_each * around((1.0 - hazard) * share, 0.0).sum(axis=1)
+    into, out = into[:, None], out[:, None]
+    safe, hazardous = joint[:, 0], joint[:, 1]
+    after = [safe * (1.0 - into) + hazardous * out, hazardous * (1.0 - out) + safe * into]
+    return np.stack(after, axis=1)
 
 
 def inverse(values: NDArray[np.float64]) -> NDArray[np.float64]:

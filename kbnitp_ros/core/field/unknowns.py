@@ -28,15 +28,15 @@ class Beta:
     Parameters
     ----------
     a, b : float
-        Its density is proportional to p^(a-1) (1-p)^(b-1); above 0.
+        Its density is proportional to p^(a-1) (1-p)^(b-1); above 0. With a `low` above 0 `a` may
+        be 0: with a `b` of 1 the density is then log-uniform.
     low, high : float
         The interval it is kept to, in [0, 1].
 
     Raises
     ------
     ValueError
-        If the interval is empty, reversed or not within [0, 1], or `a` or `b` is not above 0 and
-        finite.
+        If the interval is empty, reversed or not within [0, 1], or `a` or `b` is out of range.
 
     """
 
@@ -46,13 +46,14 @@ class Beta:
     high: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ('a', 'b'):
-            value = float(getattr(self, name))
-            if not 0.0 < value < np.inf:
-                raise ValueError(f'{name} of a Beta is {value}: it must be above 0 and finite')
-            object.__setattr__(self, name, value)
         for name in ('low', 'high'):
             object.__setattr__(self, name, probability(name, getattr(self, name)))
+        for name in ('a', 'b'):
+            value = float(getattr(self, name))
+            is_log_uniform = name == 'a' and value == 0.0 < self.low
+            if not (0.0 < value < np.inf or is_log_uniform):
+                raise ValueError(f'{name} of a Beta is {value}: it must be above 0 and finite')
+            object.__setattr__(self, name, value)
         if self.low >= self.high:
             raise ValueError(
                 f'interval is from {self.low} to {self.high}: it must end above its start'

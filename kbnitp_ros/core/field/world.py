@@ -179,6 +179,7 @@ class World(Value):
                 f'path has the cell {beyond[0]}: the world has the cells 0 to '
                 f'{self.hazard.size - 1}'
             )
+        dynamics.known_rates()
         entered = path[1:]
         drawn = rng.random((2, entered.size))
         readings = drawn[1] < model.reading(self.target[entered])
@@ -215,12 +216,14 @@ class World(Value):
             The only source of randomness.
 
         """
+        rates = dynamics.known_rates()
         if dynamics.kind == 'changing':
-            there = rng.random(self.hazard.size) < dynamics.hazard_after(self.hazard.astype(float))
+            stays_or_comes = np.where(self.hazard, 1.0 - rates['vanish'], rates['appear'])
+            there = rng.random(self.hazard.size) < stays_or_comes
             return replace(self, hazard=np.where(possible, there, self.hazard))
         hazard = self.hazard.copy()
         for cell in rng.permutation(np.flatnonzero(hazard & possible)):
-            if rng.random() < dynamics.move:
+            if rng.random() < rates['move']:
                 around = grid.neighbors(cell)
                 free = around[possible[around] & ~hazard[around]]
                 if free.size:

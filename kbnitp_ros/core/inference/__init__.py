@@ -20,6 +20,7 @@ from kbnitp_ros.core.inference.filtering import (
 )
 from kbnitp_ros.core.inference.ledger import Ledger
 from kbnitp_ros.core.inference.methods import Inference, Method, METHODS, update
+from kbnitp_ros.core.inference.model_check import ModelCheck
 
 __all__ = [
     'LONGEST_WALK',
@@ -32,6 +33,7 @@ __all__ = [
     'KnownModel',
     'Ledger',
     'Method',
+    'ModelCheck',
     'OnePass',
     'Report',
     'condition',

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from kbnitp_ros.core.field import (
+    appearance,
     Belief,
     Beta,
     Bins,
@@ -25,17 +26,24 @@ from kbnitp_ros.core.field import (
     SensorModel,
     STATIC,
     Unknowns,
-    Visits,
 )
 from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.filtering.evidence import change_of, IMPOSSIBLE, loss_weights
+from kbnitp_ros.core.inference.filtering.evidence import change_of, IMPOSSIBLE
+from kbnitp_ros.core.inference.particle_filter import (
+    assimilated,
+    Evidence,
+    Floats,
+    log_of,
+    RATES,
+    ratio,
+    READING_SHIFTS,
+    Steps,
+)
 from kbnitp_ros.core.inference.sampling.prior_map import expit, offsets
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-
-# Particles for up to two numbers, and for more.
+# Particles for up to three numbers, and for more.
 FEW, MANY = 192, 512
 
 # Metropolis steps after each resampling.
@@ -47,62 +55,7 @@ MORE = 8
 # Groups of particles whose beliefs are compared to find the sampling error.
 GROUPS = 8
 
-RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
 MAPS = ('hazard_density', 'kappa', 'target_background')
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """
-    The outcome of one deployment, counted by cell.
-
-    Attributes
-    ----------
-    visits : Visits
-        To the cells of the path.
-    positive, negative : ndarray of int, shape (n,)
-        Readings of each cell; none of a lost robot.
-    before : ndarray of int, shape (steps,)
-        Visits to the cell of each step before it.
-    inside, elsewhere : ndarray, shape (n * (most visits + 1), steps)
-        1 for the cell of each step, or for each other cell, with its visits before; else 0.
-    lost_in : ndarray or None, shape (steps,)
-        How well a loss in each step fits what was observed; None of a return.
-    robot_type : RobotType
-        Of the robot.
-
-    """
-
-    visits: Visits
-    positive: NDArray[np.intp]
-    negative: NDArray[np.intp]
-    before: NDArray[np.intp]
-    inside: Floats
-    elsewhere: Floats
-    lost_in: Floats | None
-    robot_type: RobotType
-
-    @classmethod
-    def of(cls, observation: Observation, robot_type: RobotType) -> Evidence:
-        """Count what came of a robot."""
-        visits = Visits.of(observation.path)
-        readings = observation.readings
-        read = np.full(observation.steps, -1) if readings is None else readings
-        cells = visits.cells.size
-        positive, negative = (
-            np.bincount(visits.of_step[read == reading], minlength=cells) for reading in (1, 0)
-        )
-        entered = visits.of_step[:, None] == np.arange(cells)
-        made = entered.cumsum(axis=0) - entered
-        at = np.eye(visits.counts.max() + 1)[made]
-        inside, elsewhere = (
-            (at * where[..., None]).reshape(observation.steps, -1).T
-            for where in (entered, ~entered)
-        )
-        lost_in = None if observation.survived else loss_weights(observation)
-        return cls(
-            visits, positive, negative, made[entered], inside, elsewhere, lost_in, robot_type
-        )
 
 
 class Bank:
@@ -116,13 +69,20 @@ class Bank:
     model : SensorModel
         What is known of the robots and their sensors.
     unknowns : Unknowns
-        Which numbers are not known, at least one.
+        Which numbers are not known.
     seed : int
         Of the random numbers.
     dynamics : Dynamics
-        How hazards change.
+        How hazards change; of one kind, at rates that may be unknown.
     correlated : bool
         Whether the filters hold hazard and target correlated.
+    count : int, optional
+        Number of particles, by default as many as the unknown numbers need.
+
+    Attributes
+    ----------
+    predicted : tuple of ndarray, shape (2 + shifts,)
+        For each deployment the log probabilities of `assimilated`, averaged over the particles.
 
     """
 
@@ -134,15 +94,18 @@ class Bank:
         seed: int,
         dynamics: Dynamics = STATIC,
         correlated: bool = True,
+        count: int | None = None,
     ) -> None:
         self._prior, self._known, self._seed = belief, model, seed
         self._dynamics, self._correlated = dynamics, correlated
-        self._maps, self._change = prior_maps(belief), change_of(belief, dynamics)
-        self._names = tuple(unknowns.priors)
-        self._priors = tuple(unknowns.priors.values())
+        self._maps = prior_maps(belief)
+        priors = {**unknowns.priors, **dynamics.unknown_rates}
+        self._names, self._priors = tuple(priors), tuple(priors.values())
         self._check()
+        self.predicted: tuple[Floats, ...] = ()
         self._evidence: tuple[Evidence, ...] = ()
-        self._count = FEW if len(self._priors) < 3 else MANY
+        enough = FEW if len(priors) < 4 else MANY
+        self._count = count or (enough if priors else 1)
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         self._joints = self._first_joints(self._numbers)
         # Of all outcomes so far, and of those since the particles were drawn.
@@ -156,25 +119,42 @@ class Bank:
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Weigh the particles by the evidence of one more deployment; resample them if due."""
         check_cells(self._prior, observation)
-        evidence = (*self._evidence, Evidence.of(observation, robot_type))
-        rng = np.random.default_rng([self._seed, len(evidence)])
-        numbers = self._numbers
-        joints, log_chance = self._fold(self._joints, numbers, evidence[-1:], bool(self._evidence))
-        log_likelihood, log_weights = (
-            self._log_likelihood + log_chance,
-            self._log_weights + log_chance,
+        evidence, has_begun = Evidence.of(observation, robot_type), bool(self._evidence)
+        rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
+        numbers, log_likelihood, log_weights = (
+            self._numbers,
+            self._log_likelihood,
+            self._log_weights,
         )
-        if log_weights.max() == -np.inf:
+        joints, log_chances = self._fold(self._joints, numbers, [evidence], has_begun)
+        if (log_weights + log_chances[0]).max() == -np.inf:
             numbers = stratified(self._priors, MORE * self._count, rng)
-            joints, log_likelihood = self._fold(self._first_joints(numbers), numbers, evidence)
+            before, (log_likelihood, *_) = self._fold(
+                self._first_joints(numbers), numbers, self._evidence
+            )
             log_weights = log_likelihood
-            if log_weights.max() == -np.inf:
+            joints, log_chances = self._fold(before, numbers, [evidence], has_begun)
+            if (log_weights + log_chances[0]).max() == -np.inf:
                 raise ValueError(IMPOSSIBLE)
-        self._evidence, self._numbers, self._joints = evidence, numbers, joints
-        self._log_likelihood, self._log_weights = log_likelihood, log_weights
-        if self._effective() < 0.5 * self._count or len(numbers) > self._count:
+        predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
+        self.predicted = (*self.predicted, predicted)
+        self._evidence, self._numbers, self._joints = (*self._evidence, evidence), numbers, joints
+        self._log_likelihood = log_likelihood + log_chances[0]
+        self._log_weights = log_weights + log_chances[0]
+        is_due = self._effective() < 0.5 * self._count or len(numbers) > self._count
+        if is_due and self._priors:
             self._resample(rng)
         self.__dict__.pop('belief', None)
+
+    @property
+    def log_evidence(self) -> float:
+        """Return the log probability of all outcomes so far."""
+        return float(sum(chances[0] for chances in self.predicted))
+
+    @property
+    def kinds(self) -> dict[str, float]:
+        """Return the probability of each kind of hazards: that of one."""
+        return {self._dynamics.kind: 1.0}
 
     @property
     def weights(self) -> Floats:
@@ -202,14 +182,10 @@ class Bank:
     @property
     def parameters(self) -> Mapping[str, Learnt]:
         """Return the posterior of each number."""
-        weights, learnt = self.weights, {}
-        for name, prior, values in zip(self._names, self._priors, self._numbers.T):
-            order = np.argsort(values, kind='stable')
-            ascending = values[order]
-            edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
-            bins = Bins(np.array(edges), ascending, np.full(values.size, -np.log(values.size)))
-            learnt[name] = Learnt(bins, weights[order], self._effective())
-        return learnt
+        return {
+            name: learnt_from(prior, values, self.weights, self._effective())
+            for name, prior, values in zip(self._names, self._priors, self._numbers.T)
+        }
 
     @property
     def sampling_error(self) -> float:
@@ -297,21 +273,32 @@ class Bank:
         deployments: Sequence[Evidence],
         has_begun: bool = False,
     ) -> tuple[Floats, Floats]:
-        """Return the joints after some deployments, and the log probability of their outcomes."""
-        joints, log_likelihood = np.array(joints), np.zeros(len(numbers))
+        """Return the joints after some deployments, and the log probabilities of `assimilated`."""
+        joints = np.array(joints)
+        log_chances = np.zeros((2 + len(READING_SHIFTS), len(numbers)))
+        change = change_of(self._prior, self._dynamics, self._rates(numbers))
         steps: dict[RobotType, Steps] = {}
         for evidence in deployments:
             if has_begun:
-                joints = self._change(joints)
+                joints = change(joints)
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
                 steps[robot_type] = self._steps(numbers, robot_type)
-            joints[cells], log_chance = assimilated(
+            joints[cells], chances = assimilated(
                 joints[cells], steps[robot_type], evidence, self._correlated
             )
-            log_likelihood += log_chance
-        return joints, log_likelihood
+            log_chances += chances
+        return joints, log_chances
+
+    def _rates(self, numbers: Floats) -> dict[str, Floats]:
+        """Return the unknown rates of each particle, and the rate of appearing tied to them."""
+        learnt = dict(zip(self._names, numbers.T))
+        rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
+        if 'vanish' in rates and not self._dynamics.appear:
+            density = learnt.get('hazard_density', prior_density(self._prior))
+            rates['appear'] = appearance(rates['vanish'], density)
+        return rates
 
     def _steps(self, numbers: Floats, robot_type: RobotType) -> Steps:
         """Return the steps of robots of a type in each particle; their own numbers are known."""
@@ -340,7 +327,9 @@ class Bank:
         for _ in range(MOVES):
             proposed = logits + rng.standard_normal(logits.shape) @ scale
             numbers = expit_within(proposed, self._priors)
-            folded, log_proposed = self._fold(self._first_joints(numbers), numbers, self._evidence)
+            folded, (log_proposed, *_) = self._fold(
+                self._first_joints(numbers), numbers, self._evidence
+            )
             log_ratio = log_proposed - log_likelihood
             log_ratio += log_prior(proposed, self._priors) - log_prior(logits, self._priors)
             is_moved = np.log(rng.random(self._count)) < log_ratio
@@ -387,113 +376,27 @@ def prior_maps(belief: Belief) -> dict[str, Map]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Steps:
-    """
-    Effects of a step into a cell, by particle.
-
-    Attributes
-    ----------
-    survive, lose : ndarray, shape (2, 2, particles)
-        P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle].
-    read : ndarray, shape (2, 2, particles)
-        P(reading y | X = x), indexed [y, x, particle].
-
-    """
-
-    survive: Floats
-    lose: Floats
-    read: Floats
-
-    @classmethod
-    def of(cls, rates: Mapping[str, Floats], false_negative: float, are_used_up: bool) -> Steps:
-        """Return the steps of robots with these `RATES`, each of shape (particles,)."""
-        lethality, malfunction, true_positive, false_positive = (rates[name] for name in RATES)
-        endured, none = 1.0 - malfunction, np.zeros_like(malfunction)
-        spared, deadly = lethality * false_negative, lethality * (1.0 - false_negative)
-        survive = [endured, none, none, endured * (1.0 - deadly)]
-        lose = [malfunction, none, none, malfunction + endured * deadly]
-        if are_used_up:
-            survive = [endured, none, endured * spared, endured * (1.0 - lethality)]
-            lose = [malfunction, none, endured * deadly, malfunction]
-        read = [1.0 - false_positive, 1.0 - true_positive, false_positive, true_positive]
-        return cls(*(np.stack(each).reshape(2, 2, -1) for each in (survive, lose, read)))
+def prior_density(belief: Belief) -> float:
+    """Return the mean hazard of the cells that may have one."""
+    hazard = belief.hazard
+    return float(hazard[hazard > 0.0].mean()) if hazard.any() else 0.0
 
 
-def assimilated(
-    joint: Floats, steps: Steps, evidence: Evidence, correlated: bool
-) -> tuple[Floats, Floats]:
-    """
-    Return the joints of the cells of a path given an outcome, and its log probability.
-
-    Equations :eq:`bank-returned` and :eq:`bank-lost`; shapes (n, 2, 2, particles) and
-    (particles,).
-    """
-    hazard = joint.sum(axis=2)
-    if not correlated:
-        joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
-    counts, cell, before = evidence.visits.counts, evidence.visits.of_step, evidence.before
-    # So many visits survived, shape (visits, z, y, particles).
-    powers = [np.eye(2)[..., None] + np.zeros_like(steps.survive)]
-    for _ in range(counts.max()):
-        powers.append(then(powers[-1], steps.survive))
-    if evidence.lost_in is None:
-        negative, positive = (
-            np.cumprod([np.ones_like(read), *[read] * number.max()], axis=0)[number]
-            for read, number in zip(steps.read, (evidence.negative, evidence.positive))
-        )
-        moved = moved_by(np.array(powers)[counts], joint) * (negative * positive)[:, None]
-        return normalised(moved, joint), log_of(moved.sum(axis=(1, 2))).sum(axis=0)
-    # Of cells with so many visits before, (n, visits, particles): these survived, and then lost.
-    spared = np.stack(
-        [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
-    )
-    alive, fatal = spared.sum(axis=2), (spared * steps.lose.sum(axis=1)).sum(axis=2)
-    here = alive[cell, before]
-    goes_on = ratio(alive[cell, before + 1], here)
-    reached = np.cumprod(np.concatenate([np.ones_like(here[:1]), goes_on[:-1]]), axis=0)
-    # Lost in each step, and that over what the hazard of its own cell has to do with it.
-    fits = ratio(reached * evidence.lost_in[:, None], here)
-    lost = fits * fatal[cell, before]
-    elsewhere = ratio((evidence.elsewhere @ lost).reshape(alive.shape), alive)
-    inside = (evidence.inside @ fits).reshape(alive.shape)
-    after = np.zeros((counts.size, *steps.survive.shape))
-    for count, power in enumerate(powers):
-        after += elsewhere[:, count, None, None] * power
-        after += inside[:, count, None, None] * then(power, steps.lose)
-    return normalised(moved_by(after, joint), joint), log_of(lost.sum(axis=0))
+def learnt_from(prior: Beta, values: Floats, weights: Floats, effective: float) -> Learnt:
+    """Return what weighted values tell of a number."""
+    order = np.argsort(values, kind='stable')
+    ascending = values[order]
+    edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
+    bins = Bins(np.array(edges), ascending, np.full(values.size, -np.log(values.size)))
+    return Learnt(bins, weights[order], effective)
 
 
-def then(first: Floats, second: Floats) -> Floats:
-    """Return one change of hazards after another, each (z, y, particles)."""
-    both: Floats = first[:, 0, None] * second[0] + first[:, 1, None] * second[1]
-    return both
-
-
-def moved_by(moves: Floats, joint: Floats) -> Floats:
-    """Return joints, (n, z, x, particles), with their hazards changed by (n, z, y, particles)."""
-    safe, hazardous = moves[:, 0, :, None], moves[:, 1, :, None]
-    moved: Floats = safe * joint[:, 0, None] + hazardous * joint[:, 1, None]
-    return moved
-
-
-def log_of(chance: Floats) -> Floats:
-    """Return the logarithm, -inf of 0."""
-    log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
-    return log
-
-
-def ratio(part: Floats, whole: Floats) -> Floats:
-    """Return part / whole, 0 where both are 0."""
-    share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
-    return share
-
-
-def normalised(moved: Floats, joint: Floats) -> Floats:
-    """Return joints that sum to 1; those before where the outcome is impossible."""
-    total = moved.sum(axis=(1, 2), keepdims=True)
-    posterior: Floats = np.divide(moved, total, out=joint.copy(), where=total > 0.0)
-    return posterior
+def log_sum(logs: Floats) -> Floats:
+    """Return the log of the sum of exponentials along the last axis."""
+    peak = logs.max(axis=-1, keepdims=True)
+    peak = np.where(np.isfinite(peak), peak, 0.0)
+    total: Floats = peak[..., 0] + log_of(np.exp(logs - peak).sum(axis=-1))
+    return total
 
 
 def stratified(priors: Sequence[Beta], count: int, rng: np.random.Generator) -> Floats:
@@ -504,7 +407,7 @@ def stratified(priors: Sequence[Beta], count: int, rng: np.random.Generator) -> 
         below = np.concatenate([[0.0], np.exp(bins.log_prior).cumsum()])
         points = (rng.permutation(count) + rng.random(count)) / count
         columns.append(np.interp(points * below[-1], below, bins.edges))
-    return within(np.stack(columns, axis=1), priors)
+    return within(np.stack(columns, axis=1), priors) if priors else np.empty((count, 0))
 
 
 def within(numbers: Floats, priors: Sequence[Beta]) -> Floats:

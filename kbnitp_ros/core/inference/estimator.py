@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 from kbnitp_ros.core.field import (
     ALL_KNOWN,
+    appearance,
     Belief,
     Clustering,
     Dynamics,
@@ -22,6 +24,8 @@ from kbnitp_ros.core.field import (
     whole_number,
     World,
 )
+from kbnitp_ros.core.inference.bank import prior_density
+from kbnitp_ros.core.inference.filtering import OnePass
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
@@ -30,6 +34,7 @@ from kbnitp_ros.core.inference.methods import (
     KNOWN,
     METHODS,
 )
+from kbnitp_ros.core.inference.model_check import Checker, ModelCheck
 from kbnitp_ros.plugins import name_of, PluginError
 import numpy as np
 from numpy.typing import NDArray
@@ -87,18 +92,19 @@ class Estimator:
         clustering: Clustering | None = None,
     ) -> None:
         start, name = METHODS.find(method), name_of(method)
-        if unknowns.priors:
-            check_able(
-                method,
-                lambda each: each.learns,
-                f'{" and ".join(unknowns.priors)} cannot be unknown to {name}, which takes all '
-                'numbers for right',
-            )
         if dynamics.effect != 'static':
+            what = 'of a kind to be learnt' if dynamics.kind == 'learn' else dynamics.effect
             check_able(
                 method,
                 lambda each: dynamics.effect in dynamics_of(each),
-                f'{name} does not take hazards that are {dynamics.effect}',
+                f'{name} does not take hazards that are {what}',
+            )
+        if unknown := {**unknowns.priors, **dynamics.unknown_rates}:
+            check_able(
+                method,
+                lambda each: each.learns,
+                f'{" and ".join(unknown)} cannot be unknown to {name}, which takes all '
+                'numbers for right',
             )
         if clustering is not None:
             check_able(
@@ -118,6 +124,12 @@ class Estimator:
         named = {'clustering': clustering} if clusters else {}
         make: Callable[..., Inference] = start
         self.version = start.version
+        self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
+        self._checker: Checker | None = None
+        self._checked_deployments = 0
+        if isinstance(start, OnePass) and start.bank is not None:
+            prior = belief if start.correlated else belief.independent()
+            self._checker = Checker(prior, model, unknowns, self.seed, dynamics, start.correlated)
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(
@@ -147,6 +159,45 @@ class Estimator:
     def parameters(self) -> Mapping[str, Learnt]:
         """Return what is known by now of each number that was not, by its name in `Unknowns`."""
         return self._inference.parameters
+
+    @property
+    def kinds(self) -> Mapping[str, float]:
+        """Return the probability of each kind of hazards: 1 of the one that is given."""
+        kinds: Mapping[str, float] = getattr(self._inference, 'kinds', {self.dynamics.kind: 1.0})
+        return kinds
+
+    @property
+    def probable_dynamics(self) -> Dynamics:
+        """Return how hazards most probably change: of one kind, at rates as expected."""
+        probable = max(self.kinds, key=lambda kind: self.kinds[kind])
+        dynamics = next(each for each in self.dynamics.kinds if each.kind == probable)
+        rates: dict[str, Any] = {
+            name: self.parameters[name].mean for name in dynamics.unknown_rates
+        }
+        if 'vanish' in rates and not dynamics.appear:
+            learnt = self.parameters.get('hazard_density')
+            density = learnt.mean if learnt else prior_density(self.prior)
+            rates['appear'] = appearance(rates['vanish'], density)
+        return replace(dynamics, **rates)
+
+    @property
+    def check(self) -> ModelCheck:
+        """
+        Return whether stated alternatives predict the evidence better (:eq:`model-check`).
+
+        Of 'kappa_bnitp' and 'relaxed_itp'; other methods have no alternatives. Moving hazards
+        hardly show in returns: the check may not see them.
+        """
+        if self._checker is None:
+            name = name_of(self.method)
+            return ModelCheck(False, {}, f'{name} is not checked: kappa_bnitp and relaxed_itp are')
+        predicted = getattr(self._inference, 'predicted', None)
+        while self._checked_deployments < len(self._evidence):
+            place = self._checked_deployments
+            told = None if predicted is None else predicted[place]
+            self._checker = self._checker.after(*self._evidence[place], told)
+            self._checked_deployments += 1
+        return self._checker.result
 
     @property
     def sampling_error(self) -> float:
@@ -193,6 +244,7 @@ class Estimator:
         with METHODS.blamed(self.method):
             inference.assimilate(observation, robot_type)
             self._inference = self._checked(inference)
+        self._evidence = (*self._evidence, (observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:
         """Refuse what is no inference of the field."""

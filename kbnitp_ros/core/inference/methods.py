@@ -28,6 +28,7 @@ from kbnitp_ros.core.inference.filtering import (
     OnePass,
     published_likelihood,
 )
+from kbnitp_ros.core.inference.kinds import Kinds
 from kbnitp_ros.core.inference.sampling import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
@@ -142,6 +143,19 @@ def check_able(
         raise ValueError(f'{lack}: use {" or ".join(able)}')
 
 
+def learning(
+    belief: Belief,
+    model: SensorModel,
+    unknowns: Unknowns,
+    seed: int,
+    dynamics: Dynamics,
+    correlated: bool,
+) -> Bank | Kinds:
+    """Return the inference that learns numbers, or the kind of hazards as well."""
+    make = Kinds if dynamics.kind == 'learn' else Bank
+    return make(belief, model, unknowns, seed, dynamics, correlated)
+
+
 METHODS = Registry(
     'method',
     as_method,
@@ -149,13 +163,16 @@ METHODS = Registry(
         'relaxed_itp': OnePass(
             multi_universe_likelihood,
             correlated=False,
-            dynamics=('changing', 'used_up', 'moving'),
-            bank=Bank,
+            dynamics=('changing', 'used_up', 'moving', 'learn'),
+            bank=learning,
         ),
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
         'kappa_bnitp': OnePass(
-            lost_likelihood, correlated=True, dynamics=('changing', 'used_up', 'moving'), bank=Bank
+            lost_likelihood,
+            correlated=True,
+            dynamics=('changing', 'used_up', 'moving', 'learn'),
+            bank=learning,
         ),
         'kappa_bnitp_sampled': Sampler,
     },

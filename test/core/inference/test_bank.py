@@ -19,7 +19,9 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference.bank import Bank, Evidence
+from kbnitp_ros.core.field import joint_after_change
+from kbnitp_ros.core.inference.bank import Bank
+from kbnitp_ros.core.inference.particle_filter import Evidence
 from laws import for_each
 import numpy as np
 import pytest
@@ -91,7 +93,7 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
     bank = Bank(belief, model, TWO, 0, dynamics_of(kind))
     (observation, robot_type), numbers = outcomes[0], bank._numbers[:3]
     evidence = [Evidence.of(observation, robot_type)]
-    _, log_chance = bank._fold(bank._first_joints(numbers), numbers, evidence)
+    _, (log_chance, *_) = bank._fold(bank._first_joints(numbers), numbers, evidence)
     lost_at = observation.lost_at
     if lost_at is None:
         lost_at = np.arange(observation.steps) >= observation.steps_survived
@@ -120,7 +122,7 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
         for number, (observation, robot_type) in enumerate(outcomes):
             before = estimator.belief.joint
             if number and kind == 'changing':
-                before = dynamics_of(kind).joint_after(before, belief.hazard > 0.0)
+                before = joint_after_change(before, belief.hazard > 0.0, 0.02, 0.1)
             lost_at = observation.lost_at
             if lost_at is None:
                 lost_at = np.arange(observation.steps) >= observation.steps_survived

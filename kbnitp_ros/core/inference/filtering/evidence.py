@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 
 from kbnitp_ros.core.field import (
     Belief,
     Dynamics,
+    joint_after_change,
+    joint_after_moves,
     neighbors_to_move_to,
     Observation,
+    Rates,
     SensorModel,
     times_log,
     Visits,
@@ -93,19 +97,21 @@ def condition(
 
 
 def change_of(
-    prior: Belief, dynamics: Dynamics
+    prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the change of joints, (cells, 2, 2, ...), from one deployment to the next."""
+    """Return the change of joints, (cells, 2, 2, ...), between deployments, at rates by case."""
     possible = prior.hazard > 0.0
+    appear, vanish, move = (
+        rates.get(name, getattr(dynamics, name)) for name in ('appear', 'vanish', 'move')
+    )
     if dynamics.effect == 'changing':
-        return partial(dynamics.joint_after, possible=possible)
+        return partial(joint_after_change, possible=possible, appear=appear, vanish=vanish)
     if dynamics.effect == 'moving':
         if prior.grid is None:
             raise ValueError(
                 'hazards are moving, and the prior has no grid for them to move on: make it with '
                 'Belief.prior(grid, ...) or belief.on(grid)'
             )
-        return partial(
-            dynamics.joint_after_moves, neighbors=neighbors_to_move_to(prior.grid, possible)
-        )
+        neighbors = neighbors_to_move_to(prior.grid, possible)
+        return partial(joint_after_moves, neighbors=neighbors, move=move)
     return lambda joint: joint

@@ -86,7 +86,7 @@ class OnePass:
         The kinds of `Dynamics` that it takes besides static hazards. That of hazards that are used
         up is the exact likelihood, whatever `lost` is.
     bank : callable, optional
-        Makes the inference of a mission that learns numbers, such as `Bank`.
+        Makes the inference of a mission that learns numbers or the kind of hazards.
 
     """
 
@@ -109,7 +109,9 @@ class OnePass:
     ) -> Any:
         """Return the estimate before the first deployment."""
         prior = belief if self.correlated else belief.independent()
-        if self.bank is not None and unknowns.priors:
+        if self.bank is not None and (
+            unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'
+        ):
             return self.bank(prior, model, unknowns, seed, dynamics, self.correlated)
         if dynamics.effect in ('changing', 'moving'):
             return ChangingEstimate(prior, model, self, dynamics)

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The model check: whether stated alternatives predict the evidence better than the belief does.
+
+An alternative's running evidence over that of the belief is, under a right model, a nonnegative
+martingale that starts at 1: so is the average of such ratios, and it ever passes 20 with a
+probability of at most .05 (Ville's inequality, :eq:`model-check`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+
+from kbnitp_ros.core.field import (
+    Belief,
+    Dynamics,
+    Observation,
+    RobotType,
+    SensorModel,
+    Unknowns,
+)
+from kbnitp_ros.core.inference.bank import Bank, log_sum
+from kbnitp_ros.core.inference.kinds import Kinds
+from kbnitp_ros.core.inference.particle_filter import Floats, READING_SHIFTS
+import numpy as np
+
+# The average ratio at which the model is in doubt.
+IN_DOUBT = 20.0
+
+# Factors of the odds of a return.
+RETURN_SHIFTS = (2.0, 0.5)
+
+# Particles of an alternative that leaves a number open.
+PARTICLES = 64
+
+WORDS = {
+    'static': 'static hazards',
+    'used_up': 'hazards that are used up',
+    'changing': 'hazards that come and go',
+    'moving': 'hazards that move',
+}
+SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """
+    What a mission's evidence says of the assumptions that its belief rests on.
+
+    Attributes
+    ----------
+    is_in_doubt : bool
+        Whether the average ratio has ever reached 20.
+    alternatives : mapping of str to float
+        For each alternative by now the probability of all evidence, as it predicted it, over that
+        of the belief's own predictions.
+    reason : str
+        What is in doubt and what would explain it, or that nothing is.
+
+    """
+
+    is_in_doubt: bool
+    alternatives: Mapping[str, float]
+    reason: str
+
+
+class Checker:
+    """
+    The running evidence of alternatives to a belief's model.
+
+    Parameters
+    ----------
+    belief, model, unknowns, seed, dynamics, correlated
+        What the belief started from, as of `Bank`.
+
+    """
+
+    def __init__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        dynamics: Dynamics,
+        correlated: bool,
+    ) -> None:
+        def bank(
+            unknowns: Unknowns, dynamics: Dynamics, model: SensorModel = model
+        ) -> Bank | Kinds:
+            make = Kinds if dynamics.kind == 'learn' else Bank
+            is_open = unknowns.priors or dynamics.unknown_rates
+            count = PARTICLES if is_open else None
+            return make(belief, model, unknowns, seed, dynamics, correlated, count)
+
+        self._own: Bank | Kinds | None = None
+        if not (unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'):
+            self._own = bank(unknowns, dynamics)
+        self._believed = WORDS.get(dynamics.kind, 'any kind of hazards')
+        self._malfunction = 2.0 * model.malfunction or 0.05
+        self._alternatives: dict[str, Bank | Kinds | None] = {}
+        if dynamics.kind != 'learn':
+            for each in Dynamics('learn').kinds:
+                can_move = each.kind != 'moving' or belief.grid is not None
+                if each.kind != dynamics.effect and can_move:
+                    self._alternatives[each.kind] = bank(unknowns, each)
+        if unknowns.malfunction is None and model.malfunction < 0.5:
+            other = replace(model, malfunction=self._malfunction)
+            self._alternatives['malfunction'] = bank(unknowns, dynamics, other)
+        if unknowns.lethality is None and model.false_negative < 1.0:
+            self._alternatives['lethality'] = bank(
+                replace(unknowns, lethality=(0.0, 1.0)), dynamics
+            )
+        self._lethality = model.lethality
+        self._log_ratios: Floats = np.zeros(len(self._alternatives) + len(SHIFTED))
+        self._count = 0
+        self._turned_at: int | None = None
+
+    def after(
+        self, observation: Observation, robot_type: RobotType, predicted: Floats | None
+    ) -> Checker:
+        """Return the checker after one more deployment, with what the belief `predicted` of it."""
+        other = copy(self)
+        other._count += 1
+        if self._own is not None:
+            other._own = self._own.copy()
+            other._own.assimilate(observation, robot_type)
+            predicted = other._own.predicted[-1]
+        assert predicted is not None
+        other._alternatives, ratios = {}, []
+        for name, bank in self._alternatives.items():
+            other._alternatives[name] = bank = assimilated(bank, observation, robot_type)
+            ratios.append(-np.inf if bank is None else bank.predicted[-1][0] - predicted[0])
+        log_return, *log_shifted = predicted[1:]
+        for shift in RETURN_SHIFTS:
+            gain = np.log(shift) if observation.survived else 0.0
+            ratios.append(gain - np.log1p((shift - 1.0) * np.exp(log_return)))
+        readings = observation.readings
+        positive = 0 if readings is None else np.count_nonzero(readings == 1)
+        for shift, log_total in zip(READING_SHIFTS, log_shifted):
+            ratios.append(positive * np.log(shift) + log_return - log_total)
+        other._log_ratios = self._log_ratios + ratios
+        average = log_sum(other._log_ratios) - np.log(other._log_ratios.size)
+        if self._turned_at is None and average >= np.log(IN_DOUBT):
+            other._turned_at = other._count
+        return other
+
+    @property
+    def result(self) -> ModelCheck:
+        """Return what the evidence so far says."""
+        names = (*self._alternatives, *SHIFTED)
+        with np.errstate(over='ignore'):
+            ratios = dict(zip(names, np.exp(self._log_ratios).tolist()))
+        best = max(ratios, key=lambda name: ratios[name])
+        believed = self._believed
+        if best == 'malfunction':
+            explained, believed = f'a malfunction of {self._malfunction:.3g}', 'the one believed'
+        elif best == 'lethality':
+            bank = self._alternatives[best]
+            mean = bank.parameters[best].mean if bank is not None else np.nan
+            explained = f'a lethality of about {mean:.2f}'
+            believed = f'one of {self._lethality:g}'
+        elif best in SHIFTED:
+            explained, believed = f'{best} than predicted', 'the prediction'
+        else:
+            explained = WORDS[best]
+        fits = f'the evidence fits {explained} {ratios[best]:.3g} times better than {believed}'
+        if self._turned_at is not None:
+            reason = f'the model is in doubt since deployment {self._turned_at}: {fits}'
+        elif ratios[best] > 1.0:
+            reason = f'no reason for doubt: {fits}, and it takes an average of {IN_DOUBT:.0f}'
+        else:
+            reason = (
+                f'no reason for doubt: the evidence fits no alternative better than {believed}'
+            )
+        return ModelCheck(self._turned_at is not None, ratios, reason)
+
+
+def assimilated(
+    bank: Bank | Kinds | None, observation: Observation, robot_type: RobotType
+) -> Bank | Kinds | None:
+    """Return an alternative after one more deployment; None if the evidence rules it out."""
+    if bank is None:
+        return None
+    after = bank.copy()
+    try:
+        after.assimilate(observation, robot_type)
+    except ValueError:
+        return None
+    return after

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one-pass filter of many particles at once: outcomes counted by cell, and what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kbnitp_ros.core.field import Observation, RobotType, Visits
+from kbnitp_ros.core.inference.filtering.evidence import loss_weights
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+
+# Factors of the odds of a positive reading in the alternatives of the model check.
+READING_SHIFTS = (2.0, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    The outcome of one deployment, counted by cell.
+
+    Attributes
+    ----------
+    visits : Visits
+        To the cells of the path.
+    positive, negative : ndarray of int, shape (n,)
+        Readings of each cell; none of a lost robot.
+    before : ndarray of int, shape (steps,)
+        Visits to the cell of each step before it.
+    inside, elsewhere : ndarray, shape (n * (most visits + 1), steps)
+        1 for the cell of each step, or for each other cell, with its visits before; else 0.
+    lost_in : ndarray or None, shape (steps,)
+        How well a loss in each step fits what was observed; None of a return.
+    robot_type : RobotType
+        Of the robot.
+
+    """
+
+    visits: Visits
+    positive: NDArray[np.intp]
+    negative: NDArray[np.intp]
+    before: NDArray[np.intp]
+    inside: Floats
+    elsewhere: Floats
+    lost_in: Floats | None
+    robot_type: RobotType
+
+    @classmethod
+    def of(cls, observation: Observation, robot_type: RobotType) -> Evidence:
+        """Count what came of a robot."""
+        visits = Visits.of(observation.path)
+        readings = observation.readings
+        read = np.full(observation.steps, -1) if readings is None else readings
+        cells = visits.cells.size
+        positive, negative = (
+            np.bincount(visits.of_step[read == reading], minlength=cells) for reading in (1, 0)
+        )
+        entered = visits.of_step[:, None] == np.arange(cells)
+        made = entered.cumsum(axis=0) - entered
+        at = np.eye(visits.counts.max() + 1)[made]
+        inside, elsewhere = (
+            (at * where[..., None]).reshape(observation.steps, -1).T
+            for where in (entered, ~entered)
+        )
+        lost_in = None if observation.survived else loss_weights(observation)
+        return cls(
+            visits, positive, negative, made[entered], inside, elsewhere, lost_in, robot_type
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """
+    Effects of a step into a cell, by particle.
+
+    Attributes
+    ----------
+    survive, lose : ndarray, shape (2, 2, particles)
+        P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle].
+    read : ndarray, shape (2, 2, particles)
+        P(reading y | X = x), indexed [y, x, particle].
+
+    """
+
+    survive: Floats
+    lose: Floats
+    read: Floats
+
+    @classmethod
+    def of(cls, rates: Mapping[str, Floats], false_negative: float, are_used_up: bool) -> Steps:
+        """Return the steps of robots with these `RATES`, each of shape (particles,)."""
+        lethality, malfunction, true_positive, false_positive = (rates[name] for name in RATES)
+        endured, none = 1.0 - malfunction, np.zeros_like(malfunction)
+        spared, deadly = lethality * false_negative, lethality * (1.0 - false_negative)
+        survive = [endured, none, none, endured * (1.0 - deadly)]
+        lose = [malfunction, none, none, malfunction + endured * deadly]
+        if are_used_up:
+            survive = [endured, none, endured * spared, endured * (1.0 - lethality)]
+            lose = [malfunction, none, endured * deadly, malfunction]
+        read = [1.0 - false_positive, 1.0 - true_positive, false_positive, true_positive]
+        return cls(*(np.stack(each).reshape(2, 2, -1) for each in (survive, lose, read)))
+
+
+def assimilated(
+    joint: Floats, steps: Steps, evidence: Evidence, correlated: bool
+) -> tuple[Floats, Floats]:
+    """
+    Return the joints of the cells of a path given an outcome, and log probabilities.
+
+    Equations :eq:`bank-returned` and :eq:`bank-lost`; shapes (n, 2, 2, particles) and
+    (2 + shifts, particles): of the outcome, of a return, and of a return with the odds of each
+    positive reading shifted, not normalised (:eq:`shifted-readings`).
+    """
+    hazard = joint.sum(axis=2)
+    if not correlated:
+        joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
+    counts, cell, before = evidence.visits.counts, evidence.visits.of_step, evidence.before
+    # So many visits survived, shape (visits, z, y, particles).
+    powers = [np.eye(2)[..., None] + np.zeros_like(steps.survive)]
+    for _ in range(counts.max()):
+        powers.append(then(powers[-1], steps.survive))
+    if evidence.lost_in is None:
+        negative, positive = (
+            np.cumprod([np.ones_like(read), *[read] * number.max()], axis=0)[number]
+            for read, number in zip(steps.read, (evidence.negative, evidence.positive))
+        )
+        alive = moved_by(np.array(powers)[counts], joint)
+        moved, target = alive * (negative * positive)[:, None], alive.sum(axis=1)
+        looks = (evidence.negative + evidence.positive)[:, None, None]
+        shifted = [
+            (target * (steps.read[0] + shift * steps.read[1]) ** looks).sum(axis=1)
+            for shift in READING_SHIFTS
+        ]
+        chances = np.stack([moved.sum(axis=(1, 2)), target.sum(axis=1), *shifted])
+        return normalised(moved, joint), log_of(chances).sum(axis=1)
+    # Of cells with so many visits before, (n, visits, particles): these survived, and then lost.
+    spared = np.stack(
+        [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
+    )
+    alive, fatal = spared.sum(axis=2), (spared * steps.lose.sum(axis=1)).sum(axis=2)
+    here = alive[cell, before]
+    goes_on = ratio(alive[cell, before + 1], here)
+    reached = np.cumprod(np.concatenate([np.ones_like(here[:1]), goes_on[:-1]]), axis=0)
+    # Lost in each step, and that over what the hazard of its own cell has to do with it.
+    fits = ratio(reached * evidence.lost_in[:, None], here)
+    lost = fits * fatal[cell, before]
+    elsewhere = ratio((evidence.elsewhere @ lost).reshape(alive.shape), alive)
+    inside = (evidence.inside @ fits).reshape(alive.shape)
+    after = np.zeros((counts.size, *steps.survive.shape))
+    for count, power in enumerate(powers):
+        after += elsewhere[:, count, None, None] * power
+        after += inside[:, count, None, None] * then(power, steps.lose)
+    log_return = log_of(alive[np.arange(counts.size), counts]).sum(axis=0)
+    log_chances = np.stack([log_of(lost.sum(axis=0)), *[log_return] * (1 + len(READING_SHIFTS))])
+    return normalised(moved_by(after, joint), joint), log_chances
+
+
+def then(first: Floats, second: Floats) -> Floats:
+    """Return one change of hazards after another, each (z, y, particles)."""
+    both: Floats = first[:, 0, None] * second[0] + first[:, 1, None] * second[1]
+    return both
+
+
+def moved_by(moves: Floats, joint: Floats) -> Floats:
+    """Return joints, (n, z, x, particles), with their hazards changed by (n, z, y, particles)."""
+    safe, hazardous = moves[:, 0, :, None], moves[:, 1, :, None]
+    moved: Floats = safe * joint[:, 0, None] + hazardous * joint[:, 1, None]
+    return moved
+
+
+def log_of(chance: Floats) -> Floats:
+    """Return the logarithm, -inf of 0."""
+    log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
+    return log
+
+
+def ratio(part: Floats, whole: Floats) -> Floats:
+    """Return part / whole, 0 where both are 0."""
+    share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+    return share
+
+
+def normalised(moved: Floats, joint: Floats) -> Floats:
+    """Return joints that sum to 1; those before where the outcome is impossible."""
+    total = moved.sum(axis=(1, 2), keepdims=True)
+    posterior: Floats = np.divide(moved, total, out=joint.copy(), where=total > 0.0)
+    return posterior

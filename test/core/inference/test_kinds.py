@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unknown rates, kinds of hazard as hypotheses, and the check of the model."""
+
+from itertools import product
+
+import brute_force
+import hazards_in_time
+from kbnitp_ros.core import (
+    Belief,
+    Beta,
+    Dynamics,
+    Estimator,
+    Grid,
+    Observation,
+    ORDINARY,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.core.inference.bank import Bank
+from kbnitp_ros.core.inference.particle_filter import Evidence
+from laws import for_each
+import numpy as np
+import pytest
+
+GRID, MODEL = Grid(3, 2), SensorModel(0.5, 0.1, 0.1, 0.9, 0.1)
+PRIOR = Belief.prior(GRID, 0.3, 0.4, 0.7)
+PRIORS = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12}
+LETHALITY = Unknowns(lethality=(0.0, 1.0))
+UNKNOWN = {
+    'changing': Dynamics('changing', vanish=(0.01, 0.3)),
+    'moving': Dynamics('moving', move=(0.01, 0.3)),
+}
+
+
+def outcomes(seed, count=4):
+    """Draw what came of some robots."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        path = brute_force.random_path(rng, 3, 2, 0, int(rng.integers(1, 8)))
+        if rng.random() < 0.5:
+            yield Observation(path, True, rng.integers(-1, 2, len(path) - 1))
+        else:
+            yield Observation(path, False)
+
+
+def after(observations, **kwargs):
+    """Return an estimator of `PRIOR` after some outcomes."""
+    estimator = Estimator(PRIOR, MODEL, **kwargs)
+    for observation in observations:
+        estimator.assimilate(observation)
+    return estimator
+
+
+@for_each('seed, kind', [(seed, kind) for seed in range(20) for kind in UNKNOWN], every=10)
+def test_each_rate_has_the_filter_of_that_rate(seed, kind):
+    bank = Bank(PRIOR, MODEL, Unknowns(), 0, UNKNOWN[kind])
+    rates = bank._numbers[:3]
+    evidence = [Evidence.of(each, ORDINARY) for each in outcomes(seed)]
+    joints, _ = bank._fold(bank._first_joints(rates), rates, evidence)
+    for place, rate in enumerate(rates[:, 0]):
+        true = {'move': rate}
+        if kind == 'changing':
+            density = PRIOR.hazard[PRIOR.hazard > 0.0].mean()
+            true = {'appear': rate * density / (1.0 - density), 'vanish': rate}
+        told = after(outcomes(seed), dynamics=Dynamics(kind, **true)).belief.joint
+        np.testing.assert_allclose(joints[..., place], told, atol=1e-12)
+
+
+def test_a_rate_is_log_uniform_unless_it_is_known():
+    known = after([], dynamics=Dynamics('changing', vanish=(0.001, 0.1))).parameters['vanish']
+    assert known.quantile(0.5) == pytest.approx(0.01, rel=0.05)
+    assert Dynamics('learn').move == Beta(0.0, 1.0, 0.001, 0.1) == Dynamics('learn').vanish
+
+
+@for_each('seed', range(20), every=5)
+def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
+    """With rates that are known the evidence is the product of what each filter gave."""
+    dynamics = Dynamics('learn', 0.01, 0.1, 0.05)
+    observations = list(outcomes(seed, 3))
+    evidence, joints = {}, {}
+    for each in dynamics.kinds:
+        bank = Bank(PRIOR, MODEL, Unknowns(), 0, each)
+        for observation in observations:
+            bank.assimilate(observation, ORDINARY)
+        evidence[each.kind] = PRIORS[each.kind] * np.exp(bank.log_evidence)
+        joints[each.kind] = bank.belief.joint
+    total = sum(evidence.values())
+    estimator = after(observations, dynamics=dynamics)
+    for kind, probability in estimator.kinds.items():
+        assert probability == pytest.approx(evidence[kind] / total, abs=1e-12)
+    mixture = sum(evidence[kind] * joints[kind] for kind in joints) / total
+    np.testing.assert_allclose(estimator.belief.joint, mixture, atol=1e-12)
+
+
+@for_each(
+    'unknowns, dynamics',
+    [
+        (unknowns, dynamics)
+        for unknowns in (Unknowns(), LETHALITY)
+        for dynamics in (Dynamics(), Dynamics('used_up'), UNKNOWN['moving'], Dynamics('learn'))
+    ],
+)
+def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
+    """Over all outcomes of a deployment the belief expects each ratio to stay as it is."""
+    path, (first, *_) = [0, 1, 4, 1, 0], outcomes(3, 1)
+    estimator = after([first], unknowns=unknowns, dynamics=dynamics)
+    before, expected, total = estimator.check.alternatives, {}, 0.0
+    possible = [Observation(path, False)]
+    possible += [Observation(path, True, each) for each in product((0, 1), repeat=4)]
+    for observation in possible:
+        other = estimator.copy()
+        other.assimilate(observation)
+        chance = predicted(other)
+        if dynamics == Dynamics() and not unknowns.priors:
+            by_states = hazards_in_time.chance(
+                estimator.belief.joint, dynamics, MODEL, path, observation.readings, np.ones(4)
+            )
+            assert chance == pytest.approx(by_states, abs=1e-12)
+        total += chance
+        for name, ratio in other.check.alternatives.items():
+            expected[name] = expected.get(name, 0.0) + chance * ratio
+    assert total == pytest.approx(1.0, abs=1e-9)
+    for name, ratio in before.items():
+        assert expected[name] == pytest.approx(ratio, rel=1e-9), name
+
+
+def predicted(estimator):
+    """Return the probability that a belief gave its last outcome."""
+    inference = estimator._inference
+    if not hasattr(inference, 'predicted'):
+        assert estimator.check.alternatives
+        inference = estimator._checker._own
+    return np.exp(inference.predicted[-1][0])
+
+
+def flown(believed, seed, true=None, robots=100, unknowns=Unknowns()):
+    """Return an estimator after a mission in a field that is what it is."""
+    grid = Grid(9, 9)
+    prior, rng = Belief.prior(grid, 0.15, 0.205, 0.8), np.random.default_rng(seed)
+    world = World.random(grid, rng, 0.15, 0.8, 0.1)
+    true = true or Dynamics()
+    options = SearchOptions('relaxed')
+    mission = run_mission(
+        grid, prior, SensorModel(0.5), world, robots, rng, options=options, dynamics=true
+    )
+    estimator = Estimator(prior, SensorModel(0.5), unknowns=unknowns, dynamics=believed)
+    for deployment in mission:
+        estimator.assimilate(deployment.observation)
+    return estimator
+
+
+def test_the_evidence_tells_kinds_and_the_check_tells_of_a_wrong_one():
+    used_up = Dynamics('used_up')
+    found = flown(Dynamics('learn'), 1, used_up)
+    assert max(found.kinds, key=found.kinds.get) == 'used_up'
+    assert found.probable_dynamics == used_up
+    assert not found.check.is_in_doubt
+    check = flown(Dynamics(), 1, used_up).check
+    assert check.is_in_doubt
+    assert 'fits hazards that are used up' in check.reason
+    assert 'than static hazards' in check.reason
+    assert check.alternatives['used_up'] > 20.0 > check.alternatives['malfunction']
+    right = flown(Dynamics(), 1).check
+    assert not right.is_in_doubt
+    assert 'no reason for doubt' in right.reason
+
+
+def test_a_check_does_not_depend_on_when_it_is_asked_for():
+    observations = list(outcomes(5, 6))
+    late, often = after(observations), Estimator(PRIOR, MODEL)
+    for observation in observations:
+        often.assimilate(observation)
+        often = often.copy()
+        assert often.check.alternatives
+    assert often.check == late.check
+    others = after(observations, method='kappa_bnitp_sampled').check
+    assert (others.is_in_doubt, dict(others.alternatives)) == (False, {})
+    assert 'kappa_bnitp_sampled is not checked' in others.reason
+
+
+def test_a_kind_that_the_evidence_rules_out_has_no_weight():
+    """A robot without malfunctions was lost three times on a cell where one hazard may be."""
+    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5]).on(Grid(2, 1))
+    model = SensorModel(0.9, malfunction=0.0)
+    estimator = Estimator(belief, model, dynamics=Dynamics('learn'))
+    for _ in range(3):
+        estimator.assimilate(Observation([0, 1, 0], False))
+    assert estimator.kinds['used_up'] == 0.0
+    assert estimator.belief.hazard[1] > 0.9
+    assert set(estimator.parameters) == {'vanish', 'move'}
+    before = estimator.belief.joint.tobytes()
+    with pytest.raises(ValueError, match='impossible'):
+        estimator.assimilate(Observation([0, 0], False))
+    assert estimator.belief.joint.tobytes() == before
+
+
+@for_each(
+    'make, message',
+    [
+        (lambda: Dynamics('learn').known_rates(), "dynamics is 'learn'"),
+        (lambda: UNKNOWN['moving'].known_rates(), 'move is unknown from 0.01 to 0.3: that of'),
+        (lambda: Dynamics('changing', vanish=(0.2, 0.1)), r'vanish is unknown within \(0.2, 0.1'),
+        (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must go from above 0 to more'),
+        (lambda: Dynamics('moving', move=(0.5, 1.5)), 'move is 1.5'),
+        (lambda: Dynamics('changing', appear=(0.1, 0.2)), 'appear is .* it must be a number'),
+        (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing ones have it'),
+        (
+            lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')),
+            'relaxed_bnitp does not take hazards that are of a kind to be learnt: use relaxed_itp',
+        ),
+        (
+            lambda: Estimator(PRIOR, MODEL, 'kappa_bnitp_sampled', dynamics=Dynamics('learn')),
+            'kappa_bnitp_sampled does not take hazards that are of a kind',
+        ),
+        (
+            lambda: run_mission(
+                GRID, PRIOR, MODEL, World([False] * 6, [False] * 6), 1, 0,
+                dynamics=UNKNOWN['changing'],
+            ),
+            'vanish is unknown from 0.01 to 0.3: that of a world is a number',
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_learnt_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
