@@ -136,7 +136,7 @@ def predicted(estimator):
     return np.exp(inference.predicted[-1][0])
 
 
-def flown(believed, seed, true=None, robots=100, unknowns=Unknowns()):
+def flown(believed, seed, true=None):
     """Return an estimator after a mission in a field that is what it is."""
     grid = Grid(9, 9)
     prior, rng = Belief.prior(grid, 0.15, 0.205, 0.8), np.random.default_rng(seed)
@@ -144,9 +144,9 @@ def flown(believed, seed, true=None, robots=100, unknowns=Unknowns()):
     true = true or Dynamics()
     options = SearchOptions('relaxed')
     mission = run_mission(
-        grid, prior, SensorModel(0.5), world, robots, rng, options=options, dynamics=true
+        grid, prior, SensorModel(0.5), world, 100, rng, options=options, dynamics=true
     )
-    estimator = Estimator(prior, SensorModel(0.5), unknowns=unknowns, dynamics=believed)
+    estimator = Estimator(prior, SensorModel(0.5), dynamics=believed)
     for deployment in mission:
         estimator.assimilate(deployment.observation)
     return estimator
