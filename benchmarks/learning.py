@@ -246,7 +246,7 @@ def with_blasts(seed: int) -> list[Observation]:
     deadly = model.lethality * (1 - model.false_negative)
     around = np.array([world.hazard[GRID.neighbors(cell)].sum() for cell in range(GRID.cells)])
     survive = (1 - model.malfunction) * (1 - deadly * world.hazard)
-    survive *= (1 - 0.15 * deadly) ** (around - world.hazard)
+    survive *= (1 - 0.15) ** (around - world.hazard)
     observations = []
     for _ in range(100):
         path = plan(GRID, estimator.belief, model, 18, 'relaxed').path

@@ -43,6 +43,9 @@ WORDS = {
 }
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
+# Weights of the alternatives in the average, in proportion: the more what they state would matter.
+WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changing': 2, 'moving': 2}
+
 
 @dataclass(frozen=True)
 class ModelCheck:
@@ -86,9 +89,7 @@ class Checker:
         dynamics: Dynamics,
         correlated: bool,
     ) -> None:
-        def bank(
-            unknowns: Unknowns, dynamics: Dynamics, model: SensorModel = model
-        ) -> Bank | Kinds:
+        def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank | Kinds:
             make = Kinds if dynamics.kind == 'learn' else Bank
             is_open = unknowns.priors or dynamics.unknown_rates
             count = PARTICLES if is_open else None
@@ -98,22 +99,20 @@ class Checker:
         if not (unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'):
             self._own = bank(unknowns, dynamics)
         self._believed = WORDS.get(dynamics.kind, 'any kind of hazards')
-        self._malfunction = 2.0 * model.malfunction or 0.05
         self._alternatives: dict[str, Bank | Kinds | None] = {}
         if dynamics.kind != 'learn':
             for each in Dynamics('learn').kinds:
                 can_move = each.kind != 'moving' or belief.grid is not None
                 if each.kind != dynamics.effect and can_move:
                     self._alternatives[each.kind] = bank(unknowns, each)
-        if unknowns.malfunction is None and model.malfunction < 0.5:
-            other = replace(model, malfunction=self._malfunction)
-            self._alternatives['malfunction'] = bank(unknowns, dynamics, other)
-        if unknowns.lethality is None and model.false_negative < 1.0:
-            self._alternatives['lethality'] = bank(
-                replace(unknowns, lethality=(0.0, 1.0)), dynamics
-            )
-        self._lethality = model.lethality
-        self._log_ratios: Floats = np.zeros(len(self._alternatives) + len(SHIFTED))
+        for name, most in (('malfunction', 0.5), ('lethality', 1.0)):
+            makes_a_difference = name == 'malfunction' or model.false_negative < 1.0
+            if getattr(unknowns, name) is None and makes_a_difference:
+                self._alternatives[name] = bank(replace(unknowns, **{name: (0.0, most)}), dynamics)
+        self._model = model
+        weights = np.array([WEIGHTS.get(name, 1) for name in (*self._alternatives, *SHIFTED)])
+        self._log_weights: Floats = np.log(weights / weights.sum())
+        self._log_ratios: Floats = np.zeros(weights.size)
         self._count = 0
         self._turned_at: int | None = None
 
@@ -141,7 +140,7 @@ class Checker:
         for shift, log_total in zip(READING_SHIFTS, log_shifted):
             ratios.append(positive * np.log(shift) + log_return - log_total)
         other._log_ratios = self._log_ratios + ratios
-        average = log_sum(other._log_ratios) - np.log(other._log_ratios.size)
+        average = log_sum(other._log_ratios + self._log_weights)
         if self._turned_at is None and average >= np.log(IN_DOUBT):
             other._turned_at = other._count
         return other
@@ -154,13 +153,10 @@ class Checker:
             ratios = dict(zip(names, np.exp(self._log_ratios).tolist()))
         best = max(ratios, key=lambda name: ratios[name])
         believed = self._believed
-        if best == 'malfunction':
-            explained, believed = f'a malfunction of {self._malfunction:.3g}', 'the one believed'
-        elif best == 'lethality':
-            bank = self._alternatives[best]
-            mean = bank.parameters[best].mean if bank is not None else np.nan
-            explained = f'a lethality of about {mean:.2f}'
-            believed = f'one of {self._lethality:g}'
+        bank = self._alternatives.get(best)
+        if bank is not None and best not in WORDS:
+            explained = f'a {best} of about {bank.parameters[best].mean:.2f}'
+            believed = f'one of {getattr(self._model, best):g}'
         elif best in SHIFTED:
             explained, believed = f'{best} than predicted', 'the prediction'
         else:
