@@ -140,14 +140,13 @@ def belief_fields(
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
-    unknowns = estimator.unknowns.priors
-    learnt = {**unknowns, **estimator.dynamics.unknown_rates}
+    learnt = {**estimator.unknowns.priors, **estimator.dynamics.unknown_rates}
     rates = {
         name: 0.0 if name in learnt else getattr(estimator.dynamics, name)
         for name in ('appear', 'vanish', 'move')
     }
     coupling = 0.0 if estimator.clustering is None else estimator.clustering.coupling
-    is_other = not ledger.deployments and (unknowns or coupling)
+    is_other = not ledger.deployments and (learnt or coupling or len(estimator.kinds) > 1)
     given = estimator.prior.joint if is_other else np.empty(0)
     return Fields(
         header=header_fields(ledger.newest_stamp if ledger.newest else started),

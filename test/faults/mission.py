@@ -22,7 +22,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from schedule import NODES
-from unbroken import core_mission, folded, with_defaults
+from unbroken import core_mission, folded, true_values, with_defaults
 
 # How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
 PATIENCE = 180.0
@@ -93,6 +93,8 @@ class Mission:
                 'await_nodes': self._awaited[name],
                 'resume': str(self.log) if self.log.exists() else '',
             }
+            if name.startswith('agent'):
+                parameters |= true_values(parameters)
             own = [*filter(partial(parameter_of, name), parameters), *ROS_PARAMETERS]
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(

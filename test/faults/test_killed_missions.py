@@ -133,6 +133,17 @@ KINDS = {
         {'hazards.dynamics': 'used_up', 'learn': ['lethality', 'hazard_density']},
         lambda made, _: {*made[-1].parameters} == {'lethality', 'hazard_density'},
     ),
+    'kinds_used_up': (
+        {'hazards.dynamics': 'learn', 'true.hazards.dynamics': 'used_up'},
+        lambda made, _: moves(made),
+    ),
+    'kinds_moving': (
+        {
+            'hazards.dynamics': 'learn', 'learn': ['lethality'],
+            'true.hazards.dynamics': 'moving', 'true.hazards.move': 0.1,
+        },
+        lambda made, _: {*made[-1].parameters} == {'lethality', 'vanish', 'move'},
+    ),
     'sampled': (LEARNING, lambda made, _: {*made[-1].parameters} == {*LEARNING['learn']}),
     'clustered': ({'prior.clustering': 'learn', **LEARNING}, lambda made, _: made),
     'eight': (

@@ -59,10 +59,20 @@ def with_defaults(parameters):
     return {parameter.name: parameter.default for parameter in TABLE} | parameters
 
 
+def true_values(parameters):
+    """Return what agents alone are told, by names that begin with true."""
+    return {
+        name.removeprefix('true.'): value
+        for name, value in parameters.items()
+        if name.startswith('true.')
+    }
+
+
 def core_mission(parameters):
     """Return the deployments that core makes with these parameters."""
     values = with_defaults(parameters)
     grid = grid_of(values)
+    true_dynamics = dynamics_of({**values, **true_values(parameters), 'learn': ()})
     rng = np.random.default_rng(values['seed'])
     world = World.random(
         grid,
@@ -85,7 +95,7 @@ def core_mission(parameters):
             values['allocation'],
             tuple(robot_types_of(values, grid).values()),
         ),
-        truth=Truth(execution=execution_of(values)),
+        truth=Truth(execution=execution_of(values), dynamics=true_dynamics),
         learning=Learning(unknowns_of(values), values['seed'], clustering_of(values, grid)),
         dynamics=dynamics_of(values),
         goal=goal_of(values, grid),
