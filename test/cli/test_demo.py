@@ -104,7 +104,7 @@ def mission_of(robots, grid, lethality, seed, options, **others):
     rng = np.random.default_rng(seed)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     prior, model = Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(lethality)
-    method = 'kappa_bnitp_sampled'
+    method = 'kappa_bnitp'
     return world, run_mission(grid, prior, model, world, robots, rng, method, options, **others)
 
 
@@ -323,17 +323,17 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))
     assert plain[node].keys() == given[node].keys()
     differing = {name for name, value in plain[node].items() if given[node][name] != value}
-    expected = {'planner': {'return_deadline'}, 'estimator': {'method', 'learn'}}
+    expected = {'planner': {'return_deadline'}, 'estimator': {'learn'}}
     assert differing == expected.get(node, set())
 
 
 @for_each('options, method, learn', [
-    ([], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
+    ([], 'kappa_bnitp', ('lethality', 'hazard_density')),
     (['--method', 'kappa_bnitp_sampled'], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
-    (['--method', 'relaxed_itp'], 'relaxed_itp', ()),
-    (['--set', 'estimator:method=kappa_bnitp'], 'kappa_bnitp', ()),
-    (['--set', 'learn=[]'], 'kappa_bnitp_sampled', ()),
-    (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp_sampled', ('kappa', 'malfunction')),
+    (['--method', 'relaxed_itp'], 'relaxed_itp', ('lethality', 'hazard_density')),
+    (['--set', 'estimator:method=relaxed_bnitp'], 'relaxed_bnitp', ()),
+    (['--set', 'learn=[]'], 'kappa_bnitp', ()),
+    (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp', ('kappa', 'malfunction')),
 ])  # fmt: skip
 def test_lethality_and_hazard_density_are_learnt_unless_something_else_is_said(
     options, method, learn
@@ -470,7 +470,7 @@ def reports_in(log):
     (['--agents', '0'], 'agents is 0.*at least 1'),
     (['--agents', '17', '--size', '4'], 'agents has 17 names.*16 free cells'),
     (['--agents', '101', '--size', '20'], 'agents has 101 names: there can be at most 100'),
-    (['--size', '600'], 'sampling 360000 cells takes about .* GB.*: take a smaller field, or'),
+    (['--size', '600'], 'learning numbers on 360000 cells takes about .* GB.*: take a smaller'),
     (['--size', '600', '--max-steps', '1200'], 'max_steps = 1200.*takes about .* GB.*: lower one'),
     (['--max-steps', '10000', '--set', 'max_visits=10000'], 'max_visits = 10000 takes about .*GB'),
     (['--set', 'robots'], '--set robots: it must be NAME=VALUE or NODE:NAME=VALUE'),

@@ -52,6 +52,12 @@ MOVES = 3
 # Particles drawn, as a multiple, where the evidence is impossible for all that there are.
 MORE = 8
 
+# Copies of all joints in memory: particles drawn anew, banks to replay from, and moves.
+COPIES = MORE + 24
+
+# Memory that a bank may take, bytes.
+MAX_MEMORY = 4 << 30
+
 # Groups of particles whose beliefs are compared to find the sampling error.
 GROUPS = 8
 
@@ -106,6 +112,7 @@ class Bank:
         self._evidence: tuple[Evidence, ...] = ()
         enough = FEW if len(priors) < 4 else MANY
         self._count = count or (enough if priors else 1)
+        check_memory(belief.cells, self._count)
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         self._joints = self._first_joints(self._numbers)
         # Of all outcomes so far, and of those since the particles were drawn.
@@ -374,6 +381,16 @@ def prior_maps(belief: Belief) -> dict[str, Map]:
             ('target_background', background, safe > 0.0),
         )
     }
+
+
+def check_memory(cells: int, particles: int) -> None:
+    """Check that the filters of a field can have the memory that they take."""
+    estimate = 32 * cells * particles * COPIES
+    if particles > 1 and estimate > MAX_MEMORY:
+        raise ValueError(
+            f'learning numbers on {cells} cells takes about {estimate / 1e9:.1f} GB, and '
+            f'{MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or learn nothing'
+        )
 
 
 def prior_density(belief: Belief) -> float:
