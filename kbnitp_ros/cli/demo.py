@@ -39,6 +39,7 @@ from kbnitp_ros.configuration import (
     own_name,
     parameters_of,
     robot_types_of,
+    true_dynamics,
     value_for,
 )
 from kbnitp_ros.configuration.given import read_sections, values_for
@@ -102,8 +103,8 @@ OPTIONS = {
 HELD = {'publish_truth': True, 'recorded': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
-# What is believed of a sensor may differ from the truth, and each node awaits others.
-MAY_DIFFER = ('sensor.', 'await_nodes')
+# What is believed of sensors and hazards may differ from the truth, and each node awaits others.
+MAY_DIFFER = ('sensor.', 'hazards.', 'await_nodes')
 
 DESCRIPTION = """
 Run a whole mission with real nodes, each a process of its own: deploy the robots, record the
@@ -297,6 +298,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     agents_of(simulated, grid)
     check_search(parameters['planner'], grid, robot_types_of(estimator, grid))
     execution_of(simulated)
+    true_dynamics(simulated)
     if simulated['world.file']:
         read_world(simulated['world.file'], grid)
     estimator_of(estimator, grid)

@@ -26,6 +26,7 @@ from kbnitp_ros.configuration.models import (
     dynamics_of,
     execution_of,
     sensor_model_of,
+    true_dynamics,
     unknowns_of,
 )
 from kbnitp_ros.configuration.names import nearest, own_name
@@ -80,6 +81,7 @@ __all__ = [
     'search_options',
     'sensor_model_of',
     'stop_of',
+    'true_dynamics',
     'type_to_plan',
     'unknowns_of',
     'value_for',

@@ -73,6 +73,19 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
         raise ValueError(f'parameter hazards.{error}') from error
 
 
+def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
+    """Return how hazards change for simulated agents: their kind and rates must be known."""
+    dynamics = dynamics_of(values)
+    try:
+        dynamics.known_rates()
+    except ValueError as error:
+        raise ValueError(
+            f'parameter hazards.{error}, for agents; give the estimator another one, such as '
+            'estimator:hazards.dynamics=learn'
+        ) from error
+    return dynamics
+
+
 def clustering_of(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
     """Return how hazards cluster by these parameters; None if they are independent."""
     coupling = values['prior.clustering']

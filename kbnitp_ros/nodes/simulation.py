@@ -10,10 +10,10 @@ from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import (
     agents_of,
     base_of,
-    dynamics_of,
     execution_of,
     robot_types_of,
     sensor_model_of,
+    true_dynamics,
     value_for,
 )
 from kbnitp_ros.configuration.world_file import read_world
@@ -51,8 +51,7 @@ class Simulation:
         common = sensor_model_of(node.values)
         robot_types = robot_types_of(node.values, self.grid)
         self.agents = agents_of(node.values, self.grid)
-        dynamics = dynamics_of(node.values)
-        dynamics.known_rates()
+        dynamics = true_dynamics(node.values)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         self.field = HiddenField(
             self.grid,

@@ -482,6 +482,7 @@ def reports_in(log):
     (['--set', 'robots.scout_1.steps=3'], 'to every node: did you mean robots.scout_1.max'),
     (['--set', 'agent:robots.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of agent'),
     (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
+    (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', which is no kind that"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
