@@ -153,16 +153,6 @@ def joint_after_change(
     Return the cells' joints after a change of a changing field: targets stay.
 
     Equation :eq:`hazard-change`.
-
-    Parameters
-    ----------
-    joint : ndarray, shape (cells, 2, 2, ...)
-        P(Z = z, X = x) before it, and any axes of further cases.
-    possible : ndarray of bool, shape (cells,)
-        Which cells may have a hazard; the others stay free of it.
-    appear, vanish : float or ndarray, shape (...)
-        The rates, one for each case.
-
     """
     safe, hazardous = joint[possible, 0], joint[possible, 1]
     after = joint.copy()
@@ -178,16 +168,6 @@ def joint_after_moves(
     Return the cells' joints after hazards moved, cells taken for independent: targets stay.
 
     Equations :eq:`hazard-leaves`, :eq:`hazard-arrives` and :eq:`hazard-moves`.
-
-    Parameters
-    ----------
-    joint : ndarray, shape (cells, 2, 2, ...)
-        P(Z = z, X = x) before it, and any axes of further cases.
-    neighbors : ndarray of int, shape (cells, 8)
-        The cells around each that may have a hazard; the number of cells for none.
-    move : float or ndarray, shape (...)
-        The rate, one for each case.
-
     """
     hazard = joint[:, 1].sum(axis=1)
 

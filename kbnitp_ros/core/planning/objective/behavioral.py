@@ -30,19 +30,6 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
     Return the behavioral entropy of a coin that falls with a probability.
 
     Equation :eq:`behavioral-entropy`.
-
-    Parameters
-    ----------
-    probability : array_like
-        Any shape, in [0, 1].
-    alpha : float
-        Of the Prelec weight, above 0. Up to 1 the entropy is concave.
-
-    Returns
-    -------
-    ndarray
-        Of the same shape, from 0 to ln 2, nats.
-
     """
     p = np.asarray(probability, dtype=np.float64)
     beta = beta_of(alpha)
@@ -73,23 +60,7 @@ def powers_of(alpha: float, outcomes: int) -> int:
 
 
 def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """
-    Return the weights with which the powers of a label make the entropy left in its outcome.
-
-    Parameters
-    ----------
-    alpha : float
-        Of the Prelec weight.
-    chance : ndarray, shape (outcomes,)
-        Of each outcome of the robots sent before.
-
-    Returns
-    -------
-    ndarray, shape (powers,)
-        With behavioral entropies, first of the powers of the survival given the hazards; then of
-        those of the survival in each outcome, whose entropy is not left open but found out.
-
-    """
+    """Return the weights with which the powers of a label make the entropy left in its outcome."""
     if alpha == SHANNON:
         return SHANNONS
     weights = weights_of(alpha)

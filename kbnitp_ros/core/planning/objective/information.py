@@ -33,21 +33,6 @@ def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]
     Return the log of the chance that a robot comes back, with the hazards as believed.
 
     Equation :eq:`path-survival`.
-
-    Parameters
-    ----------
-    belief : Belief
-        Before the deployment.
-    model : SensorModel
-        What the robot is believed to be like.
-    path : ndarray of int, shape (steps + 1,)
-        The cells in order.
-
-    Returns
-    -------
-    float
-        log P0 = sum_i log S_i, in [-inf, 0].
-
     """
     visits = Visits.of(path)
     hazard = belief.hazard[visits.cells]
@@ -152,28 +137,6 @@ def added_information(
     Their readings of a cell and the path's own count together, less what theirs tell alone. Two
     things are approximated: that losses tie cells together is forgotten, and what the earlier
     robots' readings tell of hazards does not make the path's own outcome any surer.
-
-    Parameters
-    ----------
-    belief, model, path
-        As of `path_information`, before all of these deployments.
-    outcomes : JointOutcomes
-        Of the robots before.
-    alpha : float
-        Of the Prelec weight: if it is not 1, entropies are behavioral.
-    interest : ndarray, shape (cells,), optional
-        What counts of the readings in each cell; all, unless given.
-
-    Returns
-    -------
-    float
-        Nats.
-
-    Raises
-    ------
-    ValueError
-        If the path has no step or leaves the belief's cells.
-
     """
     ahead = predict(belief, model, path, outcomes)
     counts = ahead.visits.counts

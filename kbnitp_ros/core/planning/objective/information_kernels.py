@@ -76,22 +76,6 @@ def new_readings(
     The sum over states e of P(e) * (I(X; Y in e and n more) - I(X; Y in e)), given the n visits
     survived. A state is how many readings each camera has brought; readings enter through their
     counts of positives, which are sufficient.
-
-    Parameters
-    ----------
-    readings : Readings
-        What the robot may read.
-    joint : ndarray, shape (cells, 2, 2)
-        P(Z = z, X = x), indexed [cell, z, x].
-    earlier : ndarray, shape (cells, earlier states)
-        P(earlier readings).
-    visits : ndarray of int, shape (cells,)
-        n of each cell.
-    alpha, beta : float
-        Of the Prelec weight.
-    information : ndarray, shape (cells,)
-        The result, nats; 0 where n visits cannot be survived.
-
     """
     for cell in range(joint.shape[0]):
         n, survival = visits[cell], readings.survival
@@ -140,21 +124,6 @@ def exposed(
     Equation :eq:`exposures`.
 
     The hazards decide the number of exposures c, and with it P(survive | z) = s0^(steps - c) s1^c.
-
-    Parameters
-    ----------
-    steps : ndarray of int, shape (steps,)
-        The cell that each step leads to.
-    hazard : ndarray, shape (cells,)
-        P(Z = 1).
-    log_safe, log_deadly : float
-        log s0 and log s1, in [-inf, 0].
-
-    Returns
-    -------
-    Exposures
-        For each c from 0 to the number of steps; P(c) is a Poisson-binomial distribution.
-
     """
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
@@ -234,14 +203,6 @@ def outcome_left_open(exposures: Exposures, alpha: float, beta: float) -> float:
     Return the expected behavioral entropy of a robot's return once the hazards are known.
 
     The second term of equation :eq:`behavioral-information`.
-
-    Parameters
-    ----------
-    exposures : Exposures
-        Of the robot's path.
-    alpha, beta : float
-        Of the Prelec weight.
-
     """
     chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0

@@ -73,22 +73,7 @@ class JointOutcomes:
         return self.states // own * (own + visits)
 
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """
-        Return the joints and the readings of any cells.
-
-        Parameters
-        ----------
-        cells : ndarray of int, shape (k,)
-            In any order.
-
-        Returns
-        -------
-        joint : ndarray, shape (outcomes, k, 2, 2)
-            As the attribute.
-        readings : ndarray, shape (outcomes, k, states)
-            As the attribute, the counts of all cameras along one axis.
-
-        """
+        """Return the joints and the readings of any cells."""
         outcomes = self.probability.size
         joint = np.tile(self.belief.joint[cells], (outcomes, 1, 1, 1))
         readings = np.zeros((outcomes, cells.size, self.states))
@@ -122,21 +107,6 @@ def after_deployment(
     Each splits in two. A return is assimilated exactly; of a loss the cells keep their exact
     marginals but not their dependence. Of more than `MOST_OUTCOMES` the least probable
     become one, each cell their average.
-
-    Parameters
-    ----------
-    outcomes : JointOutcomes
-        Of the robots before.
-    model : SensorModel
-        What this robot is believed to be like.
-    path : array_like of int, shape (steps + 1,)
-        Its cells in order.
-
-    Returns
-    -------
-    JointOutcomes
-        Their probabilities sum to 1 but for rounding.
-
     """
     visits = Visits.of(as_path(path))
     cells = np.union1d(outcomes.cells, visits.cells)

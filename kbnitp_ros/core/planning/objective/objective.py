@@ -50,15 +50,7 @@ class Objective:
     def alone(
         cls, grid: Grid, belief: Belief, model: SensorModel, options: SearchOptions
     ) -> Objective:
-        """
-        Return the objective of a robot that goes alone.
-
-        Raises
-        ------
-        ValueError
-            If the belief has another number of cells than the grid.
-
-        """
+        """Return the objective of a robot that goes alone."""
         if belief.cells != grid.cells:
             raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
         interest, nobody = np.ones(belief.cells), nobody_deployed(belief)

@@ -51,15 +51,7 @@ class Prediction:
 def predict(
     belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
 ) -> Prediction:
-    """
-    Predict the outcome of a deployment after those of `outcomes`.
-
-    Raises
-    ------
-    ValueError
-        If the path has no step or leaves the belief's cells.
-
-    """
+    """Predict the outcome of a deployment after those of `outcomes`."""
     cells = as_path(path)
     if cells.min() < 0 or cells.max() >= belief.cells:
         raise ValueError(

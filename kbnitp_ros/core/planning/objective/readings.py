@@ -42,15 +42,7 @@ def most_counted(cameras: int) -> int | None:
 
 
 def check_cameras(cameras: int) -> None:
-    """
-    Check that it can be planned for robots with so many different cameras.
-
-    Raises
-    ------
-    ValueError
-        If they are too many.
-
-    """
+    """Check that it can be planned for robots with so many different cameras."""
     if cameras > MOST_CAMERAS:
         raise ValueError(
             f'the robots have {cameras} different cameras: paths can be planned for at most '
@@ -60,19 +52,7 @@ def check_cameras(cameras: int) -> None:
 
 @lru_cache(maxsize=8)
 def readings_of(model: SensorModel, visits: int, earlier: Most) -> Readings:
-    """
-    Return what up to `visits` readings of a robot, and those of others before, may be.
-
-    Parameters
-    ----------
-    model : SensorModel
-        What the robot is believed to be like.
-    visits : int
-        At least 0.
-    earlier : tuple of (Camera, int)
-        The cameras of the others, and the most readings by each.
-
-    """
+    """Return what up to `visits` readings of a robot, and those of others before, may be."""
     own = Camera.of(model)
     most = dict(earlier)
     before = tuple(count + 1 for count in most.values())
@@ -108,28 +88,7 @@ def new_information(
     visits: NDArray[np.intp],
     alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
-    """
-    Return what a robot that survives n visits reads of cells on top of earlier readings.
-
-    Parameters
-    ----------
-    readings : Readings
-        What the robot may read.
-    joint : ndarray, shape (..., cells, 2, 2)
-        P(Z = z, X = x).
-    earlier : ndarray, shape (..., cells, earlier states)
-        P(earlier readings).
-    visits : ndarray of int, shape (cells,)
-        n, with a reading each.
-    alpha : float
-        Of the Prelec weight: if it is not 1, the fall of the targets' behavioral entropies.
-
-    Returns
-    -------
-    ndarray, shape (..., cells)
-        Nats; 0 where n visits cannot be survived.
-
-    """
+    """Return what a robot that survives n visits reads of cells on top of earlier readings."""
     found = np.empty(joint.shape[:-2])
     new_readings(
         readings,

@@ -593,30 +593,6 @@ def search(
             \ell \in L_{t-1}(j), \; j \sim i \bigr\}, \qquad L_0 = \{ \text{base} \},
 
     where :math:`\ell \oplus i` is label :math:`\ell` after one more visit, to cell i (`visit`).
-
-    Parameters
-    ----------
-    problem : LabelProblem
-        The cells, and the value of labels.
-    width : int
-        How many labels each cell may have.
-    by_heuristic_rows : int
-        See above, less than `width`.
-    least : float
-        The value of a known path, in units: labels that no better path begins with are dropped.
-        -inf to drop none.
-    moments : ndarray, shape (sum of within, powers + 5)
-        Those of `Completions`. They are read if there are rows by heuristic, and otherwise
-        written; no rows if there is none to be known.
-
-    Returns
-    -------
-    origins : ndarray of int, shape (sum of within, width)
-        By steps and then cells, and by rows: where each label comes from, as in `Ranking`; -1 for
-        no label.
-    values : ndarray, shape (max_steps + 1, width)
-        Of the labels at the base, in units; -inf for none.
-
     """
     reach, gains = problem.reach, problem.gains
     within, neighbors = reach.within, reach.neighbors

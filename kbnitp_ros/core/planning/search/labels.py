@@ -49,29 +49,6 @@ def best_paths(
     value and count once. A local search then replaces cells in a row of the best two paths.
     A search of width 1 does nothing of this: there is one label for each cell and step, as in the
     paper.
-
-    Parameters
-    ----------
-    grid : Grid
-        Gives the base and who neighbours whom.
-    objective : Objective
-        Of the robot.
-    options : SearchOptions
-        Of which the search reads `max_steps`, `max_distance` and `max_visits`.
-    width : int
-        A quarter as many labels of each cell and step are kept.
-
-    Returns
-    -------
-    list of Candidate
-        Ranked by the exact objective, the best first, then the shortest. The same belief gives the
-        same paths.
-
-    Raises
-    ------
-    ValueError
-        If the search would take too much memory.
-
     """
     labels = LabelSearch(grid, objective, options, width)
     values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
@@ -203,29 +180,7 @@ def check_memory(
     further: int,
     powers: int,
 ) -> None:
-    """
-    Check that a search can have the memory that it takes.
-
-    Parameters
-    ----------
-    reach : Reach
-        Of the paths.
-    options : SearchOptions
-        As of `best_paths`.
-    width : int
-        Likewise.
-    outcomes, earlier, further : int
-        How many outcomes the robots before have, how many numbers of readings of a cell they may
-        bring, and how many there are with those of the robot that is planned for.
-    powers : int
-        How many a label carries.
-
-    Raises
-    ------
-    ValueError
-        With an estimate, if it is more than `MAX_MEMORY`.
-
-    """
+    """Check that a search can have the memory that it takes."""
     number = 8
     max_steps, max_visits = options.max_steps, options.max_visits
     visits, rows = min(max_visits, max_steps), max(1, width // 4)
@@ -251,17 +206,7 @@ def check_memory(
 
 
 def scattered(cells: int, bits: int) -> NDArray[np.int64]:
-    """
-    Return a mark for each cell whose sums tell apart how often each was visited (splitmix).
-
-    Parameters
-    ----------
-    cells : int
-        How many.
-    bits : int
-        Of a mark, such that no sum overflows.
-
-    """
+    """Return a mark for each cell whose sums tell apart how often each was visited (splitmix)."""
     x = np.arange(1, cells + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -228,23 +228,6 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
     Replace up to so many cells in a row of a closed path while that makes it better.
 
     They are replaced by the best of up to so many with which the path keeps to its length.
-
-    Parameters
-    ----------
-    problem : LabelProblem
-        As for `search`.
-    path : ndarray of int, shape (max_steps + 1,)
-        Ranks of the cells, the first steps + 1 of them; it is changed.
-    steps : int
-        Of the path.
-    most_between : int
-        How many cells.
-
-    Returns
-    -------
-    int
-        The steps it has now.
-
     """
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between

@@ -182,15 +182,7 @@ class PathFinder(Value):
 
 
 def check_distance(grid: Grid, options: SearchOptions) -> None:
-    """
-    Check that a robot can leave the base and come back within the distance.
-
-    Raises
-    ------
-    ValueError
-        If the distance allows no step, though the number of steps does.
-
-    """
+    """Check that a robot can leave the base and come back within the distance."""
     within_steps = grid.in_reach(options.max_steps)
     within_both = grid.in_reach(options.max_steps, options.max_distance)
     if within_steps.sum() > 1 and within_both.sum() == 1:
@@ -204,15 +196,7 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
 
 
 def visits_before(grid: Grid, given: NDArray[np.intp]) -> NDArray[np.intp]:
-    """
-    Return how often earlier paths entered each cell, shape (cells,); nothing given: never.
-
-    Raises
-    ------
-    ValueError
-        If they are not whole numbers from 0, one for each cell.
-
-    """
+    """Return how often earlier paths entered each cell, shape (cells,); nothing given: never."""
     if given.size == 0:
         return np.zeros(grid.cells, dtype=np.intp)
     if given.shape != (grid.cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
@@ -267,15 +251,7 @@ Planner = Callable[[PathFinder, Objective], list[Candidate]]
 
 
 def as_planner(given: object) -> Planner:
-    """
-    Return a planner that is to be registered.
-
-    Raises
-    ------
-    TypeError
-        If it is none.
-
-    """
+    """Return a planner that is to be registered."""
     takes(given, ('finder', 'objective'))
     return cast(Planner, given)
 

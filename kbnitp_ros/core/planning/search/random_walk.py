@@ -23,21 +23,6 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
     Each step is drawn in proportion to the number of ways home that it leaves, so that all closed
     walks of this length are equally likely; of a cell that was entered `max_visits` times, no step
     leads into it. Where no walk of the length comes about, it is a step shorter.
-
-    Parameters
-    ----------
-    reach : Reach
-        Where the walk may lead.
-    max_visits : int
-        How often it may enter a cell.
-    rng : numpy.random.Generator
-        The source of randomness.
-
-    Returns
-    -------
-    ndarray of int, shape (steps + 1,)
-        Cells, the base first and last.
-
     """
     ways = ways_home(reach)
     for steps in range(reach.within.size - 1, 1, -1):
@@ -83,15 +68,7 @@ def one_walk(
 
 
 def check_walk_memory(reach: Reach) -> None:
-    """
-    Check that the ways home can have the memory that they take.
-
-    Raises
-    ------
-    ValueError
-        With an estimate, if it is more than `MOST_MEMORY`.
-
-    """
+    """Check that the ways home can have the memory that they take."""
     estimate = 8 * reach.within.size * reach.cells.size
     if estimate > MOST_MEMORY:
         raise ValueError(

@@ -29,26 +29,7 @@ def nearest(steps: NDArray[np.intp]) -> NDArray[np.intp]:
 def tour(
     grid: Grid, options: SearchOptions, visited: NDArray[np.intp], order: Order
 ) -> NDArray[np.intp]:
-    """
-    Return a closed path through cells that were visited least, each by the shortest way.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    options : SearchOptions
-        Of which `max_steps` and `max_visits` limit the path.
-    visited : ndarray of int, shape (cells,)
-        How often earlier paths entered each cell.
-    order : callable
-        Which of them is next.
-
-    Returns
-    -------
-    ndarray of int, shape (steps + 1,)
-        Cells, the base first and last. It goes on as long as it can be home in time.
-
-    """
+    """Return a closed path through cells that were visited least, each by the shortest way."""
     max_steps, max_visits = options.max_steps, options.max_visits
     wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
     wanted[grid.base] = False

@@ -23,15 +23,7 @@ Allocation = Callable[[Sequence[TeamMember]], tuple[list[NDArray[np.intp]], Regi
 
 
 def as_allocation(given: object) -> Allocation:
-    """
-    Return an allocation that is to be registered.
-
-    Raises
-    ------
-    TypeError
-        If it is none.
-
-    """
+    """Return an allocation that is to be registered."""
     takes(given, ('robots',))
     return cast(Allocation, given)
 
@@ -50,15 +42,7 @@ ALLOCATIONS = Registry(
 def allocated(
     allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
 ) -> tuple[list[NDArray[np.intp]], Regions | None]:
-    """
-    Return a path for each robot, and the regions if the allocation divides the field.
-
-    Raises
-    ------
-    PluginError
-        If an allocation of another package breaks its rules.
-
-    """
+    """Return a path for each robot, and the regions if the allocation divides the field."""
     with ALLOCATIONS.blamed(allocation):
         paths, regions = ALLOCATIONS.find(allocation)(robots)
         if allocation not in ALLOCATIONS.own:

@@ -12,24 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
-    """
-    Return the region that a path is sent to, and smaller ones in its place.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    path : array_like of int, shape (steps + 1,)
-        Its cells.
-
-    Returns
-    -------
-    list of ndarray of int
-        Its far half, those cells of it that are more than half as many steps from its base as its
-        farthest one, with the cells around them that are so, too; its far half alone; its farthest
-        cell with those around it; that cell alone. Each ascending, without the bases of others.
-
-    """
+    """Return the region that a path is sent to, and smaller ones in its place."""
     cells = np.unique(np.asarray(path, dtype=np.intp))
     steps = grid.at(int(np.asarray(path)[0])).steps_to_base
     farthest = cells[[np.argmax(steps[cells])]]

@@ -62,23 +62,6 @@ def divide(
     cells that are fewer steps from it than from the others; one after the other gets the weight at
     which its region holds an even share, until none changes, and the evenest of the divisions on
     the way is returned.
-
-    Parameters
-    ----------
-    grids : sequence of Grid
-        The field, for each region with the base of its robot.
-    cells : ndarray of int, shape (n,)
-        What to divide, ascending.
-    entropy : ndarray, shape (n,)
-        What each of them has to share out, at least 0.
-    reach : ndarray of bool, shape (n, regions)
-        Whether it may be in each region; in one at least. There may be empty ones.
-
-    Returns
-    -------
-    Regions
-        The same arguments give the same regions.
-
     """
     width, parts = grids[0].width, reach.shape[1]
     row, col = np.divmod(cells, width)
