@@ -142,7 +142,7 @@ def rate_of(name: str, given: Rate) -> float | Beta:
 
 
 def appearance(vanish: Any, density: Any) -> Any:
-    """Return the rate of appearing that keeps a share of hazards, a number or an array."""
+    """Return the rate of appearing that keeps a share of hazards (:eq:`tied-appearance`)."""
     return np.minimum(vanish * density / (1.0 - density), 1.0)
 
 
