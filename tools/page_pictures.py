@@ -3,7 +3,8 @@
 Take the pictures of a report that the documentation shows.
 
 ``python3 tools/page_pictures.py REPORT DOCS/images`` takes them of REPORT/report.html in a
-browser, Chromium or Chrome, and of REPORT/maps.png.
+browser, Chromium or Chrome, and of REPORT/maps.png. ``python3 tools/page_pictures.py REPORT
+DOCS/images KINDS`` also takes the answer of KINDS/report.html on whether the model fits.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ WIDTH, HEIGHT = 1280, 900
 EARLY = 11
 
 
-def main(report: Path, images: Path) -> None:
+def main(report: Path, images: Path, kinds: Path | None = None) -> None:
     """Take all pictures."""
     with sync_playwright() as playwright:
         program = next(filter(None, map(shutil.which, BROWSERS)))
@@ -36,6 +37,9 @@ def main(report: Path, images: Path) -> None:
         page.locator('#moment').blur()
         take_maps(page, images / 'page_early.png')
         take_maps(opened(browser, report, 'dark'), images / 'page_dark.png')
+        if kinds is not None:
+            tile = opened(browser, kinds, 'light').locator('#answers article', has_text='model fit')
+            tile.screenshot(path=images / 'page_kinds.png')
         browser.close()
     with Image.open(report / 'maps.png') as maps:
         maps.thumbnail((1600, 1600))
