@@ -126,7 +126,11 @@ class Bank:
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Weigh the particles by the evidence of one more deployment; resample them if due."""
         check_cells(self._prior, observation)
-        evidence, has_begun = Evidence.of(observation, robot_type), bool(self._evidence)
+        self.take(Evidence.of(observation, robot_type))
+
+    def take(self, evidence: Evidence) -> None:
+        """Assimilate a deployment that is counted already, as several banks may share it."""
+        has_begun = bool(self._evidence)
         rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
         numbers, log_likelihood, log_weights = (
             self._numbers,

@@ -20,7 +20,7 @@ from kbnitp_ros.core.field import (
 from kbnitp_ros.core.inference.bank import Bank, learnt_from, log_sum
 from kbnitp_ros.core.inference.filtering import check_cells
 from kbnitp_ros.core.inference.filtering.evidence import IMPOSSIBLE
-from kbnitp_ros.core.inference.particle_filter import Floats, RATES
+from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, RATES
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,12 +75,16 @@ class Kinds:
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Weigh the kinds by the evidence of one more deployment."""
         check_cells(self._prior, observation)
+        self.take(Evidence.of(observation, robot_type))
+
+    def take(self, evidence: Evidence) -> None:
+        """Assimilate a deployment that is counted already."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
         for (kind, bank), weight in zip(self._banks.items(), self._weights):
             if kind not in ruled_out:
                 banks[kind] = bank = bank.copy()
                 try:
-                    bank.assimilate(observation, robot_type)
+                    bank.take(evidence)
                 except ValueError:
                     ruled_out.add(kind)
                 else:

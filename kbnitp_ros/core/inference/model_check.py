@@ -23,7 +23,7 @@ from kbnitp_ros.core.field import (
 )
 from kbnitp_ros.core.inference.bank import Bank, log_sum
 from kbnitp_ros.core.inference.kinds import Kinds
-from kbnitp_ros.core.inference.particle_filter import Floats, READING_SHIFTS
+from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
 # The average ratio at which the model is in doubt.
@@ -120,16 +120,16 @@ class Checker:
         self, observation: Observation, robot_type: RobotType, predicted: Floats | None
     ) -> Checker:
         """Return the checker after one more deployment, with what the belief `predicted` of it."""
-        other = copy(self)
+        other, evidence = copy(self), Evidence.of(observation, robot_type)
         other._count += 1
         if self._own is not None:
             other._own = self._own.copy()
-            other._own.assimilate(observation, robot_type)
+            other._own.take(evidence)
             predicted = other._own.predicted[-1]
         assert predicted is not None
         other._alternatives, ratios = {}, []
         for name, bank in self._alternatives.items():
-            other._alternatives[name] = bank = assimilated(bank, observation, robot_type)
+            other._alternatives[name] = bank = taken(bank, evidence)
             ratios.append(-np.inf if bank is None else bank.predicted[-1][0] - predicted[0])
         log_return, *log_shifted = predicted[1:]
         for shift in RETURN_SHIFTS:
@@ -173,15 +173,13 @@ class Checker:
         return ModelCheck(self._turned_at is not None, ratios, reason)
 
 
-def assimilated(
-    bank: Bank | Kinds | None, observation: Observation, robot_type: RobotType
-) -> Bank | Kinds | None:
+def taken(bank: Bank | Kinds | None, evidence: Evidence) -> Bank | Kinds | None:
     """Return an alternative after one more deployment; None if the evidence rules it out."""
     if bank is None:
         return None
     after = bank.copy()
     try:
-        after.assimilate(observation, robot_type)
+        after.take(evidence)
     except ValueError:
         return None
     return after
