@@ -38,8 +38,8 @@ def main(report: Path, images: Path, kinds: Path | None = None) -> None:
         take_maps(page, images / 'page_early.png')
         take_maps(opened(browser, report, 'dark'), images / 'page_dark.png')
         if kinds is not None:
-            tile = opened(browser, kinds, 'light').locator('#answers article', has_text='model fit')
-            tile.screenshot(path=images / 'page_kinds.png')
+            tiles = opened(browser, kinds, 'light').locator('#answers article')
+            tiles.filter(has_text='model fit').screenshot(path=images / 'page_kinds.png')
         browser.close()
     with Image.open(report / 'maps.png') as maps:
         maps.thumbnail((1600, 1600))
