@@ -65,6 +65,11 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
         for name, prior in priors_of(values).items() if 'learn' in values else ():
             if name in values['learn'] and rates.get(name):
                 raise ValueError(f'{name} is {rates[name]}, and learn has it: leave it at 0')
+            own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
+            if name in values['learn'] and kind not in (own, 'learn'):
+                raise ValueError(
+                    f'dynamics is {kind}, and learn has {name}: only {own} hazards have it'
+                )
             is_open = kind == 'learn' and not rates.get(name)
             if name in rates and (is_open or name in values['learn']):
                 rates[name] = prior
