@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from kbnitp_ros.core.field import (
@@ -125,11 +126,15 @@ class Estimator:
         make: Callable[..., Inference] = start
         self.version = start.version
         self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
+        # Made when it is first asked for, since studies never do.
+        self._make_checker: Callable[[], Checker] | None = None
         self._checker: Checker | None = None
         self._checked_deployments = 0
         if isinstance(start, OnePass) and start.bank is not None:
             prior = belief if start.correlated else belief.independent()
-            self._checker = Checker(prior, model, unknowns, self.seed, dynamics, start.correlated)
+            self._make_checker = partial(
+                Checker, prior, model, unknowns, self.seed, dynamics, start.correlated
+            )
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(
@@ -188,9 +193,11 @@ class Estimator:
         Of 'kappa_bnitp' and 'relaxed_itp'; other methods have no alternatives. Moving hazards
         hardly show in returns: the check may not see them.
         """
-        if self._checker is None:
+        if self._make_checker is None:
             name = name_of(self.method)
             return ModelCheck(False, {}, f'{name} is not checked: kappa_bnitp and relaxed_itp are')
+        if self._checker is None:
+            self._checker = self._make_checker()
         predicted = getattr(self._inference, 'predicted', None)
         while self._checked_deployments < len(self._evidence):
             place = self._checked_deployments

@@ -32,8 +32,9 @@ IN_DOUBT = 20.0
 # Factors of the odds of a return.
 RETURN_SHIFTS = (2.0, 0.5)
 
-# Particles of an alternative that leaves a number open.
-PARTICLES = 64
+# Most particles of an alternative that leaves a number open, and most of them times cells: fewer
+# particles in a large field find less, and keep the check as fast as the search.
+PARTICLES, MAX_CELLS = 64, 60_000
 
 WORDS = {
     'static': 'static hazards',
@@ -92,7 +93,7 @@ class Checker:
         def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank | Kinds:
             make = Kinds if dynamics.kind == 'learn' else Bank
             is_open = unknowns.priors or dynamics.unknown_rates
-            count = PARTICLES if is_open else None
+            count = min(PARTICLES, max(2, MAX_CELLS // belief.cells)) if is_open else None
             return make(belief, model, unknowns, seed, dynamics, correlated, count)
 
         self._own: Bank | Kinds | None = None
