@@ -32,7 +32,7 @@ def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
 
 
 def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
-    """Return what these parameters say of numbers and rates that can be learnt, by name."""
+    """Return the priors of learnable numbers and rates, by name."""
     learn = values['learn']
     if len(set(learn)) < len(learn):
         raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
@@ -79,7 +79,7 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
 
 
 def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
-    """Return how hazards change for simulated agents: their kind and rates must be known."""
+    """Return the true dynamics of hazards; refuse an unknown kind or rate."""
     dynamics = dynamics_of(values)
     try:
         dynamics.known_rates()

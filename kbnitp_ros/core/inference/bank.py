@@ -129,7 +129,7 @@ class Bank:
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence) -> None:
-        """Assimilate a deployment that is counted already, as several banks may share it."""
+        """Assimilate a counted deployment, which several banks may share."""
         has_begun = bool(self._evidence)
         rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
         numbers, log_likelihood, log_weights = (
@@ -404,7 +404,7 @@ def prior_density(belief: Belief) -> float:
 
 
 def learnt_from(prior: Beta, values: Floats, weights: Floats, effective: float) -> Learnt:
-    """Return what weighted values tell of a number."""
+    """Return the posterior of a number from weighted particles."""
     order = np.argsort(values, kind='stable')
     ascending = values[order]
     edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]

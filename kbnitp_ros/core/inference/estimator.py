@@ -173,7 +173,7 @@ class Estimator:
 
     @property
     def probable_dynamics(self) -> Dynamics:
-        """Return how hazards most probably change: of one kind, at rates as expected."""
+        """Return the most probable kind of hazards, at the mean rates."""
         probable = max(self.kinds, key=lambda kind: self.kinds[kind])
         dynamics = next(each for each in self.dynamics.kinds if each.kind == probable)
         rates: dict[str, Any] = {
@@ -188,7 +188,7 @@ class Estimator:
     @property
     def check(self) -> ModelCheck:
         """
-        Return whether stated alternatives predict the evidence better (:eq:`model-check`).
+        Return the evidence for alternatives to the model (:eq:`model-check`).
 
         Of 'kappa_bnitp' and 'relaxed_itp'; other methods have no alternatives. Moving hazards
         hardly show in returns: the check may not see them.

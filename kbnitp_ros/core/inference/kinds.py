@@ -78,7 +78,7 @@ class Kinds:
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence) -> None:
-        """Assimilate a deployment that is counted already."""
+        """Assimilate a counted deployment."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
         for (kind, bank), weight in zip(self._banks.items(), self._weights):
             if kind not in ruled_out:
@@ -176,6 +176,6 @@ class Kinds:
         return hazardous[order], [models[place] for place in order]
 
     def _shares(self, count: int, rng: np.random.Generator) -> list[tuple[Bank, int]]:
-        """Return how many draws to make of each bank, where any."""
+        """Return the number of draws from each bank, without zeros."""
         shares = rng.multinomial(count, self._weights)
         return [(bank, int(share)) for bank, share in zip(self._banks.values(), shares) if share]

@@ -51,7 +51,7 @@ WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changin
 @dataclass(frozen=True)
 class ModelCheck:
     """
-    What a mission's evidence says of the assumptions that its belief rests on.
+    Evidence of a mission for and against the assumptions of its belief.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ModelCheck:
         For each alternative by now the probability of all evidence, as it predicted it, over that
         of the belief's own predictions.
     reason : str
-        What is in doubt and what would explain it, or that nothing is.
+        The assumption in doubt and the best explanation, as a sentence.
 
     """
 
@@ -77,7 +77,7 @@ class Checker:
     Parameters
     ----------
     belief, model, unknowns, seed, dynamics, correlated
-        What the belief started from, as of `Bank`.
+        Start of the belief, as of `Bank`.
 
     """
 
@@ -148,7 +148,7 @@ class Checker:
 
     @property
     def result(self) -> ModelCheck:
-        """Return what the evidence so far says."""
+        """Return the check after the deployments so far."""
         names = (*self._alternatives, *SHIFTED)
         with np.errstate(over='ignore'):
             ratios = dict(zip(names, np.exp(self._log_ratios).tolist()))
