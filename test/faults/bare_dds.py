@@ -22,6 +22,7 @@ LOOPBACK = """
     <AllowMulticast>false</AllowMulticast>
   </General>
   <Discovery>
+    <LeaseDuration>1s</LeaseDuration>
     <ParticipantIndex>auto</ParticipantIndex>
     <MaxAutoParticipantIndex>31</MaxAutoParticipantIndex>
     <Peers><Peer address="127.0.0.1"/></Peers>

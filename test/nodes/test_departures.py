@@ -182,13 +182,16 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     # The planner that goes on knows that the mission is paused.
     base.do('pause', data=False)
     field.until(lambda: not base.holds[-1].data, 'end of the pause')
-    # Of a graph that cannot be read no author is known.
+    # Of a graph that cannot be read no author is known, until later.
     bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
     bare.announce('rt/hold', not_utf8('std_msgs::msg::é'))
     field.until(lambda: 'is not UTF-8' in field.said('/planner'), 'a graph that cannot be read')
     heard = len(base.holds)
     stranger.publish(Bool(data=True))
     field.until(lambda: [each.data for each in base.holds[heard:]] == [True, False], 'answer')
+    bare.leave()
+    why = 'hold refused: data is True, and this planner says False, which holds: nodes'
+    field.until(lambda: why in field.said('/planner'), 'name of the stranger')
 
 
 def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_record(field):
