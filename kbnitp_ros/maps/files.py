@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.files import read_yaml
-from kbnitp_ros.maps.errors import MapError
-from kbnitp_ros.maps.occupancy import Map, OCCUPIED, UNKNOWN
+from kbnitp_ros.maps.occupancy import Map, MapError, OCCUPIED, UNKNOWN
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from math import ceil, isfinite
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.maps.errors import MapError
 from kbnitp_ros.maps.overlap import ON_THE_EDGE, pixels_under
 import numpy as np
 from numpy.typing import NDArray
 
 UNKNOWN = -1
 OCCUPIED = 100
+
+
+class MapError(ValueError):
+    """A map that cannot be used; the text names the file and what to change."""
 
 
 @dataclass(frozen=True, eq=False)

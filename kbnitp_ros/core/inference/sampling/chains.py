@@ -4,16 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Learnt, ORDINARY, SensorModel, times_log
+from kbnitp_ros.core.field import Bins, Learnt, ORDINARY, SensorModel, times_log
 from kbnitp_ros.core.inference.sampling import gibbs_kernels as gibbs
-from kbnitp_ros.core.inference.sampling.chain_state import (
-    CHAINS,
-    ChainState,
-    Floats,
-    GROUPS,
-    Places,
-)
 from kbnitp_ros.core.inference.sampling.hypotheses import Clusters, Hypotheses
 from kbnitp_ros.core.inference.sampling.located_kernels import LARGE, weigh_by_located
 from kbnitp_ros.core.inference.sampling.number_kernels import (
@@ -32,6 +26,13 @@ from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
+CHAINS = 256
+# Chains are independent of each other, so groups of them tell how far chance takes an average.
+GROUPS = 16
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
 # Swaps proposed in a sweep.
 SWAPS = 4
 # What the log odds of readings alone may come to: it stays below what stands for certainty in a
@@ -39,6 +40,48 @@ SWAPS = 4
 CERTAIN_READING = 1e5
 # The numbers that what a chain's readings tell depends on.
 OF_READINGS = {'kappa', 'target_background', 'true_positive', 'false_positive'}
+
+
+@dataclass(frozen=True, eq=False)
+class ChainState:
+    """What each chain holds. No array is changed once it is made."""
+
+    # Shape (chains,). Which value of its bins each number has, by name.
+    place: Mapping[str, Places]
+    # Shape (held,). The cells whose hazards the chains draw, in ascending order.
+    cells: Places
+    # Shape (chains, held). Z of these.
+    hazardous: NDArray[np.int8]
+
+    @classmethod
+    def start(cls, all_bins: Mapping[str, Bins], rng: np.random.Generator) -> ChainState:
+        """Return chains that hold numbers drawn from their priors, and no cells."""
+        place = {
+            name: np.searchsorted(
+                np.cumsum(np.exp(bins.log_prior))[:-1], even(1, rng)[:, 0], 'right'
+            )
+            for name, bins in all_bins.items()
+        }
+        return cls(place, np.empty(0, np.intp), np.empty((CHAINS, 0), np.int8))
+
+    def with_cells(
+        self, cells: Places, hypotheses: Hypotheses, rng: np.random.Generator
+    ) -> ChainState:
+        """Return the state with `cells`, those that it holds among them."""
+        is_held = np.isin(cells, self.cells)
+        offset = hypotheses.offset('hazard_density', self.place)
+        probability = expit(hypotheses.maps.hazard.at(offset, cells[~is_held]))
+        hazardous = np.empty((CHAINS, cells.size), np.int8)
+        hazardous[:, is_held] = self.hazardous
+        hazardous[:, ~is_held] = even(np.count_nonzero(~is_held), rng) < probability
+        return ChainState(self.place, cells, hazardous)
+
+
+def even(numbers: int, rng: np.random.Generator) -> Floats:
+    """Return `numbers` uniform numbers a chain, each spread evenly over the chains."""
+    order = rng.permuted(np.tile(np.arange(CHAINS), (numbers, 1)), axis=1).T
+    uniform: Floats = (order + rng.random(order.shape)) / CHAINS
+    return uniform
 
 
 def log(likelihood: Floats) -> Floats:

@@ -26,8 +26,7 @@ from kbnitp_ros.core.field import (
     Unknowns,
 )
 from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.sampling.chain_state import CHAINS, ChainState
-from kbnitp_ros.core.inference.sampling.chains import Chains
+from kbnitp_ros.core.inference.sampling.chains import CHAINS, Chains, ChainState
 from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
 from kbnitp_ros.core.inference.sampling.tally import Tally
 import numpy as np
