@@ -307,7 +307,7 @@ def test_everything_can_be_given(everything, tmp_path):
     expected = run_mission(
         grid, Belief.prior(grid, 0.3, 0.4, 0.7), believed, world, 5, rng, 'kappa_bnitp',
         SearchOptions(max_steps=6, width=2, max_visits=2, loss_cost=0.5),
-        truth=Truth(SensorModel(0.7, 0.02, 0.1, 0.9, 0.1)),
+        truth=Truth(SensorModel(0.7, 0.02, 0.1, 0.9, 0.1)), learning=learning(11),
     )  # fmt: skip
     history = read_history(tmp_path / 'out')
     assert [o.path.tolist() for o in history.observations] == [
