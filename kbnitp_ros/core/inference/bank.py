@@ -163,11 +163,6 @@ class Bank:
         return float(sum(chances[0] for chances in self.predicted))
 
     @property
-    def kinds(self) -> dict[str, float]:
-        """Return the probability of each kind of hazards: that of one."""
-        return {self._dynamics.kind: 1.0}
-
-    @property
     def weights(self) -> Floats:
         """Return the probability of each particle, shape (particles,)."""
         weights: Floats = np.exp(self._log_weights - self._log_weights.max())

@@ -179,3 +179,17 @@ class Kinds:
         """Return the number of draws from each bank, without zeros."""
         shares = rng.multinomial(count, self._weights)
         return [(bank, int(share)) for bank, share in zip(self._banks.values(), shares) if share]
+
+
+def learning(
+    belief: Belief,
+    model: SensorModel,
+    unknowns: Unknowns,
+    seed: int,
+    dynamics: Dynamics,
+    correlated: bool,
+    count: int | None = None,
+) -> Bank | Kinds:
+    """Return a bank, or one for each kind of hazards where the kind is learnt."""
+    make = Kinds if dynamics.kind == 'learn' else Bank
+    return make(belief, model, unknowns, seed, dynamics, correlated, count)

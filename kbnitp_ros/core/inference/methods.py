@@ -21,14 +21,13 @@ from kbnitp_ros.core.field import (
     STATIC,
     Unknowns,
 )
-from kbnitp_ros.core.inference.bank import Bank
 from kbnitp_ros.core.inference.filtering import (
     lost_likelihood,
     multi_universe_likelihood,
     OnePass,
     published_likelihood,
 )
-from kbnitp_ros.core.inference.kinds import Kinds
+from kbnitp_ros.core.inference.kinds import learning
 from kbnitp_ros.core.inference.sampling import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
@@ -141,19 +140,6 @@ def check_able(
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')
-
-
-def learning(
-    belief: Belief,
-    model: SensorModel,
-    unknowns: Unknowns,
-    seed: int,
-    dynamics: Dynamics,
-    correlated: bool,
-) -> Bank | Kinds:
-    """Return the inference that learns numbers, or the kind of hazards as well."""
-    make = Kinds if dynamics.kind == 'learn' else Bank
-    return make(belief, model, unknowns, seed, dynamics, correlated)
 
 
 METHODS = Registry(

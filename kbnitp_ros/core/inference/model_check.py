@@ -22,7 +22,7 @@ from kbnitp_ros.core.field import (
     Unknowns,
 )
 from kbnitp_ros.core.inference.bank import Bank, log_sum
-from kbnitp_ros.core.inference.kinds import Kinds
+from kbnitp_ros.core.inference.kinds import Kinds, learning
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
@@ -91,10 +91,9 @@ class Checker:
         correlated: bool,
     ) -> None:
         def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank | Kinds:
-            make = Kinds if dynamics.kind == 'learn' else Bank
             is_open = unknowns.priors or dynamics.unknown_rates
             count = min(PARTICLES, max(2, MAX_CELLS // belief.cells)) if is_open else None
-            return make(belief, model, unknowns, seed, dynamics, correlated, count)
+            return learning(belief, model, unknowns, seed, dynamics, correlated, count)
 
         self._own: Bank | Kinds | None = None
         if not (unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'):
