@@ -85,7 +85,7 @@ SILENT_STEP = 0.01
 # nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
 # fewer hazards that are more lethal destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
-DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn': None}
+DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
 
 # Options that set one parameter of that name in every node that has it.
 OPTIONS = {
@@ -112,7 +112,7 @@ mission, compute every belief of the recording again, and write the report. Or r
 that was killed.
 
 Estimator and planner know neither the lethality nor the hazard density. They learn both, unless
-you name a method that learns nothing or give --set learn=[].
+you name a method that learns nothing or give --set learn.numbers=[].
 
 --set overrides the other options, and these override the file of --params.
 """
@@ -120,7 +120,7 @@ you name a method that learns nothing or give --set learn=[].
 EXAMPLES = (
     'python3 -m kbnitp_ros demo --robots 20 --lethality 0.3 --size 7 --seed 3 --out runs/small',
     'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set agent:sensor.lethality=0.9',
-    'python3 -m kbnitp_ros demo --agents 2 --set robots.scout_2.sensor.true_positive=0.99',
+    'python3 -m kbnitp_ros demo --agents 2 --set team.scout_2.sensor.true_positive=0.99',
     'python3 -m kbnitp_ros demo --params config/mission.yaml --set loss_cost=2',
     'python3 -m kbnitp_ros demo --robots 20 --set objective=behavioral --set alpha=2',
     'python3 -m kbnitp_ros demo --resume runs/small/mission.mcap',
@@ -247,8 +247,8 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         for values in (parameters['planner'], parameters['agent']):
             values['step_period'] = values['step_period'] or SILENT_STEP
     estimator = parameters['estimator']
-    if estimator['learn'] is None:
-        estimator['learn'] = LEARNT if METHODS.find(estimator['method']).learns else ()
+    if estimator['learn.numbers'] is None:
+        estimator['learn.numbers'] = LEARNT if METHODS.find(estimator['method']).learns else ()
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
         values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}

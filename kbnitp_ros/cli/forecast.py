@@ -51,7 +51,7 @@ robots keep to their paths, and hazards are as the prior and the sensor model sa
 """
 
 EXAMPLES = (
-    'python3 -m kbnitp_ros forecast --set goal=lane --set goal.cells=[80] --set robots=50',
+    'python3 -m kbnitp_ros forecast --set goal.kind=lane --set goal.cells=[80] --set robots=50',
     'python3 -m kbnitp_ros forecast --params config/mission.yaml --out runs/forecast',
     'python3 -m kbnitp_ros forecast runs/small --set robots=60 --worlds 50',
 )

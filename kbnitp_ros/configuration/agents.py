@@ -38,7 +38,7 @@ def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
 
 def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
     """Return the value of a parameter for one agent: its own, or else that of all."""
-    return values.get(f'robots.{agent}.{name}', values[name])
+    return values.get(f'team.{agent}.{name}', values[name])
 
 
 def most_steps(values: Mapping[str, Any]) -> int:
@@ -55,7 +55,7 @@ def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
 
 def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
     """Return the base that an agent has of its own; None if it has that of all."""
-    name = f'robots.{agent}.base'
+    name = f'team.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
     if cell is not None and position:
         raise ValueError(f'parameters {name} and {name}_position name the same: give one of them')
@@ -79,7 +79,7 @@ def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotTyp
     }
     return RobotType(
         base=base_of(values, agent, grid),
-        **{each: values.get(f'robots.{agent}.{name}') for each, name in given.items()},
+        **{each: values.get(f'team.{agent}.{name}') for each, name in given.items()},
     )
 
 

@@ -26,8 +26,8 @@ def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
             for robot_type in robot_types_of(values, grid).values()
         ):
             raise ValueError(
-                f'parameter learn has {name}: the robots of every agent have one of their own, '
-                'which tell nothing of another'
+                f'parameter learn.numbers has {name}: the robots of every agent have one of their '
+                'own, which tell nothing of another'
             )
     return Estimator(
         prior_of(values, grid),

@@ -80,11 +80,11 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
             grid = replace(grid, other_bases=(*grid.other_bases, base))
         except ValueError as error:
             raise ValueError(
-                f'parameter robots.{agent}.base: {error}; choose a free cell of the map'
+                f'parameter team.{agent}.base: {error}; choose a free cell of the map'
             ) from error
         if grid.steps_to_base[base] == grid.cells:
             raise ValueError(
-                f'parameter robots.{agent}.base: base is {base}, which obstacles cut off from the '
+                f'parameter team.{agent}.base: base is {base}, which obstacles cut off from the '
                 f'base {grid.base} of the mission: choose a cell that is joined to it'
             )
     return grid

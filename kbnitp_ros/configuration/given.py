@@ -14,14 +14,10 @@ import re
 from typing import Any
 
 from kbnitp_ros.configuration import check_known, nearest, NODES, parameter_of
-from kbnitp_ros.files import KeyTwiceError, read_yaml
+from kbnitp_ros.files import read_yaml
 
 # What a section of a file may be called besides the nodes: some of them, whatever their names.
 WILDCARDS = ('*', '**')
-
-# A mapping of this name takes from ROS the number that another file or -p gave.
-OWN_NUMBERS = 'robots'
-FLAT = 'what one agent has of its own is named in one, such as robots.scout_1.max_steps'
 
 # The flags for ROS that matter here, and how else they may be written.
 REMAP, RULE, FILE = ('-r', '--remap'), ('-p', '--param'), ('--params-file',)
@@ -34,9 +30,6 @@ def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> S
     """Return what a parameter file gives, checked."""
     try:
         return sections_of(read_yaml(path), names or {})
-    except KeyTwiceError as error:
-        remedy = f'; {FLAT}' if error.key == OWN_NUMBERS else ''
-        raise ValueError(f'parameter file {path}: {error}{remedy}') from error
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ValueError(f'parameter file {path}: {reason}') from error
@@ -78,11 +71,6 @@ def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any
         raise ValueError(f'section {section!r} holds {tree!r}: it must hold parameters by name')
     for key, value in (tree or {}).items():
         if isinstance(value, Mapping):
-            if not above and key == OWN_NUMBERS:
-                raise ValueError(
-                    f'section {section!r} has a mapping {key!r}, to which ROS gives up the number '
-                    f'of robots: {FLAT}'
-                )
             yield from _leaves(value, section, f'{above}{key}.')
         else:
             yield f'{above}{key}', value

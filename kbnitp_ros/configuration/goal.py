@@ -17,9 +17,9 @@ MARKED = 50
 
 def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
     """Return the goal that these parameters describe; None to map the field."""
-    make = GOALS.find(values['goal'])
+    make = GOALS.find(values['goal.kind'])
     confidence = values['stop.confidence'] or None
-    with GOALS.blamed(values['goal']):
+    with GOALS.blamed(values['goal.kind']):
         return make(goal_cells(values, grid), confidence)
 
 

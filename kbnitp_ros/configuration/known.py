@@ -10,6 +10,7 @@ from typing import Any
 from kbnitp_ros.configuration.names import nearest, own_name
 from kbnitp_ros.configuration.parameter import Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
+from kbnitp_ros.log.configuration import current_name
 
 # What rclpy gives every node.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -33,6 +34,8 @@ def parameter_of(node: str, name: str) -> Parameter | None:
 
 def check_known(name: str, nodes: Sequence[str]) -> None:
     """Check that a name is one of the parameters of some of these nodes."""
+    if (now := current_name(name)) != name:
+        raise ValueError(f'parameter {name} is called {now} now')
     if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
         return
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
@@ -44,7 +47,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     known = {parameter.name for parameter in table}
     if own := own_name(name):
         agent, meant = own
-        known = {f'robots.{agent}.{each.of_agent}' for each in table if each.per_agent}
+        known = {f'team.{agent}.{each.of_agent}' for each in table if each.per_agent}
         if meant in {parameter.name for parameter in table if not parameter.per_agent}:
             raise ValueError(f'parameter {name}: all agents have the same {meant}')
     raise ValueError(

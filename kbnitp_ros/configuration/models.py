@@ -33,9 +33,11 @@ def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
 
 def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
     """Return the priors of learnable numbers and rates, by name."""
-    learn = values['learn']
+    learn = values['learn.numbers']
     if len(set(learn)) < len(learn):
-        raise ValueError(f'parameter learn is {list(learn)}: it must name each number once')
+        raise ValueError(
+            f'parameter learn.numbers is {list(learn)}: it must name each number once'
+        )
     priors = {}
     for name in LEARN:
         believed = values[f'learn.{name}']
@@ -51,7 +53,9 @@ def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
 def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
     """Return which numbers these parameters leave to be learnt."""
     priors, rates = priors_of(values), [*itertools.chain(*HAZARD_RATES.values())]
-    return Unknowns(**{name: priors[name] for name in values['learn'] if name not in rates})
+    return Unknowns(
+        **{name: priors[name] for name in values['learn.numbers'] if name not in rates}
+    )
 
 
 def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
@@ -62,16 +66,18 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
             name: values[f'hazards.{name}'] for name in itertools.chain(*HAZARD_RATES.values())
         }
         # Simulated agents learn nothing.
-        for name, prior in priors_of(values).items() if 'learn' in values else ():
-            if name in values['learn'] and rates.get(name):
-                raise ValueError(f'{name} is {rates[name]}, and learn has it: leave it at 0')
-            own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
-            if name in values['learn'] and kind not in (own, 'learn'):
+        for name, prior in priors_of(values).items() if 'learn.numbers' in values else ():
+            if name in values['learn.numbers'] and rates.get(name):
                 raise ValueError(
-                    f'dynamics is {kind}, and learn has {name}: only {own} hazards have it'
+                    f'{name} is {rates[name]}, and learn.numbers has it: leave it at 0'
+                )
+            own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
+            if name in values['learn.numbers'] and kind not in (own, 'learn'):
+                raise ValueError(
+                    f'dynamics is {kind}, and learn.numbers has {name}: only {own} hazards have it'
                 )
             is_open = kind == 'learn' and not rates.get(name)
-            if name in rates and (is_open or name in values['learn']):
+            if name in rates and (is_open or name in values['learn.numbers']):
                 rates[name] = prior
         return Dynamics(kind, **rates)
     except ValueError as error:

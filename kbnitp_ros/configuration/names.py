@@ -11,8 +11,8 @@ NAME = '[A-Za-z][A-Za-z0-9_]*'
 
 
 def own_name(name: str) -> tuple[str, str] | None:
-    """Return the agent and the parameter that ``robots.AGENT.NAME`` names; None of other names."""
-    own = re.fullmatch(rf'robots\.({NAME})\.(.+)', name)
+    """Return the agent and the parameter that ``team.AGENT.NAME`` names; None of other names."""
+    own = re.fullmatch(rf'team\.({NAME})\.(.+)', name)
     return (own[1], own[2]) if own else None
 
 

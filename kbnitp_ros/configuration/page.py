@@ -20,7 +20,7 @@ def reference_page() -> str:
         'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
         'says that it can be changed. Other packages may add methods, planners and allocations.',
         '',
-        'Of these an agent may have others than the rest, as `robots.AGENT.NAME`; see',
+        'Of these an agent may have others than the rest, as `team.AGENT.NAME`; see',
         '[Maps](maps.md#robots-that-differ): '
         f'{", ".join(dict.fromkeys(f"`{each.of_agent}`" for each in TABLE if each.per_agent))}.',
     ]

@@ -41,7 +41,7 @@ class Parameter:
     pattern: str = ''
     # Whether it is fixed once the node runs.
     read_only: bool = True
-    # Whether one agent may have another value than the others, as ``robots.AGENT.NAME``; NAME is
+    # Whether one agent may have another value than the others, as ``team.AGENT.NAME``; NAME is
     # `of_agent`.
     per_agent: bool = False
 

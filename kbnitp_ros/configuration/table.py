@@ -73,7 +73,7 @@ TABLE = (
         'grid.base',
         0,
         'Cell (row * width + column, row 0 at the bottom) that paths start and end in; of one '
-        'agent as robots.AGENT.base.',
+        'agent as team.AGENT.base.',
         GRID,
         limits=(0, MOST_CELLS - 1),
         per_agent=True,
@@ -82,7 +82,7 @@ TABLE = (
         'grid.base_position',
         (),
         'A point in the cell that paths start and end in, x and y in metres in the frame map, in '
-        'place of grid.base; empty for none. Of one agent as robots.AGENT.base_position.',
+        'place of grid.base; empty for none. Of one agent as team.AGENT.base_position.',
         GRID,
         element=float,
         per_agent=True,
@@ -303,7 +303,7 @@ TABLE = (
         limits=(-1e6, 1e6),
     ),
     Parameter(
-        'learn',
+        'learn.numbers',
         (),
         'Numbers that are not known but learnt, by kappa_bnitp, relaxed_itp (all but kappa) or, '
         'in a static field, kappa_bnitp_sampled. Robots are then planned with what is known of '
@@ -418,7 +418,7 @@ TABLE = (
         per_agent=True,
     ),
     Parameter(
-        'goal',
+        'goal.kind',
         'map',
         'What the mission is to make sure of: map, where the most is to be learnt; lane, a way '
         'from the base to a cell that is free of hazards; area, cells that are.',

@@ -3,10 +3,9 @@
 
 from kbnitp_ros.files.share import installed, share
 from kbnitp_ros.files.words import counted, in_words, naming, some
-from kbnitp_ros.files.yaml_text import KeyTwiceError, NotYamlError, parse_yaml, read_yaml
+from kbnitp_ros.files.yaml_text import NotYamlError, parse_yaml, read_yaml
 
 __all__ = [
-    'KeyTwiceError',
     'NotYamlError',
     'counted',
     'in_words',

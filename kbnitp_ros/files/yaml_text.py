@@ -32,10 +32,6 @@ class NotYamlError(ValueError):
 class KeyTwiceError(ValueError):
     """A key that stands twice in a mapping."""
 
-    def __init__(self, key: str, line: int, before: int) -> None:
-        super().__init__(f'the key {key!r} stands in line {line} and in line {before}')
-        self.key = key
-
 
 def read_yaml(path: str | Path) -> Any:
     """Return the content of a YAML file; raise OSError or as `parse_yaml`."""
@@ -75,7 +71,10 @@ def check_keys(node: yaml.Node, seen: set[int]) -> None:
             if isinstance(key, yaml.ScalarNode):
                 line = key.start_mark.line + 1
                 if key.value in lines:
-                    raise KeyTwiceError(key.value, line, lines[key.value])
+                    raise KeyTwiceError(
+                        f'the key {key.value!r} stands in line {line} and in line '
+                        f'{lines[key.value]}'
+                    )
                 lines[key.value] = line
             child = value
         check_keys(child, seen)

@@ -9,6 +9,7 @@ import json
 import os
 from pathlib import Path
 import platform
+import re
 import subprocess
 from typing import Any
 import xml.etree.ElementTree as ElementTree
@@ -19,6 +20,16 @@ from kbnitp_ros.log.environment import numerical_environment
 # Names of metadata records; a node's full name, which starts with a slash, follows the second.
 RUN = 'run'
 PARAMETERS = 'parameters'
+
+# Parameters of 0.3.0 by the start of their names, and how they are called now.
+RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
+
+
+def current_name(name: str) -> str:
+    """Return how a parameter is called now; what is not renamed keeps its name."""
+    for before, now in RENAMED.items():
+        name = re.sub(f'^{before}', now, name)
+    return name
 
 
 def run_record(rmw_implementation: str) -> dict[str, str]:
@@ -72,7 +83,7 @@ def read_parameters(
     for name, record in read_metadata(path, corrupt).items():
         if name.startswith(f'{PARAMETERS}/'):
             try:
-                values = {key: json.loads(text) for key, text in record.items()}
+                values = {current_name(key): json.loads(text) for key, text in record.items()}
             except ValueError as error:
                 raise LogError(f'{path}: record {name!r} is corrupt: {error}') from error
             parameters[name.removeprefix(PARAMETERS)] = values

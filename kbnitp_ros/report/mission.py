@@ -139,7 +139,7 @@ class Mission:
         """Return the true values of the numbers that can be learnt, where they are on record."""
         nodes = self.parameters.values()
         agent = next((each for each in nodes if 'world.kappa' in each), None)
-        estimator = next((each for each in nodes if 'learn' in each), None)
+        estimator = next((each for each in nodes if 'learn.numbers' in each), None)
         # A log of others may hold any parameters.
         with suppress(KeyError, TypeError):
             if self.world is not None and agent is not None and estimator is not None:
@@ -155,7 +155,7 @@ class Mission:
         """Return what a lost robot of an agent is worth, nats, as far as it is on record."""
         for values in self.parameters.values():
             if 'loss_cost' in values:
-                return float(values.get(f'robots.{agent}.loss_cost') or values['loss_cost'])
+                return float(values.get(f'team.{agent}.loss_cost') or values['loss_cost'])
         return 0.0
 
     def visited(self) -> NDArray[np.bool_]:

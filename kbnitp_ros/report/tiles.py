@@ -88,12 +88,12 @@ def lane(mission: Mission) -> Tile:
     """Return what is said of the lane, or of another goal."""
     decision = mission.decision
     if decision is None:
-        goals = {str(each.get('goal', 'map')) for each in mission.parameters.values()}
+        goals = {str(each.get('goal.kind', 'map')) for each in mission.parameters.values()}
         given = goals - {'', 'map'}
         return Tile(
             'Is the lane safe?',
             'No decision yet' if given else 'No goal was given',
-            'set goal to lane or area to have robots sent for it',
+            'set goal.kind to lane or area to have robots sent for it',
         )
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
     return Tile(

@@ -219,7 +219,7 @@ def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
 @pytest.mark.full
 def test_a_team_that_loses_robots_in_silence(tmp_path):
     options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
-    known = ['--set', 'learn=[]']
+    known = ['--set', 'learn.numbers=[]']
     small = ['--size', '4', '--max-steps', '6', '--planner', 'relaxed', '--lethality', '0.9']
     done = run_demo(*options, *small, *known, '--out', tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -285,7 +285,7 @@ def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(ev
         expected = {name: each for name, each in everywhere.items() if name in plain[node]} | own
         told = {name: given[node][name] for name in expected}
         assert {k: [*v] if isinstance(v, tuple) else v for k, v in told.items()} == expected
-        others = plain[node].keys() - expected.keys() - {'learn', 'recorded', 'file'}
+        others = plain[node].keys() - expected.keys() - {'learn.numbers', 'recorded', 'file'}
         assert {name: given[node][name] for name in others} == {
             name: plain[node][name] for name in others
         }
@@ -323,7 +323,7 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))
     assert plain[node].keys() == given[node].keys()
     differing = {name for name, value in plain[node].items() if given[node][name] != value}
-    expected = {'planner': {'return_deadline'}, 'estimator': {'learn'}}
+    expected = {'planner': {'return_deadline'}, 'estimator': {'learn.numbers'}}
     assert differing == expected.get(node, set())
 
 
@@ -332,14 +332,14 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     (['--method', 'kappa_bnitp_sampled'], 'kappa_bnitp_sampled', ('lethality', 'hazard_density')),
     (['--method', 'relaxed_itp'], 'relaxed_itp', ('lethality', 'hazard_density')),
     (['--set', 'estimator:method=relaxed_bnitp'], 'relaxed_bnitp', ()),
-    (['--set', 'learn=[]'], 'kappa_bnitp', ()),
-    (['--set', 'learn=[kappa, malfunction]'], 'kappa_bnitp', ('kappa', 'malfunction')),
+    (['--set', 'learn.numbers=[]'], 'kappa_bnitp', ()),
+    (['--set', 'learn.numbers=[kappa, malfunction]'], 'kappa_bnitp', ('kappa', 'malfunction')),
 ])  # fmt: skip
 def test_lethality_and_hazard_density_are_learnt_unless_something_else_is_said(
     options, method, learn
 ):
     estimator = chosen_parameters(parse(options))['estimator']
-    assert (estimator['method'], estimator['learn']) == (method, learn)
+    assert (estimator['method'], estimator['learn.numbers']) == (method, learn)
 
 
 @pytest.mark.processes
@@ -413,7 +413,7 @@ def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
             bases = {key.agent: int(report.evidence.path(key)[0]) for key in paths}
             assert bases == {'scout_1': 0, 'scout_2': 24}
         else:
-            assert recorded_parameters(log)['planner']['robots.scout_2.max_steps'] == 6
+            assert recorded_parameters(log)['planner']['team.scout_2.max_steps'] == 6
             belief = last_belief(log)
             assert belief.robot_types == {'scout_2': RobotType(max_steps=6)}
             assert belief.deployments == 6
@@ -477,18 +477,19 @@ def reports_in(log):
     (['--set', 'robbots=3'], 'robbots=3: parameter robbots is unknown to every.*mean robots?'),
     (['--set', 'agent:robots=3'], 'robots is unknown to the agent: it is one of planner'),
     (['--set', 'agnt:seed=3'], "'agnt' is no node of the demo: did you mean agent?"),
+    (['--set', 'learn=[]'], 'parameter learn is called learn.numbers now'),
     (['--set', 'robots=3.5'], 'robots=3.5: parameter robots is 3.5: it must be a whole number'),
-    (['--set', 'robots.scout_2.max_steps=3'], 'is for scout_2: did you mean scout_1.* agents nam'),
-    (['--set', 'robots.scout_1.steps=3'], 'to every node: did you mean robots.scout_1.max'),
-    (['--set', 'agent:robots.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of agent'),
+    (['--set', 'team.scout_2.max_steps=3'], 'is for scout_2: did you mean scout_1.* agents nam'),
+    (['--set', 'team.scout_1.steps=3'], 'to every node: did you mean team.scout_1.max'),
+    (['--set', 'agent:team.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of agent'),
     (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
     (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', which is no kind that"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
-    (['--set', 'learn=[lethalty]'], "learn is 'lethalty': did you mean lethality"),
+    (['--set', 'learn.numbers=[lethalty]'], "learn.numbers is 'lethalty': did you mean lethality"),
     (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
-    (['--method', 'relaxed_itp', '--set', 'learn=[kappa]'], 'kappa cannot be unknown to a meth'),
+    (['--method', 'relaxed_itp', '--set', 'learn.numbers=[kappa]'], 'kappa cannot be unkn'),
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
 ])  # fmt: skip

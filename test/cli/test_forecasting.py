@@ -19,7 +19,7 @@ SMALL = [
     *('--set', 'grid.width=4', '--set', 'grid.height=4', '--set', 'max_steps=8'),
     *('--set', 'robots=4', '--worlds', '5'),
 ]
-LANE = ['--set', 'goal=lane', '--set', 'goal.cells=[15]']
+LANE = ['--set', 'goal.kind=lane', '--set', 'goal.cells=[15]']
 
 
 def log(folder, name='kappa_bnitp'):
@@ -72,7 +72,7 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
 @for_each('options, complaint', [
     (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
     (['--set', 'stop.confidence=0.9'], 'goal map has no such thing as a confidence'),
-    (['--set', 'goal=lane'], 'goal lane has 0 cells'),
+    (['--set', 'goal.kind=lane'], 'goal lane has 0 cells'),
     ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
     ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
     ([*LANE, '--set', 'bound=true'], 'bound is true, which is for the most information'),

@@ -37,15 +37,15 @@ def mask(folder, occupied, resolution=0.5):
 
 def test_cells_are_given_by_number_by_position_or_by_a_mask(tmp_path):
     assert checked() == (None, Stop())
-    assert checked(goal='lane', goal__cells=[4]) == (Lane(4), Stop())
-    assert checked(goal='lane', goal__position=[0.6, 0.9]) == (Lane(4), Stop())
-    assert checked(goal='area', goal__cells=[4, 1]) == (Area([1, 4]), Stop())
+    assert checked(goal__kind='lane', goal__cells=[4]) == (Lane(4), Stop())
+    assert checked(goal__kind='lane', goal__position=[0.6, 0.9]) == (Lane(4), Stop())
+    assert checked(goal__kind='area', goal__cells=[4, 1]) == (Area([1, 4]), Stop())
     drawn = mask(tmp_path, [[0, 1, 0], [0, 1, 0]])
-    assert checked(goal='area', goal__mask=drawn) == (Area([1, 4]), Stop())
+    assert checked(goal__kind='area', goal__mask=drawn) == (Area([1, 4]), Stop())
 
 
 def test_stops_are_those_of_the_parameters():
-    sure = checked(goal='lane', goal__cells=[4], stop__confidence=0.9, stop__losses=2)
+    sure = checked(goal__kind='lane', goal__cells=[4], stop__confidence=0.9, stop__losses=2)
     assert sure == (Lane(4, 0.9), Stop(losses=2))
     assert checked(stop__gain=0.3) == (None, Stop(gain=0.3))
 
@@ -53,16 +53,16 @@ def test_stops_are_those_of_the_parameters():
 @for_each('given, complaint', [
     ({'goal__cells': [4]}, 'goal map has no such thing as cells'),
     ({'stop__confidence': 0.9}, 'goal map has no such thing as a confidence'),
-    ({'goal': 'lane'}, 'goal lane has 0 cells'),
-    ({'goal': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
-    ({'goal': 'lane', 'goal__cells': [6]}, 'off the map'),
-    ({'goal': 'lane', 'goal__cells': [0]}, 'the base'),
-    ({'goal': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
-    ({'goal': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
-    ({'goal': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
-    ({'goal': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of them'),
-    ({'goal': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
-    ({'goal': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 independent'),
+    ({'goal__kind': 'lane'}, 'goal lane has 0 cells'),
+    ({'goal__kind': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
+    ({'goal__kind': 'lane', 'goal__cells': [6]}, 'off the map'),
+    ({'goal__kind': 'lane', 'goal__cells': [0]}, 'the base'),
+    ({'goal__kind': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
+    ({'goal__kind': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
+    ({'goal__kind': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
+    ({'goal__kind': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of'),
+    ({'goal__kind': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
+    ({'goal__kind': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 ind'),
     ({'stop__losses': 5}, 'stop.losses is 5'),
 ])  # fmt: skip
 def test_what_cannot_be_sought_is_refused(given, complaint):
@@ -79,7 +79,7 @@ def test_what_cannot_be_sought_is_refused(given, complaint):
 def test_a_mask_that_is_none_of_the_field_is_refused(occupied, resolution, complaint, tmp_path):
     drawn = mask(tmp_path, occupied, resolution)
     with pytest.raises(ValueError, match=complaint):
-        checked(goal='area', goal__mask=drawn)
+        checked(goal__kind='area', goal__mask=drawn)
 
 
 def test_a_goal_stays_while_a_planner_runs():
@@ -88,4 +88,6 @@ def test_a_goal_stays_while_a_planner_runs():
         for parameter in TABLE
         if parameter.name.startswith('goal')
     }
-    assert of_goals == dict.fromkeys(('goal', 'goal.cells', 'goal.position', 'goal.mask'), True)
+    assert of_goals == dict.fromkeys(
+        ('goal.kind', 'goal.cells', 'goal.position', 'goal.mask'), True
+    )

@@ -25,11 +25,11 @@ SMALL = {
 
 # A dear robot with a good camera, and a cheap blind one that does not go far.
 TYPES = {
-    'robots.scout_1.sensor.true_positive': 0.99,
-    'robots.scout_1.loss_cost': 0.2,
-    'robots.scout_2.sensor.true_positive': 0.5,
-    'robots.scout_2.sensor.false_positive': 0.5,
-    'robots.scout_2.max_steps': 6,
+    'team.scout_1.sensor.true_positive': 0.99,
+    'team.scout_1.loss_cost': 0.2,
+    'team.scout_2.sensor.true_positive': 0.5,
+    'team.scout_2.sensor.false_positive': 0.5,
+    'team.scout_2.max_steps': 6,
 }
 FIELD_MAP = {'resolution': 0.25, 'occupied_thresh': 0.65, 'free_thresh': 0.196, 'mode': 'trinary'}
 PRIOR_MAP = {'resolution': 2.5, 'occupied_thresh': 1.0, 'free_thresh': 0.0, 'mode': 'scale'}
@@ -63,7 +63,7 @@ def on_a_map(folder):
         'prior.target_map': write_map(folder, 'target', target, PRIOR_MAP),
         'prior.kappa': 0.3,
         'max_steps': 24,
-        'robots.scout_2.sensor.malfunction': 0.02,
+        'team.scout_2.sensor.malfunction': 0.02,
         **TYPES,
     }
 
@@ -73,10 +73,10 @@ BASES = {
     'grid.width': 9, 'grid.height': 7, 'grid.blocked': [13, 22, 31],
     'grid.origin': [10.0, -5.0, 0.6], 'max_steps': 12, 'sensor.lethality': 0.3,
     'allocation': 'voronoi', 'agents': ['scout_1', 'scout_2', 'scout_3'],
-    'robots.scout_2.base': 62, 'robots.scout_3.base_position': [13.5, 5.3], **TYPES,
+    'team.scout_2.base': 62, 'team.scout_3.base_position': [13.5, 5.3], **TYPES,
 }  # fmt: skip
 SILENT = {'silent_loss': True, 'return_deadline': 1.0, 'step_period': 0.001}
-LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality', 'hazard_density']}
+LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality', 'hazard_density']}
 
 
 def moves(deployments):
@@ -130,7 +130,7 @@ KINDS = {
     ),
     'moving': ({'hazards.dynamics': 'moving', 'hazards.move': 0.1}, lambda made, _: moves(made)),
     'banked': (
-        {'hazards.dynamics': 'used_up', 'learn': ['lethality', 'hazard_density']},
+        {'hazards.dynamics': 'used_up', 'learn.numbers': ['lethality', 'hazard_density']},
         lambda made, _: {*made[-1].parameters} == {'lethality', 'hazard_density'},
     ),
     'kinds_used_up': (
@@ -139,12 +139,12 @@ KINDS = {
     ),
     'kinds_moving': (
         {
-            'hazards.dynamics': 'learn', 'learn': ['lethality'],
+            'hazards.dynamics': 'learn', 'learn.numbers': ['lethality'],
             'true.hazards.dynamics': 'moving', 'true.hazards.move': 0.1,
         },
         lambda made, _: {*made[-1].parameters} == {'lethality', 'vanish', 'move'},
     ),
-    'sampled': (LEARNING, lambda made, _: {*made[-1].parameters} == {*LEARNING['learn']}),
+    'sampled': (LEARNING, lambda made, _: {*made[-1].parameters} == {*LEARNING['learn.numbers']}),
     'clustered': ({'prior.clustering': 'learn', **LEARNING}, lambda made, _: made),
     'eight': (
         {'agents': [f'scout_{number}' for number in range(1, 9)], 'method': 'relaxed_bnitp'},
@@ -185,7 +185,7 @@ def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_oth
     mission.start(*NODES)
     mission.until_over()
     assert not mission.findings()
-    moved = with_defaults({**parameters, 'robots.scout_1.base': 62, 'robots.scout_2.base': 0})
+    moved = with_defaults({**parameters, 'team.scout_1.base': 62, 'team.scout_2.base': 0})
     with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
         Resumption(str(mission.log), grid_of(moved), moved, parameters['agents'])
     last = read_belief_maps(mission.onlooker.belief)

@@ -44,7 +44,7 @@ def relay(seed, source, target):
     ('kappa_bnitp_sampled', ['lethality', 'malfunction']),
 ])  # fmt: skip
 def test_an_estimator_behind_a_relay(set_out, method, learn):
-    parameters = PARAMETERS | {'method': method, 'learn': learn}
+    parameters = PARAMETERS | {'method': method, 'learn.numbers': learn}
     mission = set_out(
         parameters,
         awaited={

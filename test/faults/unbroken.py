@@ -28,7 +28,7 @@ def draw_parameters(rng):
     learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
     drawn = {
         'grid.width': side, 'grid.height': side, 'max_steps': 10, 'robots': 15, 'method': method,
-        'learn': learn, 'planner': str(rng.choice(['relaxed', 'beam'])), 'beam_width': 4,
+        'learn.numbers': learn, 'planner': str(rng.choice(['relaxed', 'beam'])), 'beam_width': 4,
         'seed': int(rng.integers(2**31)),
         'agents': [f'scout_{number + 1}' for number in range(rng.integers(1, 4, endpoint=True))],
         'rolling': bool(rng.random() < 0.25), 'silent_loss': bool(rng.random() < 0.25),
@@ -72,7 +72,7 @@ def core_mission(parameters):
     """Return the deployments that core makes with these parameters."""
     values = with_defaults(parameters)
     grid = grid_of(values)
-    true_dynamics = dynamics_of({**values, **true_values(parameters), 'learn': ()})
+    true_dynamics = dynamics_of({**values, **true_values(parameters), 'learn.numbers': ()})
     rng = np.random.default_rng(values['seed'])
     world = World.random(
         grid,

@@ -17,7 +17,7 @@ from unbroken import core_mission, with_defaults
 LANE = {
     'grid.width': 5, 'grid.height': 4, 'max_steps': 10, 'method': 'kappa_bnitp',
     'planner': 'relaxed', 'sensor.lethality': 0.6, 'prior.hazard': 0.3, 'prior.target': 0.4,
-    'world.hazard_density': 0.05, 'robots': 60, 'goal': 'lane', 'goal.cells': [19],
+    'world.hazard_density': 0.05, 'robots': 60, 'goal.kind': 'lane', 'goal.cells': [19],
     'stop.confidence': 0.9, 'seed': 7,
 }  # fmt: skip
 
@@ -39,7 +39,7 @@ def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field)
     paths = field.listen(Path, '/m/scout_1/path')
     field.start_mission(LANE, '/m', log)
     field.until(lambda: paths, 'path')
-    for name, value in (('goal', 'map'), ('goal.cells', [18])):
+    for name, value in (('goal.kind', 'map'), ('goal.cells', [18])):
         assert not field.set_parameter('/m/planner', name, value).successful
     field.until(lambda: 'stop.confidence' in field.state('/m/planner'), 'stop', patience=180)
     expected = core_mission(LANE)

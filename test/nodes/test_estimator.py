@@ -159,7 +159,7 @@ def test_a_model_is_told_only_if_something_is_learnt(field):
 
 
 def test_a_weakly_known_density_of_clustered_hazards_is_told(field):
-    learnt = {'learn': ['hazard_density'], 'prior.clustering': 'learn'}
+    learnt = {'learn.numbers': ['hazard_density'], 'prior.clustering': 'learn'}
     parameters = {**PARAMETERS, **SAMPLED, **learnt}
     beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', parameters)
@@ -182,7 +182,7 @@ def test_sampling_that_does_not_settle_is_told(field):
     """All numbers may be anything: readings that tell nothing leave most of it open."""
     numbers = [name for name in LEARN if name not in ('vanish', 'move')]
     intervals = {f'learn.{name}': [0.0, 1.0] for name in numbers}
-    parameters = {**PARAMETERS, **SAMPLED, 'learn': numbers, **intervals}
+    parameters = {**PARAMETERS, **SAMPLED, 'learn.numbers': numbers, **intervals}
     beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', parameters)
     paths, reports = evidence(field)

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
+from kbnitp_ros.nodes.runtime.declared import declare
 from laws import for_each
 import pytest
 import rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 import yaml
 
 SHIPPED = Path(__file__).parents[2] / 'config' / 'mission.yaml'
@@ -57,15 +59,9 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
 @for_each('text, told', [
     ('/**: {', 'it is not YAML'),
     ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
-    (
-        '/**: {ros__parameters: {robots: 20, robots: {scout_1: {max_steps: 9}}}}',
-        "the key 'robots' stands .*named in one, such as robots.scout_1.max_steps",
-    ),
-    (
-        '/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}',
-        "a mapping 'robots', to which ROS gives up.* such as robots.scout_1.max_steps",
-    ),
-    ('/**: {ros__parameters: {robots.scout_1.max_step: 9}}', 'did you mean robots.scout_1.max_st'),
+    ('/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}', 'called team.scout_1.max_ste'),
+    ('/**: {ros__parameters: {goal: lane}}', 'parameter goal is called goal.kind now'),
+    ('/**: {ros__parameters: {team.scout_1.max_step: 9}}', 'did you mean team.scout_1.max_st'),
 ])  # fmt: skip
 def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
     with pytest.raises(ValueError, match=told):
@@ -108,20 +104,43 @@ def test_what_an_agent_has_of_its_own_stands_beside_the_number_of_robots(tmp_pat
     /**:
       ros__parameters:
         robots: 20
-        robots.scout_1.max_steps: 9
-        robots.scout_2:
-          max_steps: 7
-          sensor: {lethality: 0.3}
+        team.scout_1.max_steps: 9
+        team:
+          scout_2:
+            max_steps: 7
+            sensor: {lethality: 0.3}
     """
     expected = {
         'robots': 20,
-        'robots.scout_1.max_steps': 9,
-        'robots.scout_2.max_steps': 7,
-        'robots.scout_2.sensor.lethality': 0.3,
+        'team.scout_1.max_steps': 9,
+        'team.scout_2.max_steps': 7,
+        'team.scout_2.sensor.lethality': 0.3,
     }
     path = written(tmp_path, text)
     assert read_sections(path) == {'/**': expected}
     assert given_by_ros(['--ros-args', '--params-file', path]) == expected
+
+
+@for_each('name', NODES)
+def test_what_ros2_param_dump_writes_is_read_again(tmp_path, name):
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    own = [Parameter(f'team.scout_1.{each}', value=9) for each in ('max_steps', 'base')]
+    node = Node(name, context=context, parameter_overrides=own)
+    values = declare(node, name)
+    tree = {}
+    for parameter in values:
+        *path, last = parameter.split('.')
+        inner = tree
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = node.get_parameter(parameter).value
+    node.destroy_node()
+    context.try_shutdown()
+    path = written(tmp_path, {f'/{name}': {'ros__parameters': tree}})
+    check_given(name, ['--ros-args', '--params-file', path])
+    given = values_for(read_sections(path), f'/{name}')
+    assert given == {key: list(v) if type(v) is tuple else v for key, v in values.items()}
 
 
 def test_what_all_share_may_be_of_any_node():

@@ -54,7 +54,7 @@ HUGE = {
 LEARNING = {
     **SMALL,
     'method': 'kappa_bnitp_sampled',
-    'learn': ['lethality', 'hazard_density', 'false_positive'],
+    'learn.numbers': ['lethality', 'hazard_density', 'false_positive'],
     'learn.hazard_density': [0.05, 0.6],
     'beam_width': 4,
 }
@@ -175,7 +175,7 @@ def test_what_is_learnt_is_that_of_core_also_on_record(field):
     for message, belief, deployment in zip(models[1:], heard[2][1:], expected):
         assert message.header == belief.header
         known = read_model_belief(message).numbers
-        assert known.keys() == deployment.parameters.keys() == set(parameters['learn'])
+        assert known.keys() == deployment.parameters.keys() == set(parameters['learn.numbers'])
         for name, number in deployment.parameters.items():
             assert known[name].mean == number.mean
             assert known[name].sd == number.sd

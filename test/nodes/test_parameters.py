@@ -64,6 +64,15 @@ def test_every_row_is_complete_and_its_default_is_allowed():
         assert len(rows) == len(parameters_of(name))
 
 
+@for_each('node', NODES)
+def test_no_name_begins_as_another_ends(node):
+    """`ros2 param dump` makes a mapping of each dot: a name cannot have a value and parts."""
+    table = parameters_of(node).values()
+    names = [each.name for each in table]
+    names += [f'team.scout_1.{each.of_agent}' for each in table if each.per_agent]
+    assert [(a, b) for a in names for b in names if b.startswith(f'{a}.')] == []
+
+
 @for_each('name', NODES)
 def test_nodes_declare_the_table(make_node, name):
     node = make_node()
@@ -93,12 +102,14 @@ def test_nodes_declare_the_table(make_node, name):
     ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
     ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
     ({'lethality': 0.5}, 'every node: did you mean learn.lethality or sensor.lethality? '),
-    ({'robots.scout_1.max_step': 9}, 'every node: did you mean robots.scout_1.max_steps? '),
-    ({'robots.scout_1.lethality': 0.5}, 'every node: did you mean'),
-    ({'robots.scout_1.seed': 3}, 'robots.scout_1.seed: all agents have the same seed'),
-    ({'robots.scuot_1.max_steps': 9}, 'is for scuot_1: did you mean scout_1? the parameter'),
-    ({'robots.scout_1.max_steps': 0}, 'robots.scout_1.max_steps is 0: it must be from 1'),
-    ({'robots.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
+    ({'learn': ['kappa']}, 'parameter learn is called learn.numbers now'),
+    ({'robots.scout_1.base': 9}, 'robots.scout_1.base is called team.scout_1.base now'),
+    ({'team.scout_1.max_step': 9}, 'every node: did you mean team.scout_1.max_steps? '),
+    ({'team.scout_1.lethality': 0.5}, 'every node: did you mean'),
+    ({'team.scout_1.seed': 3}, 'team.scout_1.seed: all agents have the same seed'),
+    ({'team.scuot_1.max_steps': 9}, 'is for scuot_1: did you mean scout_1? the parameter'),
+    ({'team.scout_1.max_steps': 0}, 'team.scout_1.max_steps is 0: it must be from 1'),
+    ({'team.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
 ])  # fmt: skip
 def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
     with pytest.raises(ValueError) as refusal:
@@ -110,7 +121,7 @@ DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 
 def test_numbers_to_learn_have_intervals_or_distributions():
-    given = {'learn': ('kappa', 'lethality'), 'learn.lethality': (0.2, 0.9)}
+    given = {'learn.numbers': ('kappa', 'lethality'), 'learn.lethality': (0.2, 0.9)}
     believed = unknowns_of(DEFAULTS | given)
     assert believed == Unknowns(lethality=(0.2, 0.9), kappa=Beta(4.0, 1.5))
     assert unknowns_of(DEFAULTS) == Unknowns()
@@ -118,7 +129,7 @@ def test_numbers_to_learn_have_intervals_or_distributions():
 
 
 @for_each('learn, given, told', [
-    (('lethality', 'lethality'), (0.0, 1.0), 'learn is .* it must name each number once'),
+    (('lethality', 'lethality'), (0.0, 1.0), 'learn.numbers is .* it must name each number once'),
     ((), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
     (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
     (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
@@ -130,7 +141,7 @@ def test_numbers_to_learn_have_intervals_or_distributions():
 ])  # fmt: skip
 def test_what_is_no_distribution_is_refused(learn, given, told):
     with pytest.raises(ValueError, match=told):
-        unknowns_of(DEFAULTS | {'learn': learn, 'learn.lethality': given})
+        unknowns_of(DEFAULTS | {'learn.numbers': learn, 'learn.lethality': given})
 
 
 @for_each('agents', [(), ('a', 'b', 'a')])
@@ -169,8 +180,8 @@ def test_parameters_of_other_nodes_and_of_ros_are_passed_over(make_node):
 def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     given = {
         'agents': ['scout_1', 'scout_2'], 'max_steps': 12, 'max_distance': 9.5, 'robots': 20,
-        'robots.scout_2.max_steps': 7, 'robots.scout_2.max_distance': 5.0,
-        'robots.scout_2.loss_cost': 2.0, 'robots.scout_2.step_period': 3.0,
+        'team.scout_2.max_steps': 7, 'team.scout_2.max_distance': 5.0,
+        'team.scout_2.loss_cost': 2.0, 'team.scout_2.step_period': 3.0,
     }  # fmt: skip
     node = make_node(**given)
     values = declare(node, 'planner')
@@ -184,8 +195,8 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType(), 'scout_2': own}
     (fixed, free) = node.set_parameters(
         [
-            Parameter('robots.scout_2.max_steps', value=9),
-            Parameter('robots.scout_2.loss_cost', value=0.5),
+            Parameter('team.scout_2.max_steps', value=9),
+            Parameter('team.scout_2.loss_cost', value=0.5),
         ]
     )
     assert not fixed.successful
@@ -194,16 +205,16 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
 
 
 def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
-    values = declare(make_node(**{'robots.scout_1.loss_cost': 2.0}), 'estimator')
+    values = declare(make_node(**{'team.scout_1.loss_cost': 2.0}), 'estimator')
     assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType()}
-    sensors = make_node(**{'sensor.lethality': 1, 'robots.scout_1.sensor.lethality': 0.5})
+    sensors = make_node(**{'sensor.lethality': 1, 'team.scout_1.sensor.lethality': 0.5})
     assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
 
 def test_what_no_robot_shares_cannot_be_learnt():
-    own = {'robots.scout_1.sensor.lethality': 0.3, 'learn': ('lethality',)}
+    own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
-    with pytest.raises(ValueError, match='learn has lethality: the robots of every agent'):
+    with pytest.raises(ValueError, match='learn.numbers has lethality: the robots of every agent'):
         estimator_of(values, grid_of(values))
     two = values | {'agents': ('scout_1', 'scout_2')}
     assert estimator_of(two, grid_of(two)).unknowns.priors.keys() == {'lethality'}
@@ -324,8 +335,8 @@ def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
 def test_each_agent_may_have_a_base_of_its_own(tmp_path):
     own = {
         'agents': ('scout_1', 'scout_2', 'scout_3'),
-        'robots.scout_2.base': 3,
-        'robots.scout_3.base_position': (2.2, 2.1),
+        'team.scout_2.base': 3,
+        'team.scout_3.base_position': (2.2, 2.1),
     }
     values = write_map(tmp_path, ['....', '....']) | own
     grid = grid_of(values)
@@ -336,24 +347,24 @@ def test_each_agent_may_have_a_base_of_its_own(tmp_path):
     types = robot_types_of(values, grid)
     assert [each.base for each in types.values()] == bases
     assert with_base('planner') == with_base('robot') == with_base('agent') == 3
-    assert check_known('robots.scout_2.base_position', ['estimator']) is None
-    with pytest.raises(ValueError, match='did you mean robots.scout_2.base'):
-        check_known('robots.scout_2.grid.base', ['planner'])
+    assert check_known('team.scout_2.base_position', ['estimator']) is None
+    with pytest.raises(ValueError, match='did you mean team.scout_2.base'):
+        check_known('team.scout_2.grid.base', ['planner'])
 
 
 def with_base(node):
-    return parameter_of(node, 'robots.scout_2.base').check(3)
+    return parameter_of(node, 'team.scout_2.base').check(3)
 
 
 @for_each('given, told', [
-    ({'robots.scout_2.base': 1}, 'robots.scout_2.base: base is 1.*that one is blocked; choose'),
-    ({'robots.scout_2.base': 8}, 'robots.scout_2.base: base is 8.*from 0 to 7; choose a free'),
-    ({'robots.scout_2.base': 2}, 'scout_2.base: base is 2, which obstacles cut off.*base 0.*joi'),
-    ({'robots.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),
-    ({'robots.scout_2.base_position': (9.0,)}, r'base_position is \[9.0\]: it must be x and y'),
+    ({'team.scout_2.base': 1}, 'team.scout_2.base: base is 1.*that one is blocked; choose'),
+    ({'team.scout_2.base': 8}, 'team.scout_2.base: base is 8.*from 0 to 7; choose a free'),
+    ({'team.scout_2.base': 2}, 'scout_2.base: base is 2, which obstacles cut off.*base 0.*joi'),
+    ({'team.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),
+    ({'team.scout_2.base_position': (9.0,)}, r'base_position is \[9.0\]: it must be x and y'),
     (
-        {'robots.scout_2.base': 4, 'robots.scout_2.base_position': (0.0, 0.0)},
-        'robots.scout_2.base and robots.scout_2.base_position name the same',
+        {'team.scout_2.base': 4, 'team.scout_2.base_position': (0.0, 0.0)},
+        'team.scout_2.base and team.scout_2.base_position name the same',
     ),
 ])  # fmt: skip
 def test_bases_that_cannot_be_are_refused_by_name(tmp_path, given, told):

@@ -124,7 +124,7 @@ def test_paths_are_planned_with_the_robots_that_the_belief_tells_of(field):
 
 
 def test_a_belief_of_agents_of_other_bases_is_refused(field):
-    mission = Mission(field, {'agents': ['scout_1', 'scout_2'], 'robots.scout_2.base': 8})
+    mission = Mission(field, {'agents': ['scout_1', 'scout_2'], 'team.scout_2.base': 8})
     grid = Grid(3, 3, other_bases=(8,))
     estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), MODEL)
     mission.ledger = Ledger(grid, 4, estimator, {'scout_1': RobotType(base=8)})

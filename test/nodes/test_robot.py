@@ -101,7 +101,7 @@ def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
     fleet = Fleet(field)
     reports = fleet.reports()
     fleet.simulate(scout_1=(11.5, 11.5))
-    fleet.start(**{'robots.scout_1.base_position': [11.2, 11.9], 'robots.scout_2.base': 11})
+    fleet.start(**{'team.scout_1.base_position': [11.2, 11.9], 'team.scout_2.base': 11})
     fleet.send(1, [0, 1, 0])
     field.until(lambda: field.count('/scout_1/robot', 'refused') == 1, 'refusal')
     # What it waits for may be told in the meantime.

@@ -18,10 +18,10 @@ WIDE = {
     'beam_width': 24,
 }  # fmt: skip
 GOAL = {
-    'goal': 'lane',
+    'goal.kind': 'lane',
     'goal.cells': [899],
     'method': 'kappa_bnitp_sampled',
-    'learn': ['lethality'],
+    'learn.numbers': ['lethality'],
 }
 SEARCHING = 'waiting for the search for the paths of scout_1, scout_2, scout_3 and 5 more to end'
 
@@ -108,7 +108,7 @@ def test_where_nothing_is_to_be_learnt_no_robot_is_sent(field):
 
 
 def test_robots_keep_the_distance_of_their_agent_and_one_that_allows_no_step_is_refused(field):
-    own = {'robots.scout_2.max_distance': 2.0}
+    own = {'team.scout_2.max_distance': 2.0}
     base = Base(field, ['scout_1', 'scout_2'], max_distance=4.0, **own)
     for agent, longest in (('scout_1', 4.0), ('scout_2', 2.0)):
         base.until_sent(1, agent)

@@ -28,7 +28,7 @@ PARAMETERS = {
     'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
     'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05,
 }  # fmt: skip
-LEARNING = {'method': 'kappa_bnitp_sampled', 'learn': ['lethality'], 'filter.type': 0}
+LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality'], 'filter.type': 0}
 
 
 class Watched:

@@ -81,7 +81,7 @@ CANNOT_START = [
     ('estimator', 'prior.hazard_map:=no.npy', 'no.npy'),
     ('estimator', 'method:=guess', "method is 'guess': it must be one of"),
     ('estimator', 'grid.base:=81', 'base is 81: it must be a whole number from 0 to 80'),
-    ('estimator', 'learn:=[lethalty]', "learn is 'lethalty': did you mean lethality? it must"),
+    ('estimator', 'learn.numbers:=[lethalty]', "numbers is 'lethalty': did you mean lethality?"),
     ('estimator', 'hazards.move:=0.1', 'parameter hazards.move is 0.1 and hazards are static:'),
     ('estimator', 'filter.type:=0 filter.multiplier:=2.0', 'filter.base is 0.0 and'),
     ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),

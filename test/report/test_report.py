@@ -134,7 +134,7 @@ def test_the_last_belief_is_what_another_mission_can_begin_with(shown):
     mission = read_mission(log)
     values = {name: each.default for name, each in parameters_of('estimator').items()}
     values |= {f'prior.{name}_map': str(out / f'{name}.yaml') for name in NAMES}
-    values['learn'] = ()
+    values['learn.numbers'] = ()
     begun = estimator_of(values, mission.grid).belief
     for name in NAMES:
         believed = getattr(mission.moments[-1].belief, name)
