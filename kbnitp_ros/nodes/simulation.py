@@ -204,6 +204,8 @@ class SimulatedAgent(AgentPaths):
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
         # Those whose robots may not depart yet.
         self._at_home: list[DeploymentKey] = []
+        # Those whose robots have, by the log.
+        self._departed = {key for key, each in recorded.items() if each.has_departed}
         self._hold = Hold(self._node, prefix, self._depart_all)
         self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
@@ -233,20 +235,31 @@ class SimulatedAgent(AgentPaths):
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _follow(self, key: DeploymentKey) -> None:
-        """Have a robot depart when it may."""
+        """Have a robot depart when it may, or at once if its departure is on record."""
         self._at_home.append(key)
         self._say(key, OrderState.ACCEPTED)
+        if self._node.values['recorded']:
+            departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
+            self._sent.when_recorded(key.stamp, departure, partial(self._move, key))
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Have all robots depart that are at home, if they may."""
-        if not self._at_home or self._hold.awaited:
-            return
-        at_home, self._at_home = self._at_home, []
-        for key in at_home:
-            departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
-            self._sent.when_recorded(key.stamp, departure, partial(super()._follow, key))
-            self._say(key, OrderState.DEPARTED)
+        """Have robots depart that are at home: all if they may, else those that had departed."""
+        is_held = bool(self._at_home and self._hold.awaited)
+        for key in [key for key in self._at_home if not is_held or key in self._departed]:
+            self._depart(key)
+            if not self._node.values['recorded']:
+                self._move(key)
+
+    def _depart(self, key: DeploymentKey) -> None:
+        self._at_home.remove(key)
+        self._say(key, OrderState.DEPARTED)
+
+    def _move(self, key: DeploymentKey) -> None:
+        if key in self._at_home:
+            # The recorder had heard of it before this node was started again.
+            self._depart(key)
+        super()._follow(key)
 
     def _say(self, key: DeploymentKey, state: OrderState) -> None:
         """Say what is done with an order; an agent that was restarted says the very same again."""

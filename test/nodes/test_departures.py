@@ -9,6 +9,7 @@ import time
 from bare_dds import BareParticipant, not_utf8
 from base import Base, GRID
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
+from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import DeploymentKey, Observation
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
@@ -18,7 +19,8 @@ from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest
 import rclpy
-from samples import FIELD, on_disk, path
+from rclpy.serialization import serialize_message
+from samples import FIELD, key, on_disk, path
 from std_msgs.msg import Bool
 
 SILENT = {
@@ -223,3 +225,33 @@ def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_reco
     recorded.publish(on_disk(statuses[1]))
     field.until(lambda: reports, 'report')
     assert reports[0].deployment == path(1).header.stamp
+
+
+@pytest.mark.parametrize('known_by', ['log', 'recorder'])
+def test_a_pause_does_not_hold_a_simulated_robot_that_was_out_before_a_restart(field, known_by):
+    departed = status_message(key(1), OrderState.DEPARTED, key(1).stamp)
+    log = field.folder / 'mission.mcap'
+    with LogWriter(log) as writer:
+        for topic, kind, message in (
+            ('/scout_1/path', 'nav_msgs/msg/Path', path(1)),
+            ('/scout_1/status', 'kbnitp_msgs/msg/AgentStatus', departed),
+        ):
+            writer.add_topic(topic, kind, '[]')
+            writer.write(topic, serialize_message(message), 1, 1)
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    statuses = field.listen(AgentStatus, '/scout_1/status')
+    field.node.create_publisher(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
+    recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
+    for message in (path(1), path(2), departed):
+        recorded.publish(on_disk(message))
+    resumed = {'resume': str(log)} if known_by == 'log' else {}
+    field.start('agent', {**FIELD, 'await_nodes': ['test'], 'recorded': True, **resumed})
+    paths = field.talk(Path, '/scout_1/path')
+    for number in (1, 2):
+        paths.publish(path(number))
+    field.until(lambda: reports, 'report')
+    field.until(lambda: field.count('/agent', 'waiting') == 1, 'the other robot to be held')
+    assert [each.deployment for each in reports] == [path(1).header.stamp]
+    told = {(from_stamp(each.deployment), each.state) for each in statuses}
+    assert (key(1).stamp, OrderState.DEPARTED) in told
+    assert (key(2).stamp, OrderState.DEPARTED) not in told
