@@ -8,6 +8,7 @@ import sys
 
 from kbnitp_ros.configuration import robot_types_of
 from kbnitp_ros.log.deployments import read_deployments, read_mission
+from kbnitp_ros.nodes.hidden_field import PATIENCE
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -67,8 +68,8 @@ class AgentNode(FieldNode):
         awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
         if agent_awaited := self._simulation.field.awaited:
             awaited.append(
-                f'the path of {agent_awaited} in the same round: robots change the field in their '
-                'order (parameter hazards.dynamics)'
+                f'the path of {agent_awaited} in the same round, at most {PATIENCE} s: robots '
+                'change the field in their order (parameter hazards.dynamics)'
             )
         names = ', '.join(agent.name for agent in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)

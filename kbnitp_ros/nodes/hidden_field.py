@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+import time
 
 from kbnitp_ros.core import (
     deployment_order,
@@ -18,13 +19,19 @@ from kbnitp_ros.core import (
 import numpy as np
 from numpy.typing import NDArray
 
+# How long a robot waits for paths that may come before its own, in seconds: acknowledgements that
+# were missed are asked for again after 1 s and 2 s.
+PATIENCE = 5.0
+
 
 class HiddenField:
     """What becomes of robots in a field, as core's run_mission has it."""
 
     # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
-    # before it are known. All agents take part in each round in their order: robot n of an agent,
-    # from 0, waits for n + 1 paths of each agent before it and n of each after it.
+    # before it are known. Where all agents take part in each round in their order, robot n of an
+    # agent, from 0, waits for n + 1 paths of each agent before it and n of each after it. An agent
+    # whose robot is out or waits gets no earlier path. Of others it may never come, as at the end
+    # of a mission or when agents leave one by one, so nobody waits for longer than `PATIENCE`.
 
     def __init__(
         self,
@@ -48,22 +55,23 @@ class HiddenField:
         self._known = dict.fromkeys(agents, 0)
         self._made = dict.fromkeys(agents, 0)
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
+        # When these became known.
+        self._since: dict[DeploymentKey, float] = {}
+        # Agents whose robots have left and are not back.
+        self.out: set[str] = set()
 
-    def take(
-        self, key: DeploymentKey, path: NDArray[np.intp]
-    ) -> list[tuple[DeploymentKey, Traverse]]:
-        """Take note of a path; return the robots that leave now, and what becomes of them."""
-        if key in self._waiting:
-            return []
-        self._known[key.agent] += 1
-        self._waiting[key] = path
+    def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        """Add a path."""
+        if key not in self._waiting:
+            self._known[key.agent] += 1
+            self._waiting[key] = path
+            self._since[key] = time.monotonic()
+
+    def leaving(self) -> list[tuple[DeploymentKey, Traverse]]:
+        """Return the robots that leave now, and what becomes of them."""
         leaving = []
-        while self._waiting:
+        while self._waiting and not self.awaited:
             first = min(self._waiting, key=deployment_order)
-            if self.is_static:
-                first = key
-            elif self.awaited:
-                break
             leaving.append((first, self._leave(first)))
         return leaving
 
@@ -82,10 +90,13 @@ class HiddenField:
         """Return the agent whose path the next robot waits for; empty when it waits for none."""
         if not self._waiting or self.is_static:
             return ''
-        agent = min(self._waiting, key=deployment_order).agent
-        place, robot = self._agents.index(agent), self._made[agent]
+        first = min(self._waiting, key=deployment_order)
+        if time.monotonic() > self._since[first] + PATIENCE:
+            return ''
+        place, robot = self._agents.index(first.agent), self._made[first.agent]
+        settled = {*self.out, *(key.agent for key in self._waiting)}
         for number, other in enumerate(self._agents):
-            if self._known[other] < robot + (number < place):
+            if self._known[other] < robot + (number < place) and other not in settled:
                 return other
         return ''
 
@@ -93,6 +104,7 @@ class HiddenField:
         robot = self._made[key.agent]
         is_first = not any(self._made.values())
         path = self._waiting.pop(key)
+        del self._since[key]
         made = self._execution.traverse(
             self.world,
             self._grid.at(int(path[0])),

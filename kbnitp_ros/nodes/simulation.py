@@ -17,7 +17,7 @@ from kbnitp_ros.configuration import (
     value_for,
 )
 from kbnitp_ros.configuration.world_file import read_world
-from kbnitp_ros.core import DeploymentKey, Observation, Traverse, World
+from kbnitp_ros.core import deployment_order, DeploymentKey, Observation, Traverse, World
 from kbnitp_ros.log.deployments import RecordedDeployment
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import read_path, report_message
@@ -67,13 +67,17 @@ class Simulation:
             for name in ('hazard', 'target')
             if node.values['publish_truth']
         }
-        # What became of robots on record that have not reported.
+        # What becomes of robots that the field does not wait for, and those that move as soon as
+        # that is known.
         self._out: dict[DeploymentKey, Traverse] = {}
+        self._moving: set[DeploymentKey] = set()
         for key, deployment in recorded.items():
             self._restore(key, deployment)
         self._publish_truth()
         # What becomes of robots that leave, by agent; of those of other nodes nothing is told.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
+        if not self.field.is_static:
+            node.create_poll(self._leave_all)
 
     def _hidden_world(self) -> World:
         values = self.node.values
@@ -94,14 +98,21 @@ class Simulation:
 
     def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
         """Have a robot leave when those before it have left that may change the field."""
+        self._moving.add(key)
+        if key not in self._out:
+            self.field.take(key, path)
+        self._leave_all()
+
+    def _leave_all(self) -> None:
         before = self.field.world
-        is_on_record = key in self._out
-        leaving = [(key, self._out.pop(key))] if is_on_record else self.field.take(key, path)
+        self._out |= self.field.leaving()
         if not np.array_equal(before.hazard, self.field.world.hazard):
             self._publish_truth()
-        for robot, made in leaving:
-            if robot.agent in self.leave:
-                self.leave[robot.agent](robot, made)
+        for key in sorted(self._moving & self._out.keys(), key=deployment_order):
+            self._moving.remove(key)
+            made = self._out.pop(key)
+            if key.agent in self.leave:
+                self.leave[key.agent](key, made)
 
     def is_over(self, deployment: RecordedDeployment) -> bool:
         """Whether nothing more is to be heard of a robot on record."""
@@ -118,8 +129,8 @@ class Simulation:
         if self.field.is_static and self.is_over(deployment):
             self.field.pass_over(key.agent)
             return
-        for robot, made in self.field.take(key, deployment.path):
-            self._out[robot] = made
+        self.field.take(key, deployment.path)
+        self._out |= self.field.leaving()
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
         """Return the randomness of an agent's robot, counted from 0 as they depart."""
@@ -266,6 +277,7 @@ class SimulatedAgent(AgentPaths):
         self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
+        self._simulation.field.out.add(self.name)
         period = value_for(self._node.values, 'step_period', self.name)
         if period == 0.0:
             self._return(key, made.observation)
@@ -293,6 +305,7 @@ class SimulatedAgent(AgentPaths):
 
     def _return(self, key: DeploymentKey, observation: Observation) -> None:
         """Report what came of a robot, now that it is back or would have been."""
+        self._simulation.field.out.discard(self.name)
         if not observation.survived and self._node.values['silent_loss']:
             return
         stamp = self._node.now()

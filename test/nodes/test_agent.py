@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import time
+
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import Observation, Report, SensorModel, World
 from kbnitp_ros.messages.deployments import read_report, report_message
+from kbnitp_ros.nodes.hidden_field import PATIENCE
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
@@ -167,3 +170,31 @@ def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_hav
     assert [read_report(report) for report in reports] == [
         (key(number), expected[number]) for number in (0, 2, 1, 3)
     ]
+
+
+def test_no_robot_waits_for_ever_for_a_path_before_its_own_that_never_comes(field):
+    reports = {name: field.listen(DeploymentReport, f'/{name}/report') for name in ('a', 'b')}
+    field.start('agent', {**PARAMETERS, 'agents': ['a', 'b'], 'hazards.dynamics': 'used_up'})
+    paths = {name: field.talk(Path, f'/{name}/path') for name in reports}
+    # In the round of the last one the first agent has no part.
+    paths['b'].publish(path(2))
+    field.until(lambda: 'the path of a in the same round' in field.state('/agent'), 'wait')
+    assert not reports['b']
+    paths['a'].publish(path(1))
+    field.until(lambda: reports['a'] and reports['b'], 'reports of a round')
+    paths['b'].publish(path(3))
+    field.until(lambda: len(reports['b']) == 2, 'report of a robot that leaves alone')
+
+
+def test_no_robot_waits_for_an_agent_whose_robot_is_out(field):
+    agents = {'agents': ['a', 'b'], 'hazards.dynamics': 'used_up'}
+    slow = {'step_period': 1000.0, 'robots.b.step_period': 0.001}
+    field.start('agent', {**PARAMETERS, **agents, **slow})
+    reports = {name: field.listen(DeploymentReport, f'/{name}/report') for name in ('a', 'b')}
+    paths = {name: field.talk(Path, f'/{name}/path') for name in reports}
+    paths['a'].publish(path(1))
+    begun = time.monotonic()
+    for number in (2, 3, 4):
+        paths['b'].publish(path(number))
+    field.until(lambda: len(reports['b']) == 3, 'reports')
+    assert time.monotonic() < begun + PATIENCE

@@ -13,6 +13,7 @@ from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
+import pytest
 from tf2_msgs.msg import TFMessage
 from unbroken import with_defaults
 
@@ -82,9 +83,10 @@ class Team:
         assert believed.joint.tobytes() == ledger.belief.joint.tobytes()
 
 
-def test_robots_leave_whenever_their_agent_is_free(field):
+@pytest.mark.parametrize('dynamics', ['static', 'used_up'])
+def test_robots_leave_whenever_their_agent_is_free(field, dynamics):
     rolling = {'rolling': True, 'step_period': 0.02, 'robots': 30}
-    team = Team(field, 3, {**rolling, 'method': 'kappa_bnitp'})
+    team = Team(field, 3, {**rolling, 'method': 'kappa_bnitp', 'hazards.dynamics': dynamics})
     team.until_done()
     assert len(team.told) == len({key for key, _ in team.told}) == 30
     team.assert_is_the_fold_of_its_reports()
