@@ -17,6 +17,7 @@ from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     GroupAction,
+    IncludeLaunchDescription,
     LogInfo,
     OpaqueFunction,
     SetEnvironmentVariable,
@@ -136,7 +137,7 @@ def mission_description(
     names = [argument.name for argument in arguments]
 
     def start(context: LaunchContext) -> list[Action]:
-        check_arguments(context.argv, names)
+        check_arguments(context, names)
         return list(nodes(MissionArguments(context)))
 
     mission = GroupAction(
@@ -157,11 +158,17 @@ def hear_interrupts_once() -> None:
         signal.signal(signal.SIGINT, lambda *_: None)
 
 
-def check_arguments(given: Iterable[str], names: Sequence[str]) -> None:
-    """Check that no argument on the command line is misspelt."""
-    for name in (each.partition(':=')[0] for each in given):
-        if name not in names and (meant := nearest(name, names)):
-            raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
+def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
+    """Check that no argument of this file is misspelt; a file that includes it has its own."""
+    known = context.get_locals_as_dict()
+    ours = Path(known['current_launch_file_path']).resolve()
+    for each in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
+        if not isinstance(each, IncludeLaunchDescription):
+            continue
+        is_ours = Path(each.launch_description_source.location).resolve() == ours
+        for name in (str(name) for name, _ in each.launch_arguments if is_ours):
+            if name not in names and (meant := nearest(name, names)):
+                raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
 
 
 class MissionArguments:
@@ -170,9 +177,8 @@ class MissionArguments:
     def __init__(self, context: LaunchContext) -> None:
         self._context = context
         self._failures: list[str] = []
-        self._namespace = self.argument('namespace').strip('/')
-        # What is started again is so outside the groups of launch files.
-        self._above = context.launch_configurations.get('ros_namespace', '')
+        # Known from now on: what is started again is so outside the groups of launch files.
+        self._namespace = context.launch_configurations.get('ros_namespace', '').strip('/')
         self._sections = read_sections(self.argument('params_file'))
         self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
         self.agents = agents_named(self.argument('agents')) or list(
@@ -269,7 +275,7 @@ class MissionArguments:
                 package='kbnitp_ros',
                 executable=name,
                 name=name,
-                namespace=f'{self._above.rstrip("/")}/{namespace}'.rstrip('/') or '/',
+                namespace=self._full_name(namespace),
                 parameters=[params_file, given | {'resume': resume}],
                 remappings=self.poses if name == 'agent' else [],
                 ros_arguments=['--enclave', self._full_name(namespace, name)],

@@ -2,7 +2,7 @@
 """Launch the agent of one real robot, on its own computer."""
 
 from kbnitp_ros.configuration.given import read_sections
-from kbnitp_ros.launching import FINAL, respawned, SHARE, TRANSPORT
+from kbnitp_ros.launching import check_arguments, FINAL, respawned, SHARE, TRANSPORT
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import (
@@ -50,12 +50,13 @@ def generate_launch_description():
 
 def robot(context):
     """Return the node, whose topics depend on the namespaces."""
-    given = {
-        name: LaunchConfiguration(name).perform(context)
-        for name in ('agent', 'namespace', 'nav_namespace', 'params_file', *OPTIONS)
-    }
+    names = ('agent', 'namespace', 'nav_namespace', 'params_file', *OPTIONS)
+    check_arguments(context, names)
+    given = {name: LaunchConfiguration(name).perform(context) for name in names}
     read_sections(given['params_file'])
-    own = f'/{given["namespace"].strip("/")}/{given["agent"]}'.replace('//', '/')
+    above = context.launch_configurations.get('ros_namespace', '')
+    spaces = (above.strip('/'), given['namespace'].strip('/'), given['agent'])
+    own = '/' + '/'.join(filter(None, spaces))
     nav = given['nav_namespace'] or own
     below = f'/{nav.strip("/")}'.rstrip('/')
     parameters = {'agent': given['agent'], 'nav_namespace': nav}

@@ -237,6 +237,35 @@ def test_ros2_launch_ends_by_itself(tmp_path, configured, file, arguments, code,
     assert told in ended.stdout
 
 
+INCLUDING = f"""
+from launch import LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription
+from launch_ros.actions import PushROSNamespace
+
+def generate_launch_description():
+    given = {{'params_file': 'short.yaml', 'namespace': 'inner'}}.items()
+    file = '{ROOT}/launch/mission.launch.py'
+    ours = IncludeLaunchDescription(file, launch_arguments=given)
+    return LaunchDescription([GroupAction([PushROSNamespace('fleet'), ours])])
+"""
+
+
+@pytest.mark.processes
+def test_a_launch_file_that_includes_ours_has_arguments_and_a_namespace_of_its_own(
+    tmp_path, configured
+):
+    configured(robots=2)
+    with (tmp_path / 'short.yaml').open('a') as config:
+        config.write('/fleet/inner/recorder: {ros__parameters: {file: mission.mcap}}\n')
+    (tmp_path / 'including.launch.py').write_text(INCLUDING)
+    with free_domain() as domain:
+        names = ('world', 'map', 'site', 'use_rviz', 'model', 'respawn')
+        arguments = [f'{name}:=mine' for name in names]
+        mission = launched(tmp_path, domain, *arguments, launch_file=tmp_path / 'including')
+        assert mission.wait(timeout=120) == 0
+    assert '/fleet/inner/planner' in read_parameters(tmp_path / 'mission.mcap')
+
+
 LATE = '/planner: {ros__parameters: {}}\n/**/planner: {ros__parameters: {robots: 5}}\n'
 
 
