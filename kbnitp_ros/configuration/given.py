@@ -8,6 +8,7 @@ ROS hands a node the values only, and passes over in silence what is misspelt or
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
 import re
@@ -39,9 +40,13 @@ def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
     """Return the sections of a parameter file as YAML loads it, checked like `read_sections`."""
     if not isinstance(config, Mapping):
         raise ValueError(f'it holds {config!r}: it must hold sections, such as /**')
-    sections = dict(_sections(config, ''))
-    for section, values in sections.items():
+    sections = {}
+    for section, values in _sections(config, ''):
         nodes = _nodes_in(section, names)
+        if not nodes:
+            _check_is_of_others(section, values)
+            continue
+        sections[section] = values
         try:
             for name, value in values.items():
                 check_known(name, nodes)
@@ -77,16 +82,18 @@ def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any
 
 
 def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
-    """Return the executables whose nodes a section, or the start of a rule, is for."""
+    """Return the executables whose nodes a section, or the start of a rule, is for, if any."""
     name = section.rpartition('/')[2]
     if name in WILDCARDS:
         return NODES
-    if name not in (known := list(dict.fromkeys([*NODES, *names]))):
-        raise ValueError(
-            f'section {section!r} is for no node: {nearest(name, known)}'
-            f'the nodes are {", ".join(known)}'
-        )
-    return [names.get(name, name)]
+    return [names.get(name, name)] if name in (*NODES, *names) else []
+
+
+def _check_is_of_others(section: str, values: Mapping[str, Any]) -> None:
+    """Refuse a section with parameters of the node whose name it nearly has."""
+    for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
+        if any(parameter_of(node, name) for name in values):
+            raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
 
 
 def values_for(sections: Sections, node: str) -> dict[str, Any]:
@@ -111,7 +118,10 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
     files = [read_sections(path, {called: name}) for flag, path in given if flag in FILE]
     for rule in (rule for flag, rule in given if flag in RULE):
         node, _, parameter = rule.partition(':=')[0].rpartition(':')
-        check_known(parameter, _nodes_in(node, {called: name}) if node else [name])
+        if not (nodes := _nodes_in(node, {called: name}) if node else [name]):
+            meant = nearest(node, [called])
+            raise ValueError(f'-p {rule}: {node!r} is for no node: {meant}this one is {called}')
+        check_known(parameter, nodes)
         if not node:
             _check_counts(rule, parameter, files, f'{remaps.get("__ns", "").rstrip("/")}/{called}')
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
+import re
 
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
@@ -33,8 +34,7 @@ def written(folder, content):
 
 
 @for_each('config, told', [
-    (section('/**/plannr'), "'/**/plannr' is for no node: did you mean planner? the nodes are"),
-    (section('nav2'), "'nav2' is for no node: the nodes are planner, agent"),
+    (section('/**/plannr', robots=3), "'/**/plannr' is for no node: did you mean planner?"),
     ({'planner': {'robots': 3}}, "'planner/robots' must hold ros__parameters"),
     ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
     ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
@@ -66,6 +66,39 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
 def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
     with pytest.raises(ValueError, match=told):
         read_sections(written(tmp_path, text))
+
+
+NAV2 = """
+planner_server: {ros__parameters: {planner_plugins: [GridBased], GridBased: {tolerance: 0.5}}}
+robots: {ros__parameters: {max_steps_per_s: 3}}
+/north/planner: {ros__parameters: {max_steps: 7}}
+/scout_1/global_costmap:
+  global_costmap: {ros__parameters: {robot_radius: 0.22, plugins: [static_layer]}}
+"""
+PAGE = SHIPPED.parents[1].joinpath('docs', 'robots.md').read_text()
+
+
+@for_each('text, own', [
+    (NAV2, {'/north/planner': {'max_steps': 7}}),
+    *(
+        (text, {'/mission/estimator': {f'filter.{name}': value for name, value in given.items()}})
+        for text, given in zip(
+            re.findall(r'```yaml\n(/mission/estimator:\n.*?)```', PAGE, re.DOTALL),
+            [
+                {'type': 0, 'base': 0.0, 'multiplier': 1.0},
+                {'type': 1, 'base': 100.0, 'multiplier': -0.9},
+            ],
+            strict=True,
+        )
+    ),
+])  # fmt: skip
+def test_sections_of_other_nodes_are_theirs(tmp_path, text, own):
+    path = written(tmp_path, text)
+    assert read_sections(path) == own
+    check_given('planner', ['--ros-args', '-r', '__ns:=/north', '--params-file', path])
+    assert given_by_ros(['--ros-args', '--params-file', path], '/north') == own.get(
+        '/north/planner', {}
+    )
 
 
 def test_a_file_that_is_not_there_is_named():
@@ -200,8 +233,6 @@ def test_a_renamed_node_has_a_section_of_its_own(tmp_path):
     path = written(tmp_path, section('/**/scribe', file='a.mcap'))
     given = ['--ros-args', '--params-file', path]
     check_given('recorder', [*given, '--remap', '__node:=scribe'])
-    with pytest.raises(ValueError, match='scribe.* is for no node'):
-        check_given('recorder', given)
     path = written(tmp_path, section('/**/scribe', robots=3))
     with pytest.raises(ValueError, match='robots is unknown to the recorder'):
         check_given('recorder', [*given, '--remap', '__node:=scribe'])
