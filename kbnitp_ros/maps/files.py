@@ -10,6 +10,7 @@ is the map's top.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -26,6 +27,11 @@ from PIL import Image, UnidentifiedImageError
 FORMATS = ('PPM', 'PNG', 'BMP')
 
 MODES = ('trinary', 'scale', 'raw')
+
+# What may be said of `negate`, a number or a boolean of YAML.
+SWITCHES = dict.fromkeys(('0', 'false', 'no', 'off', 'n'), False) | dict.fromkeys(
+    ('1', 'true', 'yes', 'on', 'y'), True
+)
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ def darkness(gray: NDArray[np.uint8], negate: bool) -> NDArray[np.float32]:
 
 def scaled(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.float32]:
     """Return how far each pixel is from `free_thresh` to `occupied_thresh`, 0 to 1 in between."""
-    width = np.float32(file.occupied_thresh - file.free_thresh)
+    width = np.float32(max(file.occupied_thresh - file.free_thresh, 1e-30))
     result: NDArray[np.float32] = (dark - np.float32(file.free_thresh)) / width
     return result
 
@@ -121,31 +127,37 @@ def read_map_file(path: Path) -> MapFile:
         return said.get(name, *default)
 
     def number(name: str, found: Any) -> float:
-        if isinstance(found, bool) or not isinstance(found, (int, float)) or not isfinite(found):
-            raise MapError(f'{name} of {path} is {found!r}: it must be a finite number')
-        return float(found)
+        # map_server takes numbers in quotes as well.
+        with suppress(TypeError, ValueError):
+            if not isinstance(found, bool) and isfinite(float(found)):
+                return float(found)
+        raise MapError(f'{name} of {path} is {found!r}: it must be a finite number')
 
     origin = value('origin')
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f'origin of {path} is {origin!r}: it must be [x, y, yaw], in m and rad')
     x, y, yaw = (number('origin', coordinate) for coordinate in origin)
-    mode = value('mode', 'trinary')
+    mode = str(value('mode', 'trinary')).lower()
     if mode not in MODES:
         raise MapError(f'mode of {path} is {mode!r}: known are {", ".join(MODES)}')
-    negate = value('negate')
-    if negate not in (0, 1):
-        raise MapError(f'negate of {path} is {negate!r}: it must be 0 or 1')
-    occupied, free = (number(name, value(name)) for name in ('occupied_thresh', 'free_thresh'))
-    if not free < occupied:
+    negate = str(value('negate')).lower()
+    if negate not in SWITCHES:
+        raise MapError(f'negate of {path} is {value("negate")!r}: it must be 0 or 1')
+    resolution, occupied, free = (
+        number(name, value(name)) for name in ('resolution', 'occupied_thresh', 'free_thresh')
+    )
+    if resolution <= 0:
+        raise MapError(f'resolution of {path} is {resolution}: it must be positive, in metres')
+    if free > occupied:
         raise MapError(
-            f'free_thresh of {path} is {free}: it must be below occupied_thresh, {occupied}'
+            f'free_thresh of {path} is {free}: it must not be above occupied_thresh, {occupied}'
         )
     return MapFile(
         image=path.parent / str(value('image')),
-        resolution=number('resolution', value('resolution')),
+        resolution=resolution,
         origin=(x, y),
         yaw=yaw,
-        negate=bool(negate),
+        negate=SWITCHES[negate],
         occupied_thresh=occupied,
         free_thresh=free,
         mode=mode,

@@ -7,6 +7,7 @@ from math import remainder, tau
 from pathlib import Path
 
 from kbnitp_ros.core import Grid
+from kbnitp_ros.files import in_words
 from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
 from kbnitp_ros.maps.occupancy import MapError
 from kbnitp_ros.maps.overlap import ON_THE_EDGE, shares
@@ -103,8 +104,9 @@ def read_array(path: Path) -> NDArray[np.float64]:
             )
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
-    except (ValueError, EOFError) as error:
-        raise MapError(f'{path} is no array of numbers: {error}') from error
+    except Exception as error:
+        # numpy fails in many ways on a corrupt header.
+        raise MapError(f'{path} is no array of numbers: {in_words(error)}') from error
     values: NDArray[np.float64] = array.astype(np.float64)
     wrong = np.argwhere(~((values >= 0.0) & (values <= 1.0)))
     if len(wrong):

@@ -50,6 +50,11 @@ def test_thresholds_are_certainties(tmp_path):
     assert found == pytest.approx([1.0, 1.0, 128 / 255 / 0.6 - 0.2 / 0.6, 0.0, 0.0], abs=1e-6)
 
 
+def test_one_threshold_makes_certainties_alone(tmp_path):
+    path = write(tmp_path, [[255, 128, 127, 0]], occupied=127 / 255, free=127 / 255)
+    assert read_probabilities(path, Grid(4, 1), elsewhere=0.5).tolist() == [0.0, 0.0, 1.0, 1.0]
+
+
 def test_cells_beyond_the_map_or_transparent_keep_the_number(tmp_path):
     pixels = np.zeros((2, 2, 4), dtype=np.uint8)
     pixels[..., 3] = [[255, 0], [255, 255]]
@@ -137,7 +142,10 @@ def test_bad_arrays_are_refused(tmp_path, array, message):
         read_probabilities(path, Grid(2, 2), 0.5)
 
 
-@for_each('data', [b'', b'\x93NUMPY\x01', b'no array'])
+@for_each('data', [
+    b'', b'\x93NUMPY\x01', b'no array', b'PK\x03\x04',
+    b"\x93NUMPY\x01\x00\x14\x00{'descr': ('<f8', 3, ", b'\x93NUMPY\x01\x00\x04\x00,8,\n',
+])  # fmt: skip
 def test_damaged_arrays_are_refused(tmp_path, data):
     path = tmp_path / 'prior.npy'
     path.write_bytes(data)
@@ -150,3 +158,5 @@ def test_other_files_are_refused(tmp_path):
         read_probabilities(tmp_path / 'nothere.npy', Grid(2, 2), 0.5)
     with pytest.raises(MapError, match='trinary.*mode scale'):
         read_probabilities(write(tmp_path, [[0]], mode='trinary'), Grid(2, 2), 0.5)
+    with pytest.raises(MapError, match='resolution of .*map.yaml is 0.0: it must be positive'):
+        read_probabilities(write(tmp_path, [[0]], resolution=0), Grid(2, 2), 0.5)

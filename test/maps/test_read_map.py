@@ -48,10 +48,10 @@ def published(pixel, mode, negate, occupied, free):
     p = np.float32(pixel) / np.float32(255)
     if not negate:
         p = np.float32(1) - p
-    if p >= np.float32(occupied):
-        return 100
     if p <= np.float32(free):
         return 0
+    if p >= np.float32(occupied):
+        return 100
     if mode == 'trinary':
         return -1
     part = (p - np.float32(free)) / np.float32(occupied - free) * np.float32(100)
@@ -64,7 +64,14 @@ def published(pixel, mode, negate, occupied, free):
         ['trinary', 'scale', 'raw', None],
         [0, 1],
         ['map.pgm', 'ascii.pgm', 'map.png'],
-        [(0.65, 0.196), (0.65, 0.25), (1.0, 0.0), (0.5, 0.499)],
+        [
+            (0.65, 0.196),
+            (0.65, 0.25),
+            (1.0, 0.0),
+            (0.5, 0.499),
+            (0.6, 0.6),
+            (128 / 255, 128 / 255),
+        ],
     ),
 )
 def test_every_grey_value_is_what_map_server_publishes(tmp_path, mode, negate, name, thresholds):
@@ -88,6 +95,20 @@ def test_every_grey_value_is_what_map_server_publishes(tmp_path, mode, negate, n
     assert found.data.tolist() == expected
     assert found.resolution == 0.05
     assert found.origin == (-1.5, 2.0)
+
+
+@for_each('changes', [
+    {'negate': "'0'", 'mode': 'Trinary'},
+    {'negate': 'n', 'resolution': '5e-2', 'origin': '[-1.5e0, "2", 0]'},
+    {'negate': 'false', 'occupied_thresh': '"0.65"', 'free_thresh': '196e-3'},
+])  # fmt: skip
+def test_values_are_written_as_map_server_takes_them(tmp_path, changes):
+    expected = read_map(write(tmp_path, np.arange(256).reshape(8, 32)))
+    found = read_map(write_yaml(tmp_path, **changes))
+    assert found.data.tolist() == expected.data.tolist()
+    assert (found.resolution, found.origin) == (expected.resolution, expected.origin)
+    turned = read_map(write_yaml(tmp_path, **{**changes, 'negate': "'1'"}))
+    assert turned.data[-1, 0] == 0
 
 
 def test_the_image_s_last_row_is_the_map_s_first(tmp_path):
@@ -173,14 +194,16 @@ def test_a_turned_map_lies_as_it_says(tmp_path):
     ({'image': 'map.yaml'}, 'map.yaml is no image in PGM, PNG or BMP'),
     ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
     ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
-    ({'resolution': -0.05}, 'resolution is -0.05.*positive'),
+    ({'resolution': -0.05}, 'resolution of .* is -0.05.*positive'),
     ({'resolution': None}, 'no resolution'),
     ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
     ({'origin': [0, 0, '.nan']}, 'origin.*finite'),
     ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
     ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
     ({'negate': 2}, 'negate.*2.*0 or 1'),
-    ({'free_thresh': 0.7}, 'free_thresh.*0.7.*below'),
+    ({'negate': "''"}, "negate.*''.*0 or 1"),
+    ({'resolution': 0}, 'resolution of .*map.yaml is 0.0: it must be positive'),
+    ({'free_thresh': 0.7}, 'free_thresh.*0.7.*not be above occupied_thresh, 0.65'),
     ({'occupied_thresh': '[1]'}, 'occupied_thresh.*finite number'),
 ])  # fmt: skip
 def test_bad_files_are_refused(tmp_path, changes, message):
