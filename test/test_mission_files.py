@@ -11,6 +11,7 @@ from subprocess import DEVNULL
 import time
 
 from kbnitp_ros.bag.reader import LogError, read_log
+from kbnitp_ros.cli.parameters import values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
@@ -203,7 +204,8 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
         try:
             sections = read_sections(tmp_path / 'short.yaml')
             own = {'agent': 'ada', 'agents': ['ada'], 'recorded': True}
-            robots.start('agent', {**values_for(sections, '/agent'), **own}, output=DEVNULL)
+            values = values_of(sections, ['agent'])['agent']
+            robots.start('agent', {**values, **own}, output=DEVNULL)
             assert base.wait(timeout=120) == 0
         finally:
             interrupt(base)
