@@ -43,9 +43,14 @@ from kbnitp_ros.robot import (
 )
 from kbnitp_ros.robot.fixes import Fixes
 from kbnitp_ros.robot.transforms import Place, Transforms
+from kbnitp_ros.robot.walk import MARGIN
+from kbnitp_ros.robot.whereabouts import NONE
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
+
+# Maximum number of detections kept until it is known where the robot was.
+MAX_UNREAD = 1000
 
 # The exit code of a robot that DDS lets nobody hear before it is started again.
 NEW_LINKS = os.EX_TEMPFAIL
@@ -94,6 +99,8 @@ class RobotNode(FieldNode):
         self._ended_at = 0
         self._stays_until: int | None = None
         self._try_again_at = 0.0
+        # The time of the last look, as the system tells it and as ROS does.
+        self._looked = 0, 0
         self._resume()
         if self._links.are_missing:
             self.get_logger().warning(
@@ -101,7 +108,9 @@ class RobotNode(FieldNode):
                 f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
             )
         self._hear_places()
-        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS)
+        self.hear_newest(
+            detections, 'detections', self._on_detection, qos.READINGS, is_timed=True
+        )
         self.create_poll(self._look)
 
     def _source_of_places(self) -> Transforms | Fixes:
@@ -157,10 +166,21 @@ class RobotNode(FieldNode):
         self._walk = Walk(
             self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
         )
-        self._whereabouts = Whereabouts(round(self.values['tf_timeout'] * SECOND))
+        self._whereabouts = Whereabouts(
+            round(self.values['tf_timeout'] * SECOND), round(self._unseen() * SECOND)
+        )
+        # What was seen and is not counted for a step yet, and between which times.
+        self._unread: list[tuple[int, int, bool]] = []
         self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
         self._stays_until, self._try_again_at = None, 0.0
+
+    def _unseen(self) -> float:
+        """Return for how many seconds the robot cannot leave its cell and come back unseen."""
+        longest: float = self.values['tf_timeout']
+        if speed := self.values['max_speed']:
+            longest = min(longest, 2 * MARGIN * self.grid.resolution / speed)
+        return longest
 
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
@@ -185,14 +205,14 @@ class RobotNode(FieldNode):
             self._place = self._whereis.place(self.now(), self.values['tf_timeout'])
         except ValueError as error:
             self._place = None
-            self._say(self._source, str(error))
+            self._lose(self.now(), error)
             return
         entered: list[int] = []
         if self._deployment is not None:
             try:
                 entered = self._walk.follow(self._place.x, self._place.y, self.now() / SECOND)
             except ValueError as error:
-                self._say(self._source, str(error))
+                self._lose(self._place.odometry, error)
                 return
         self._say(self._source, '')
         self._enter(entered)
@@ -202,6 +222,13 @@ class RobotNode(FieldNode):
             is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
             step = len(self._deployment.steps) if is_well_in else 0
             self._whereabouts.note(self._place.odometry, step)
+            self._count_readings(self._deployment)
+
+    def _lose(self, time_lost: int, error: ValueError) -> None:
+        """Read nothing at a time when it is not known where the robot is, and say why."""
+        if self._deployment is not None:
+            self._whereabouts.note(time_lost, NONE)
+        self._say(self._source, str(error))
 
     def _enter(self, cells: Sequence[int]) -> None:
         for cell in cells:
@@ -240,38 +267,52 @@ class RobotNode(FieldNode):
         self._troubles[about] = trouble
         self.diagnostics.warning = '; '.join(filter(None, self._troubles.values()))
 
-    def _on_detection(self, message: object) -> None:
-        self._locate()
+    def _on_detection(self, message: object, published: int) -> None:
+        """Take what was seen, to be counted for a step once it is known where the robot was."""
         try:
             detection = read_detection(message, self.values)
-            number = self._step_at(detection.stamp)
+            since, until = self._time_of(detection.stamp, published)
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
-        if self._deployment is None or self._deployment.is_doubted or number == 0:
-            return
-        step = self._deployment.steps[number - 1]
-        # All that is said in a cell is one reading: whether anything was seen.
-        if step.reading < detection.seen:
-            step.reading = int(detection.seen)
-            self._keep(partial(self._journal.step, self._deployment, number))
+        if self._deployment is not None and not self._deployment.is_doubted:
+            self._unread = [*self._unread[-MAX_UNREAD:], (since, until, detection.seen)]
+        self._locate()
 
-    def _step_at(self, stamp: int | None) -> int:
-        """Return in which step the robot looked at a time, or now; counted from 1, 0 for none."""
-        # Where it is not known, nothing is read: it would count for another cell.
-        if self._deployment is None or self._place is None or self._troubles.get(self._source):
-            return 0
-        if stamp is None:
-            return self._whereabouts.step_at(self._place.odometry)
-        age = (self.now() - stamp) / SECOND
+    def _time_of(self, stamp: int | None, published: int) -> tuple[int, int]:
+        """Return between which ROS times a detection was made, in nanoseconds."""
+        looked_at, looked = self._looked
+        if stamp is None and self.get_parameter('use_sim_time').value:
+            # Of a message that waited for longer it is not known.
+            return (looked if published >= looked_at else 0), self.now()
+        what, made = ('it was published', published) if stamp is None else ('header.stamp is', stamp)
+        age = (self.now() - made) / SECOND
         if abs(age) > self.values['tf_timeout']:
             raise ValueError(
-                f'header.stamp is {age:.1f} s ago: it may be {self.values["tf_timeout"]} s '
+                f'{what} {age:.1f} s ago: it may be {self.values["tf_timeout"]} s '
                 '(parameter tf_timeout)'
             )
-        return self._whereabouts.step_at(stamp)
+        return made, made
+
+    def _count_readings(self, deployment: Deployment) -> None:
+        """Count what was seen for the steps in which the robot was then."""
+        # Where that is not certain, nothing is read: it would count for another cell.
+        unread, self._unread = self._unread, []
+        for since, until, seen in unread:
+            if not self._whereabouts.is_known(until):
+                self._unread.append((since, until, seen))
+                continue
+            number = self._whereabouts.step_within(since, until)
+            if number == NONE or deployment.is_doubted:
+                continue
+            step = deployment.steps[number - 1]
+            # All that is said in a cell is one reading: whether anything was seen.
+            if step.reading < seen:
+                step.reading = int(seen)
+                self._keep(partial(self._journal.step, deployment, number))
 
     def _look(self) -> None:
+        self._looked = time.time_ns(), self.now()
         self._locate()
         self._keep(self._journal.write)
         # At home its state says so, and whom it waits for.

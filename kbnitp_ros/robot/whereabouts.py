@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which step of its walk a robot was when a picture was taken."""
+"""In which step of its walk a robot was when its detector looked."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ class Span:
 class Whereabouts:
     """In which step the robot was at any time no longer ago than is kept, in nanoseconds."""
 
-    def __init__(self, kept: int) -> None:
+    def __init__(self, kept: int, gap: int) -> None:
+        # Between two sights that are further apart than the gap the robot may have been anywhere.
         self._kept = kept
+        self._gap = gap
         self._spans: deque[Span] = deque()
 
     def note(self, time: int, step: int) -> None:
@@ -33,17 +35,20 @@ class Whereabouts:
         spans = self._spans
         if spans and time < spans[-1].last:
             spans.clear()
-        if spans and spans[-1].step == step:
+        if spans and spans[-1].step == step and time <= spans[-1].last + self._gap:
             spans[-1].last = time
         else:
             spans.append(Span(time, time, step))
         while spans[0].last < time - self._kept:
             spans.popleft()
 
-    def step_at(self, time: int) -> int:
-        """Return the step of the robot at a time, or `NONE` between two."""
+    def is_known(self, time: int) -> bool:
+        """Return whether the robot was seen at a time or after it."""
+        return bool(self._spans) and time <= self._spans[-1].last
+
+    def step_within(self, since: int, until: int) -> int:
+        """Return the step in which the robot was all the time between two, or `NONE`."""
         for span in reversed(self._spans):
-            if span.first <= time:
-                is_within = time <= span.last or span is self._spans[-1]
-                return span.step if is_within else NONE
+            if span.first <= since:
+                return span.step if until <= span.last else NONE
         return NONE

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from contextlib import closing
 import resource
 import signal
 import time
@@ -13,12 +15,23 @@ from geometry_msgs.msg import TransformStamped
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.robot import Deployment, Journal, Step
 from nav_msgs.msg import Path as PathMessage
+import numpy as np
+import pytest
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
+from vision_msgs.msg import (
+    Detection2D,
+    Detection2DArray,
+    ObjectHypothesis,
+    ObjectHypothesisWithPose,
+)
+
+TARGET = ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id='target', score=0.8))
 
 
 def transform(field, x, y, parent='map', child='base_link', turned=1.0):
@@ -107,6 +120,76 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
     kept.close()
     assert [len(each.steps) for each in kept.deployments] == [302]
     assert kept.deployments[0].is_home
+
+
+# How late positions come, in seconds, whether the robot is stopped again and again, and how fast a
+# simulated clock runs.
+RACES = {
+    'late positions': (0.3, False, 0.0),
+    'a busy robot': (0.0, True, 0.0),
+    'a simulated clock': (0.0, False, 0.4),
+}
+
+
+@pytest.mark.parametrize('detection_type', ['bool', 'detection2d_array'])
+@pytest.mark.parametrize('late, is_busy, rate', RACES.values(), ids=RACES)
+def test_what_is_seen_counts_where_the_robot_was_whatever_comes_first(
+    field, detection_type, late, is_busy, rate
+):
+    """The robot goes home from cell 5 as the test says; the only target is in cell 2."""
+    fleet = Fleet(field, detection_type=detection_type)
+    deployment = Deployment(10**9, 5, (0, 5, 0), 1, [Step(5, 1)])
+    with closing(Journal(fleet.journal('scout_1'), 'scout_1', GRID)) as journal:
+        journal.depart(deployment)
+        journal.step(deployment, 1)
+    reports = fleet.reports()
+    poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 100)
+    clock = field.node.create_publisher(Clock, '/clock', 10)
+    robot = fleet.start(use_sim_time=bool(rate))
+    field.until(lambda: 'it goes home' in field.said('/scout_1/robot'), 'robot in the field')
+    begun = time.monotonic()
+
+    def stamp():
+        """Return the ROS time."""
+        if not rate:
+            return field.node.get_clock().now().to_msg()
+        return to_stamp(10**9 + round(rate * (time.monotonic() - begun) * 10**9))
+
+    kind = Bool if detection_type == 'bool' else Detection2DArray
+    detections = field.talk(kind, '/scout_1/detections', 10)
+
+    def detection(is_seen):
+        if kind is Bool:
+            return Bool(data=is_seen)
+        message = Detection2DArray(detections=[Detection2D(results=[TARGET])] * is_seen)
+        message.header.stamp = stamp()
+        return message
+
+    queue = deque()
+
+    def goes_home():
+        clock.publish(Clock(clock=stamp()))
+        now = time.monotonic() - begun
+        # A second in cell 5, then home at about 2 m/s, and slower in the cell of the target.
+        x = float(np.interp(now, [1.0, 2.3, 2.7, 4.0], [5.5, 2.7, 2.2, 0.5]))
+        pose = transform(field, x, 0.5)
+        pose.transforms[0].header.stamp = stamp()
+        # The oldest of many are gone when a robot that was busy takes them.
+        queue.extend([(now + late, pose)] * (10 if is_busy else 1))
+        while queue and queue[0][0] <= now:
+            poses.publish(queue.popleft()[1])
+        detections.publish(detection(2.0 <= x < 3.0))
+        if is_busy and now > 0.5:
+            robot.send_signal(signal.SIGSTOP if now % 1.0 < 0.6 else signal.SIGCONT)
+        return reports
+
+    field.until(goes_home, 'report')
+    robot.send_signal(signal.SIGCONT)
+    readings = [each for each in fleet.report_of(reports, fleet.key(1)).readings if each[1] >= 0]
+    assert readings
+    assert set(readings) <= {(5, False), (4, False), (3, False), (2, True), (1, False), (0, False)}
+    if not is_busy:
+        assert {(5, False), (3, False), (2, True), (1, False)} <= set(readings)
 
 
 def test_detections_at_1_khz_and_none_at_all(field):

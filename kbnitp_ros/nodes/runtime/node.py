@@ -106,18 +106,22 @@ class MissionNode(GraphNode):
         self,
         kind: type,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[..., None],
         profile: QoSProfile,
+        *,
+        is_timed: bool = False,
     ) -> Subscription:
         """Subscribe as `hear` does, but to as many unread messages as the profile says."""
+        # A callback that is timed takes as well when the message was published, in nanoseconds of
+        # the publisher's system time.
 
-        def read(data: bytes) -> None:
+        def read(data: bytes, info: Any) -> None:
             try:
                 message = deserialize_message(data, kind)
             except (ValueError, RuntimeError) as error:
                 self.diagnostics.refuse(topic, error)
             else:
-                callback(message)
+                callback(message, *([info['source_timestamp']] if is_timed else ()))
 
         return self.create_subscription(kind, topic, read, profile, raw=True)
 
@@ -203,7 +207,13 @@ class MissionNode(GraphNode):
     ) -> Subscription:
         """Subscribe to a topic, with a guarded callback."""
         guarded = self.guarded(callback)
-        return super().create_subscription(msg_type, topic, guarded, *arguments, **options)
+
+        @wraps(callback)
+        def call(message: Any, *info: Any) -> Any:
+            # EventsExecutor gives a message and its info as one.
+            return guarded(*(message if isinstance(message, tuple) else (message, *info)))
+
+        return super().create_subscription(msg_type, topic, call, *arguments, **options)
 
     def create_timer(
         self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any
