@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil
+from typing import Any
 
+from kbnitp_ros.configuration import base_of, value_for
 from kbnitp_ros.core import Grid
 import numpy as np
 
@@ -36,6 +38,19 @@ def reach_note(
         limits = f'{max_steps} steps and {max_distance:.6g} m reach'
         needed = f'max_steps {most} and max_distance {metres} reach'
     return f'{limits} {extent}, {reached.sum()} of {joined.sum()}: {needed} them all'
+
+
+def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
+    """Check that the robots of each agent can leave their base."""
+    for agent in values['agents']:
+        field = grid.at(base_of(values, agent, grid))
+        why = ''
+        if not (field.steps_to_base == 1).any():
+            why = 'no other cell can be entered from it (map, grid.blocked and grid.corners)'
+        elif value_for(values, 'max_steps', agent) < 2:
+            why = 'max_steps is 1, and 2 lead to another cell and back'
+        if why:
+            raise ValueError(f'robots of {agent} cannot leave their base, cell {field.base}: {why}')
 
 
 def cut_off_note(grid: Grid) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 import os
 from pathlib import Path
 import re
@@ -15,11 +16,12 @@ import shlex
 import shutil
 import signal
 import sys
+import time
 from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
 from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
-from kbnitp_ros.base.reachability import reach_note
+from kbnitp_ros.base.reachability import check_reach, reach_note
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
@@ -81,6 +83,12 @@ RETURN_DEADLINE = 1.0
 # What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
 SILENT_STEP = 0.01
 
+# What the planner waits for if an operator must decide, how long the demo then goes on, and how long
+# it goes on for the planner's word that the mission is over, in seconds.
+OPERATOR_AWAITED = 'waiting for the operator'
+OPERATOR_WAIT = 3.0
+END_WAIT = 30.0
+
 # What the demo sets by itself unless told otherwise. Methods that can learn neither the lethality
 # nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
 # fewer hazards that are more lethal destroy as many robots.
@@ -100,7 +108,7 @@ OPTIONS = {
 }
 
 # What the demo always sets, so that a mission can be gone on with and shown beside the truth.
-HELD = {'publish_truth': True, 'recorded': True}
+HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
 # What is believed of sensors and hazards may differ from the truth, and each node awaits others.
@@ -297,6 +305,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     grid = grid_of(simulated)
     agents_of(simulated, grid)
     check_search(parameters['planner'], grid, robot_types_of(estimator, grid))
+    check_reach(grid, parameters['planner'])
     execution_of(simulated)
     true_dynamics(simulated)
     if simulated['world.file']:
@@ -386,7 +395,7 @@ class Observer(Node):
         self._held = 0
         self._survived: dict[DeploymentKey, bool] = {}
         self._belief: Belief | None = None
-        self._over = ''
+        self._progress = Progress()
         self.create_subscription(Progress, 'progress', self._on_progress, qos.LATCHED)
         self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         for agent in agents:
@@ -399,19 +408,31 @@ class Observer(Node):
         self._held, self._belief = snapshot.deployments, snapshot.belief
 
     def _on_progress(self, message: Progress) -> None:
-        is_over = message.state == MissionState.DONE and not message.out
-        self._over = message.reason if is_over else ''
+        self._progress = message
 
     def _on_report(self, message: DeploymentReport) -> None:
         key, report = read_report(message)
         self._survived[key] = report.survived or self._survived.get(key, False)
 
+    def _most_left(self, robots: int) -> float:
+        """Return how long this goes on at most unless something changes, in seconds."""
+        now = self._progress
+        if self._belief is None or now.out:
+            return inf
+        if now.state in (MissionState.DONE, MissionState.ENDED):
+            return 0.0
+        # Nobody can call the services of the planner, which may be about to search again.
+        if now.reason.startswith(OPERATOR_AWAITED):
+            return OPERATOR_WAIT
+        return END_WAIT if self._held >= robots else inf
+
     def watch(self, robots: int, processes: Processes) -> None:
-        """Wait until the belief holds all robots, or a goal or a stop ended the mission."""
+        """Wait until the mission is over, or only an operator could go on with it."""
         executor = SingleThreadedExecutor()
         executor.add_node(self)
+        known, since = (0, ''), time.monotonic()
         with tqdm(total=robots, unit='robot', desc='waiting for the nodes', disable=None) as bar:
-            while self._belief is None or (self._held < robots and not self._over):
+            while time.monotonic() <= since + self._most_left(robots):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
@@ -421,8 +442,10 @@ class Observer(Node):
                     lost = len(self._survived) - sum(self._survived.values())
                     bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
                 bar.update(self._held - bar.n)
-        if self._over:
-            say(self._over)
+                if known != (known := (self._held, self._progress.reason)):
+                    since = time.monotonic()
+        if self._held < robots:
+            say(self._progress.reason)
 
 
 def conclude(log: Path, note: str) -> int:
@@ -435,7 +458,7 @@ def conclude(log: Path, note: str) -> int:
     say(*lines(reproduction))
     say(f'wrote {log}')
     mission = report(log, folder, note)
-    first, *_, last = mission.moments
+    first, last = mission.moments[0], mission.moments[-1]
     say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
     for name, known in last.learnt.items():
         low, _, middle, _, high = known.quantiles

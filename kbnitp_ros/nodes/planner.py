@@ -12,7 +12,7 @@ from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.obstacle_sentences import describe_obstacle, FullNames
 from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
 from kbnitp_ros.base.parameter_changes import check_changes, check_robots
-from kbnitp_ros.base.reachability import cut_off_note, reach_note
+from kbnitp_ros.base.reachability import check_reach, cut_off_note, reach_note
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.base.search import Search, SearchRequest
@@ -60,6 +60,7 @@ class PlannerNode(FieldNode):
         self._agents = agents_of(self.values, self.grid)
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
+        check_reach(self.grid, self.values)
         self._log_reachability()
         self._decisions = Decisions(self, self.grid, self._deploy)
         knowledge = self._decisions.knowledge

@@ -152,6 +152,8 @@ def pace(mission: Mission) -> tuple[str, str]:
     left = undecided(mission, -1)
     if not left:
         return 'Stop', 'Of every cell it is known to 95 % whether it has a hazard.'
+    if len(moments) < 2:
+        return 'Send robots', f'None was sent, and {counted(left, "cell")} are undecided.'
     robots = min(len(moments) - 1, max(FEWEST, int(LAST * (len(moments) - 1))))
     decided = undecided(mission, -1 - robots) - left
     since = {each.deployment: each.outcome for each in moments[-robots:] if each.outcome}

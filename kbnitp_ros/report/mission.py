@@ -173,9 +173,8 @@ def read_mission(
     """Return what a log tells of its mission."""
     history = read_history(log, progress)
     evidence = history.evidence
-    if not evidence.paths:
-        why = f': refused was {evidence.refused[0]}' if evidence.refused else ''
-        raise LogError(f'{log}: no robot had left, so there is nothing to report{why}')
+    if not evidence.paths and evidence.refused:
+        raise LogError(f'{log}: nothing to report, since refused was {evidence.refused[0]}')
     keys = sorted(evidence.paths, key=deployment_order)
     moments, notes = moments_of(log, history, keys)
     first = history.heard[0].snapshot

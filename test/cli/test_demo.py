@@ -9,13 +9,24 @@ import shlex
 import signal
 import subprocess
 import sys
+from threading import Thread
 import time
 
 from demo_mission import demo_mission
+from kbnitp_msgs.msg import BeliefMaps, Progress
 from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.bag.repair import copy
 from kbnitp_ros.bag.writer import LogWriter
-from kbnitp_ros.cli.demo import chosen_parameters, main, NODES, parse, recorded_parameters
+from kbnitp_ros.cli.demo import (
+    chosen_parameters,
+    main,
+    NODES,
+    observed,
+    OPERATOR_WAIT,
+    parse,
+    recorded_parameters,
+)
+from kbnitp_ros.cli.processes import free_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import (
@@ -33,14 +44,19 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.log.evidence import last_belief, REPORT
+from kbnitp_ros.log.evidence import last_belief, PROGRESS, REPORT
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
 from laws import for_each
 import numpy as np
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from samples import after_loss
 
 ROOT = Path(__file__).parents[2]
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
@@ -129,6 +145,8 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
         assert np.array_equal(recorded.joint, deployment.belief.joint)
     assert np.array_equal(history.world.hazard, world.hazard)
     assert np.array_equal(history.world.target, world.target)
+    *_, last = read_log(out / 'mission.mcap', [PROGRESS])
+    assert last.message.state == MissionState.DONE
 
     assert main(['--robots', '1', '--out', str(out)]) == 2
     assert str(out) in capsys.readouterr().err
@@ -486,6 +504,10 @@ def reports_in(log):
     (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', which is no kind that"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
+    (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),
+    (['--size', '1'], 'scout_1 cannot leave their base, cell 0: no other cell can be entered'),
+    (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1, and 2 lead to'),
+    (['--set', 'keep_running=false'], 'the demo decides keep_running by itself'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
     (['--set', 'learn.numbers=[lethalty]'], "learn.numbers is 'lethalty': did you mean lethality"),
     (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
@@ -500,6 +522,61 @@ def test_demo_refuses_what_cannot_be_before_it_starts_anything(
     told = capsys.readouterr().err
     assert re.fullmatch(f'demo: .*{complaint}.*\n', told), told
     assert not (tmp_path / 'out').exists()
+
+
+RUNNING, PAUSED, DONE, ENDED = (
+    MissionState[name] for name in ('RUNNING', 'PAUSED', 'DONE', 'ENDED')
+)
+
+
+@for_each('sent, until', [
+    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 0)], 1.0),
+    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 1), (DONE, 'done: 1 of 1', 0)], 2.0),
+    ([(RUNNING, '', 0), (ENDED, 'done: 1 of 9', 0)], 1.0),
+    ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)], 4.0),
+    ([(PAUSED, 'waiting for the operator to end the pause', 0)], OPERATOR_WAIT),
+    ([(RUNNING, 'waiting for the operator to approve of', 0)], OPERATOR_WAIT),
+    # The planner finds something to do after all.
+    (
+        [(RUNNING, f'waiting for the operator, {n}'[: 99 * (n % 2)], 0) for n in range(6)]
+        + [(DONE, 'done: 1 of 1', 0)],
+        6.0,
+    ),
+])  # fmt: skip
+def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(sent, until):
+    with free_domain() as domain, observed(domain, ['scout_1']) as observer:
+        node = rclpy.create_node('estimator')
+        beliefs = node.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
+        progress = node.create_publisher(Progress, 'progress', qos.LATCHED)
+        beliefs.publish(after_loss())
+        left = iter(sent)
+
+        def tell():
+            if told := next(left, None):
+                state, reason, out = told
+                progress.publish(Progress(state=state, reason=reason, out=out))
+
+        tell()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.create_timer(1.0, tell)
+        spinning = Thread(target=executor.spin)
+        spinning.start()
+        begun = time.monotonic()
+        observer.watch(1, Processes(domain))
+        assert until - 0.5 < time.monotonic() - begun < until + 5.0
+        executor.shutdown()
+        spinning.join()
+        node.destroy_node()
+
+
+@pytest.mark.processes
+def test_a_demo_that_nobody_attends_ends_with_a_line_and_a_report(tmp_path):
+    out = tmp_path / 'out'
+    done = run_demo('--size', 4, '--set', 'loss_cost=1000', '--out', out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'waiting for the operator, since nothing is worth a robot: the best' in done.stdout
+    assert '0 deployments' in (out / 'report' / 'report.html').read_text()
 
 
 @pytest.mark.processes

@@ -272,10 +272,8 @@ def broken(tmp_path):
     whole = sent_by_single(6)
     none = tmp_path / 'none.mcap'
     none.write_text('no log at all')
-    never = Mission()
     yield none, 'is no MCAP file'
     yield tmp_path / 'missing.mcap', 'missing.mcap'
-    yield record(tmp_path / 'never.mcap', never.sent), 'no robot had left'
     yield record(tmp_path / 'empty.mcap', []), f'no beliefs on record that can be read: .*{BELIEF}'
     missing = record(tmp_path / 'gap.mcap', gap(whole, 3))
     yield missing, 'belief after deployment 3 is missing, and neither'
@@ -291,6 +289,14 @@ def test_bad_logs_are_refused_and_nothing_is_left(tmp_path, capsys):
         assert re.search(said, error), error
         assert error.startswith('report: ')
         assert set(tmp_path.iterdir()) == there
+
+
+def test_a_mission_of_which_no_robot_left_is_reported(tmp_path):
+    log = record(tmp_path / 'never.mcap', Mission().sent)
+    assert main([str(log), '--out', str(tmp_path / 'out')]) == 0
+    page = (tmp_path / 'out' / 'report.html').read_text()
+    assert '0 deployments of 0 agents' in page
+    assert re.search(r'None was sent, and \d+ cells are undecided', page)
 
 
 def test_a_folder_that_is_there_is_left_alone(shown, tmp_path, capsys):
