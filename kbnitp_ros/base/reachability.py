@@ -50,7 +50,9 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
         elif value_for(values, 'max_steps', agent) < 2:
             why = 'max_steps is 1, and 2 lead to another cell and back'
         if why:
-            raise ValueError(f'robots of {agent} cannot leave their base, cell {field.base}: {why}')
+            raise ValueError(
+                f'robots of {agent} cannot leave their base, cell {field.base}: {why}'
+            )
 
 
 def cut_off_note(grid: Grid) -> str:

@@ -83,8 +83,8 @@ RETURN_DEADLINE = 1.0
 # What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
 SILENT_STEP = 0.01
 
-# What the planner waits for if an operator must decide, how long the demo then goes on, and how long
-# it goes on for the planner's word that the mission is over, in seconds.
+# What the planner waits for if an operator must decide; how long the demo then goes on, and how
+# long for the word that the mission is over, in seconds.
 OPERATOR_AWAITED = 'waiting for the operator'
 OPERATOR_WAIT = 3.0
 END_WAIT = 30.0

@@ -108,9 +108,7 @@ class RobotNode(FieldNode):
                 f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
             )
         self._hear_places()
-        self.hear_newest(
-            detections, 'detections', self._on_detection, qos.READINGS, is_timed=True
-        )
+        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, is_timed=True)
         self.create_poll(self._look)
 
     def _source_of_places(self) -> Transforms | Fixes:
@@ -285,7 +283,8 @@ class RobotNode(FieldNode):
         if stamp is None and self.get_parameter('use_sim_time').value:
             # Of a message that waited for longer it is not known.
             return (looked if published >= looked_at else 0), self.now()
-        what, made = ('it was published', published) if stamp is None else ('header.stamp is', stamp)
+        what = 'it was published' if stamp is None else 'header.stamp is'
+        made = published if stamp is None else stamp
         age = (self.now() - made) / SECOND
         if abs(age) > self.values['tf_timeout']:
             raise ValueError(
