@@ -24,8 +24,8 @@ BELOW = {
     'core.inference': {
         'core.field', 'core.inference.filtering', 'core.inference.sampling', 'plugins',
     },
-    'core.planning.objective': {'core.field', 'core.inference'},
-    'core.planning.search': {'core.field', 'core.planning.objective', 'plugins'},
+    'core.planning.objective': {'core.field', 'core.inference', 'plugins'},
+    'core.planning.search': {'core.field', 'core.planning.objective'},
     'core.planning.teams': {
         'core.field', 'core.planning.objective', 'core.planning.search', 'plugins',
     },
@@ -33,8 +33,7 @@ BELOW = {
     'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
     'core': {'core.decision', 'core.field', 'core.inference', 'core.planning', 'plugins'},
     'testing': {
-        'plugins', 'core', 'core.inference', 'core.planning', 'core.planning.search',
-        'core.planning.teams',
+        'plugins', 'core', 'core.inference', 'core.planning', 'core.planning.teams',
     },
     'messages': {'core'},
     'maps': {'files', 'plugins', 'core'},

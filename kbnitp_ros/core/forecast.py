@@ -10,7 +10,16 @@ from math import nan, sqrt
 from typing import NamedTuple
 
 from kbnitp_ros.core.decision import Decision, Goal, Stop
-from kbnitp_ros.core.field import Belief, Grid, Observation, SensorModel, whole_number, World
+from kbnitp_ros.core.field import (
+    Belief,
+    generator,
+    Grid,
+    Observation,
+    SensorModel,
+    typed,
+    whole_number,
+    World,
+)
 from kbnitp_ros.core.inference import Estimator
 from kbnitp_ros.core.mission import continue_mission, decided, SimulatedMission, Truth
 from kbnitp_ros.core.planning import SearchOptions, Team
@@ -114,6 +123,7 @@ class Forecast:
         return self.lost.shape[1] - 1
 
 
+@typed
 def forecast(
     grid: Grid,
     estimator: Estimator,
@@ -156,7 +166,7 @@ def forecast(
 
     """
     robots = whole_number('robots', robots, 1)
-    drawn = possible_worlds(estimator, worlds, np.random.default_rng(rng))
+    drawn = possible_worlds(estimator, worlds, generator(rng))
     begin = decided(goal, grid, estimator, len(before), options)[1]
     go_on = partial(
         continue_mission,

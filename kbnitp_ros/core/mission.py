@@ -15,11 +15,13 @@ from kbnitp_ros.core.field import (
     Clustering,
     Dynamics,
     Execution,
+    generator,
     Grid,
     Learnt,
     Observation,
     SensorModel,
     STATIC,
+    typed,
     Unknowns,
     Value,
     whole_number,
@@ -148,6 +150,7 @@ class Learning:
     clustering: Clustering | None = None
 
 
+@typed
 def run_mission(
     grid: Grid,
     belief: Belief,
@@ -238,6 +241,7 @@ def run_mission(
     )
 
 
+@typed
 def continue_mission(
     grid: Grid,
     estimator: Estimator,
@@ -280,7 +284,7 @@ def continue_mission(
 
     """
     team, truth, stop = team or Team(), truth or Truth(), stop or Stop()
-    rng = np.random.default_rng(rng)
+    rng = generator(rng)
     world.check(grid)
     estimator, model = estimator.copy(), truth.model or estimator.model
     dynamics = truth.dynamics or estimator.probable_dynamics

@@ -33,11 +33,18 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     ) -> None:
         self.kind = kind
         self.check = check
-        self.own = tuple(own)
-        self._entries = {name: check(given) for name, given in own.items()}
-        self._sources = dict.fromkeys(own, PACKAGE)
+        self.own: tuple[str, ...] = ()
+        self._entries: dict[str, Entry] = {}
+        self._sources: dict[str, str] = {}
         self._refused = dict(gone)
         self._is_searched = False
+        self.fill(own)
+
+    def fill(self, own: Mapping[str, object]) -> None:
+        """Register entries of the package's own."""
+        self.own += tuple(own)
+        self._entries |= {name: self.check(given) for name, given in own.items()}
+        self._sources |= dict.fromkeys(own, PACKAGE)
 
     @property
     def added(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from pickle import PicklingError
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ Given = Iterable[str | Callable[..., Any]] | Mapping[str, Callable[..., Any]]
 
 
 def compare(
-    scenario: str | Mapping[str, Any] = 'paper',
+    scenario: str | Path | Mapping[str, Any] = 'paper',
     *,
     planners: Given = (),
     methods: Given = (),
@@ -37,7 +38,7 @@ def compare(
 
     Parameters
     ----------
-    scenario : str or mapping
+    scenario : str, Path or mapping
         A shipped scenario, a YAML file, or what stands in one: docs/files.md has its keys.
     planners : iterable of str or callable, or mapping of str to callable
         Names of `PLANNERS` and functions in place of them; in a mapping by names of your own. All
@@ -60,12 +61,14 @@ def compare(
     ValueError
         If the scenario is none, or names are unknown, taken or used twice.
     TypeError
-        If a planner or a method is none, or cannot be sent to other processes.
+        If an argument, a planner or a method is none, or cannot be sent to other processes.
     RuntimeError
         If a mission fails; names it.
 
     """
-    given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(scenario))
+    if not isinstance(scenario, str | Path | Mapping):
+        raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')
+    given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))
     content = {**given, **changes}
     paths, updates = by_name('planner', planners), by_name('method', methods)
     if updates:
@@ -120,6 +123,8 @@ def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
     """Return what is to be compared, of a kind told in a word, by the names that tables have."""
     if isinstance(given, Mapping):
         return dict(given)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise TypeError(f'{kind}s is {given!r}: it must be a list, such as {kind}s=[{given!r}]')
     named: dict[str, str | Callable[..., Any]] = {}
     for each in given:
         name = name_of(each).rpartition('.')[-1]

@@ -170,7 +170,7 @@ def own(name: str) -> Stated:
 
 def planner_of(team: Strategy, scenario: Scenario) -> str:
     """Return the planner of a strategy."""
-    return str(scenario.options(team).planner)
+    return team.planner or scenario.planning.planner
 
 
 def objective_of(team: Strategy, _: Scenario) -> str:

@@ -46,7 +46,7 @@ def check_memory(scenario: Scenario) -> None:
             )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Results:
     """
     The outcomes of all trials of a scenario.
@@ -62,6 +62,12 @@ class Results:
 
     scenario: Scenario
     outcomes: Mapping[Trial, MissionResult]
+
+    def __repr__(self) -> str:
+        methods = ', '.join(self.scenario.methods)
+        return (
+            f'Results({len(self.outcomes)} missions of {self.scenario.robots} robots: {methods})'
+        )
 
     def table(self) -> pa.Table:
         """

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from kbnitp_ros.core import Belief, Grid, PathFinder, Plan, PLANNERS, SearchOptions
-from kbnitp_ros.core.planning import Candidate, Objective
-from kbnitp_ros.core.planning.search.planners import Planner
+from kbnitp_ros.core import Belief, Candidate, Grid, PathFinder, Plan, PLANNERS, SearchOptions
+from kbnitp_ros.core.planning import Objective
 from kbnitp_ros.testing.cases import draw_field, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require
 import numpy as np
+
+Planner = Callable[[PathFinder, Objective], list[Candidate]]
 
 # Values closer than so many nats are ties: planners round.
 VALUE = 1e-6
@@ -87,7 +88,7 @@ def finds_paths(planner: Planner, search: SearchCase) -> None:
             try:
                 search.finder.check_path(each.path)
             except ValueError as error:
-                raise AssertionError(f'Of {each.path.tolist()}: {error}') from error
+                raise AssertionError(f'Of {list(each.path)}: {error}') from error
 
 
 def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
@@ -104,7 +105,7 @@ def tells_the_value(planner: Planner, search: SearchCase) -> None:
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
         value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
-        words = f'{found.path.tolist()} has a value of {value} nats, not {found.value}'
+        words = f'{list(found.path)} has a value of {value} nats, not {found.value}'
         require(abs(found.value - value) <= VALUE, words)
 
 
@@ -114,9 +115,7 @@ def is_reproducible(planner: Planner, search: SearchCase) -> None:
     planner(search.finder, search.after)
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
     second = planner(replace(search.finder), again)
-    one, other = (
-        [(each.value, each.path.tolist()) for each in found] for found in (first, second)
-    )
+    one, other = ([(each.value, list(each.path)) for each in found] for found in (first, second))
     require(one == other, f'First it finds {one}, and then {other}')
 
 
@@ -126,7 +125,7 @@ def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> 
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
     for each in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
-        require(set(each.path.tolist()) == {1}, f'It goes {each.path.tolist()}')
+        require(set(each.path) == {1}, f'It goes {list(each.path)}')
 
 
 def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:

@@ -45,6 +45,10 @@ def test_a_function_does_as_the_planner_of_a_name(results):
     assert one['entropy'].tolist() == other['entropy'].tolist()
 
 
+def test_results_are_shown_in_a_line(results):
+    assert repr(results) == 'Results(8 missions of 3 robots: Ignorant, kappa_bnitp)'
+
+
 def test_a_class_is_the_method(results):
     table = results.to_dataframe()
     assert table['method'].unique().tolist() == ['Ignorant', 'kappa_bnitp']
@@ -103,12 +107,15 @@ def locked(lock):
     ({'planners': ['beem']}, ValueError, "planner is 'beem': known are relaxed"),
     ({'methods': [dict]}, TypeError, "method 'dict': it must"),
     ({'methods': ['beam']}, ValueError, "methods is 'beam': known are"),
+    ({'methods': 'kappa_bnitp'}, TypeError, r"methods is 'kappa_bnitp': it must be a list, such"),
+    ({'planners': sweep}, TypeError, 'planners is <function sweep.*: it must be a list'),
+    ({'scenario': 3}, TypeError, 'scenario is 3: it must be a name, a file or a mapping'),
     ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
     ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
 ])  # fmt: skip
 def test_what_cannot_be_compared_is_refused(given, error, words):
     with pytest.raises(error, match=words):
-        compare(SMALL, **given, workers=1)
+        compare(**{'scenario': SMALL, **given}, workers=1)
 
 
 @pytest.mark.processes

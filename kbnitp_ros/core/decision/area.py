@@ -11,7 +11,7 @@ from kbnitp_ros.core.decision.decision import check_confidence, Decision
 from kbnitp_ros.core.decision.flights import Flight, flights_over, Situation
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.decision.lanes import DECIMALS
-from kbnitp_ros.core.field import binary_entropy, Grid, SensorModel, whole_number
+from kbnitp_ros.core.field import binary_entropy, each_of, Grid, SensorModel, whole_number
 from kbnitp_ros.core.planning import Camera, positives
 import numpy as np
 
@@ -45,7 +45,9 @@ class Area:
     confidence: float | None = None
 
     def __post_init__(self) -> None:
-        cells = tuple(sorted({whole_number('goal', cell, 0) for cell in self.cells}))
+        cells = tuple(
+            sorted({whole_number('goal', cell, 0) for cell in each_of('cells', self.cells)})
+        )
         if not cells:
             raise ValueError('goal is an area without cells: give at least one')
         object.__setattr__(self, 'cells', cells)

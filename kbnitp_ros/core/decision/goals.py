@@ -10,7 +10,7 @@ sent where the most is to be learnt.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import cast, Protocol
+from typing import cast, Protocol, runtime_checkable
 
 from kbnitp_ros.core.decision.area import Area
 from kbnitp_ros.core.decision.decision import Decision
@@ -21,6 +21,7 @@ from kbnitp_ros.core.field import Grid, SensorModel
 from kbnitp_ros.plugins import Registry, takes
 
 
+@runtime_checkable
 class Goal(Protocol):
     """
     What a mission is to make sure of.

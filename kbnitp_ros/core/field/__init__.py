@@ -2,7 +2,17 @@
 """What is: the grid, the world, the sensors, and what is believed and observed of them."""
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import cost, frozen, probability, whole_number, yes_or_no
+from kbnitp_ros.core.field.check import (
+    cost,
+    each_of,
+    frozen,
+    generator,
+    in_short,
+    probability,
+    typed,
+    whole_number,
+    yes_or_no,
+)
 from kbnitp_ros.core.field.clustering import Clustering, LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.compiled import compiled, inlined, while_compiling
 from kbnitp_ros.core.field.dynamics import (
@@ -64,7 +74,10 @@ __all__ = [
     'brier_score',
     'compiled',
     'cost',
+    'each_of',
     'frozen',
+    'generator',
+    'in_short',
     'inlined',
     'joint_after_change',
     'joint_after_moves',
@@ -78,6 +91,7 @@ __all__ = [
     'sum_of_others',
     'surprisal',
     'times_log',
+    'typed',
     'while_compiling',
     'whole_number',
     'yes_or_no',

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from kbnitp_ros.core.field.check import frozen, probability_map
+from kbnitp_ros.core.field.check import frozen, probability_map, typed
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.metrics import binary_entropy, surprisal
 from kbnitp_ros.core.field.value import Value
@@ -106,6 +106,7 @@ class Belief(Value):
         return cls(joint.reshape(-1, 2, 2))
 
     @classmethod
+    @typed
     def prior(cls, grid: Grid, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:
         """
         Return a mission's belief before its first deployment.

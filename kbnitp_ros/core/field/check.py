@@ -3,11 +3,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import fields
-from typing import Any
+from functools import cache, wraps
+from inspect import signature
+from itertools import chain
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+P = ParamSpec('P')
+R = TypeVar('R')
+
+CORE = __name__.removesuffix('.field.check')
+
+# How to make what is no class.
+MADE_BY = {'Goal': 'Lane(...) or Area(...)'}
+
+
+def typed(call: Callable[P, R]) -> Callable[P, R]:
+    """Refuse arguments that are of another class of the core than their annotations."""
+    names = tuple(signature(call).parameters)
+
+    @cache
+    def classes() -> dict[str, tuple[type, ...]]:
+        hints = get_type_hints(call)
+        members = {
+            name: get_args(hint) if get_origin(hint) is UnionType else (hint,)
+            for name, hint in hints.items()
+        }
+        return {
+            name: kinds
+            for name, kinds in members.items()
+            if all(isinstance(each, type) for each in kinds)
+            and all(each is NoneType or each.__module__.startswith(CORE) for each in kinds)
+        }
+
+    @wraps(call)
+    def checked(*arguments: P.args, **options: P.kwargs) -> R:
+        known = classes()
+        for name, value in chain(zip(names, arguments), options.items()):
+            if name in known and not isinstance(value, known[name]):
+                kinds = [each.__name__ for each in known[name] if each is not NoneType]
+                wanted = ' or '.join(MADE_BY.get(kind, f'{kind}(...)') for kind in kinds)
+                raise TypeError(f'{name} is {in_short(value)}: it must be {wanted}')
+        return call(*arguments, **options)
+
+    return checked
+
+
+def in_short(value: object) -> str:
+    """Return how a value is printed, in one line."""
+    words = ' '.join(repr(value).split())
+    return words if len(words) <= 80 else f'{words[:76]} ...'
+
+
+def each_of(name: str, values: Iterable[Any]) -> Iterable[Any]:
+    """Return `values` if they are several."""
+    if not isinstance(values, Iterable):
+        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
+    return values
+
+
+def generator(rng: np.random.Generator | int) -> np.random.Generator:
+    """Return a generator, or that of a seed."""
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError) as error:
+        raise TypeError(
+            f'rng is {in_short(rng)}: it must be a seed, at least 0, or a numpy.random.Generator'
+        ) from error
 
 
 def as_number(name: str, value: object) -> float:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field.check import yes_or_no
+from kbnitp_ros.core.field.check import in_short, yes_or_no
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -81,6 +81,10 @@ def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
 
 def truth_of(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.bool_]:
     """Return `truth` as booleans if it is the truth of such a map."""
+    if not isinstance(probability, np.ndarray):
+        raise TypeError(
+            f'probability is {in_short(probability)}: it must be a map, such as Belief.hazard'
+        )
     present = yes_or_no('truth', truth)
     if present.shape != probability.shape:
         raise ValueError(f'truth has shape {present.shape}: the map has {probability.shape}')

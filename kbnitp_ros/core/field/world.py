@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kbnitp_ros.core.field.check import frozen, probability, yes_or_no
+from kbnitp_ros.core.field.check import frozen, generator, probability, typed, yes_or_no
 from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, Observation
@@ -54,6 +54,7 @@ class World(Value):
         return f'World({self.hazard.size} cells, {hazards} hazards, {targets} targets)'
 
     @classmethod
+    @typed
     def random(
         cls,
         grid: Grid,
@@ -84,7 +85,7 @@ class World(Value):
             If a probability is out of range.
 
         """
-        drawn = np.random.default_rng(rng).random((2, grid.cells))
+        drawn = generator(rng).random((2, grid.cells))
         hazard = drawn[0] < probability('hazard_density', hazard_density)
         hazard &= grid.may_be_hazardous
         chance = np.where(
@@ -94,6 +95,7 @@ class World(Value):
         )
         return cls(hazard, (drawn[1] < chance) & grid.free)
 
+    @typed
     def check(self, grid: Grid) -> None:
         """
         Refuse a grid that this is no world of.
@@ -117,6 +119,7 @@ class World(Value):
                 f'world has a hazard or target in cell {filled[0]}: that cell is blocked'
             )
 
+    @typed
     def traverse(
         self, path: ArrayLike, model: SensorModel, rng: np.random.Generator | int
     ) -> Observation:
@@ -141,7 +144,7 @@ class World(Value):
 
         """
         cells = as_path(path)
-        survived, readings, _ = self.steps(cells, model, np.random.default_rng(rng))
+        survived, readings, _ = self.steps(cells, model, generator(rng))
         returned = bool(survived.all())
         return Observation(cells, returned, readings if returned else None)
 

@@ -21,6 +21,7 @@ from kbnitp_ros.core.field import (
     RobotType,
     SensorModel,
     STATIC,
+    typed,
     Unknowns,
     whole_number,
     World,
@@ -81,6 +82,7 @@ class Estimator:
 
     """
 
+    @typed
     def __init__(
         self,
         belief: Belief,
@@ -220,6 +222,7 @@ class Estimator:
         """Whether that is as little as the method aims at."""
         return self._inference.is_converged
 
+    @typed
     def assimilate(self, observation: Observation, robot_type: RobotType = ORDINARY) -> None:
         """
         Assimilate one deployment.

@@ -19,6 +19,7 @@ from kbnitp_ros.core.field import (
     RobotType,
     SensorModel,
     STATIC,
+    typed,
     Unknowns,
 )
 from kbnitp_ros.core.inference.filtering import (
@@ -166,6 +167,7 @@ METHODS = Registry(
 )
 
 
+@typed
 def update(
     belief: Belief,
     model: SensorModel,

@@ -9,6 +9,7 @@ from kbnitp_ros.core.planning.objective import (
     Objective,
     OBJECTIVES,
     path_information,
+    PLANNERS,
     positives,
     SearchOptions,
     team_information,
@@ -20,7 +21,6 @@ from kbnitp_ros.core.planning.search import (
     PathFinder,
     Plan,
     plan,
-    PLANNERS,
 )
 from kbnitp_ros.core.planning.teams import (
     ALLOCATIONS,

@@ -12,6 +12,7 @@ from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import (
     ALPHAS,
     OBJECTIVES,
+    PLANNERS,
     SearchOptions,
 )
 from kbnitp_ros.core.planning.objective.readings import Camera, positives
@@ -19,6 +20,7 @@ from kbnitp_ros.core.planning.objective.readings import Camera, positives
 __all__ = [
     'ALPHAS',
     'OBJECTIVES',
+    'PLANNERS',
     'Camera',
     'Candidate',
     'JointOutcomes',

@@ -12,6 +12,7 @@ from kbnitp_ros.core.field import (
     of_each,
     RobotType,
     SensorModel,
+    typed,
     Visits,
 )
 from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
@@ -39,6 +40,7 @@ def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]
     return float(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
 
 
+@typed
 def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> float:
     """
     Return the mutual information between the field and the outcome of one deployment.
@@ -73,6 +75,7 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
     return added_information(belief, model, path, nobody_deployed(belief))
 
 
+@typed
 def team_information(
     belief: Belief,
     model: SensorModel,
@@ -152,6 +155,7 @@ def added_information(
     return float((outcomes.probability * of_each).sum())
 
 
+@typed
 def behavioral_information(
     belief: Belief,
     model: SensorModel,

@@ -6,12 +6,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import log
-from typing import Any
+from typing import Any, cast
 
 from kbnitp_ros.core.field import cost, probability, RobotType, whole_number
+from kbnitp_ros.plugins import Registry, takes
 
 # What is sought.
 OBJECTIVES = ('information', 'behavioral')
+
+
+def as_planner(given: object) -> Callable[..., list[Any]]:
+    """Return a planner that is to be registered."""
+    takes(given, ('finder', 'objective'))
+    return cast(Callable[..., list[Any]], given)
+
+
+# The package's own are in search/planners.py.
+PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
+    'planner',
+    as_planner,
+    {},
+    gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
+)
 
 # The alpha of Shannon's entropy, and the range of those of behavioral entropies.
 SHANNON = 1.0
@@ -35,9 +51,9 @@ class SearchOptions:
     Parameters
     ----------
     planner : str or callable
-        One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns closed
-        paths, the best first. 'relaxed' keeps the best label of each cell and step; 'beam' keeps a
-        quarter of `width`, and improves the best paths by local search. The others seek no
+        One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
+        `Candidate`, the best first. 'relaxed' keeps the best label of each cell and step; 'beam'
+        keeps a quarter of `width`, and improves the best paths by local search. The others seek no
         information and serve as baselines: 'random' draws a closed walk, 'coverage' ploughs the
         field where earlier paths left off, and 'shortest_unvisited' goes to the nearest cell that
         was visited least, and on to the next.
@@ -63,7 +79,8 @@ class SearchOptions:
     Raises
     ------
     ValueError
-        If the objective is unknown or has no alpha, or a number is out of range.
+        If the planner or the objective is unknown, the objective has no alpha, or a number is out
+        of range.
 
     """
 
@@ -78,6 +95,7 @@ class SearchOptions:
     max_distance: float = 0.0
 
     def __post_init__(self) -> None:
+        PLANNERS.find(self.planner)
         for name in ('max_steps', 'width', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
         for name in ('max_distance', 'loss_cost'):

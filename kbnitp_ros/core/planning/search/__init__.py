@@ -7,11 +7,9 @@ from kbnitp_ros.core.planning.search.planners import (
     count_visits,
     NoPathError,
     PathFinder,
-    PLANNERS,
 )
 
 __all__ = [
-    'PLANNERS',
     'NoPathError',
     'PathFinder',
     'Plan',

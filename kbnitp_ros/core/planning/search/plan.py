@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, Value
+from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, typed, Value
 from kbnitp_ros.core.planning.objective.information import path_information, path_log_survival
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
@@ -55,6 +55,7 @@ class Plan(Value):
         return cls(path, path_information(belief, model, path), survival)
 
 
+@typed
 def plan(
     grid: Grid,
     belief: Belief,

@@ -12,14 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
-from typing import cast
 
-from kbnitp_ros.core.field import Grid, Value
+from kbnitp_ros.core.field import Grid, in_short, Value
 from kbnitp_ros.core.planning.objective.behavioral import powers_of
 from kbnitp_ros.core.planning.objective.candidate import Candidate
 from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
 from kbnitp_ros.core.planning.objective.objective import Objective
-from kbnitp_ros.core.planning.objective.options import SearchOptions
+from kbnitp_ros.core.planning.objective.options import PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
 from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
 from kbnitp_ros.core.planning.search.random_walk import (
@@ -29,9 +28,11 @@ from kbnitp_ros.core.planning.search.random_walk import (
 )
 from kbnitp_ros.core.planning.search.reach import reach_of
 from kbnitp_ros.core.planning.search.tour import boustrophedon, nearest, Order, tour
-from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+# What a planner returns.
+A_LIST = 'a list of Candidate.along(path, objective)'
 
 
 class NoPathError(ValueError):
@@ -55,8 +56,8 @@ class PathFinder(Value):
     Raises
     ------
     ValueError
-        If the planner is unknown, does not seek the objective or keep the distance, or `visited`
-        fits another grid.
+        If the planner does not seek the objective or keep the distance, or `visited` fits another
+        grid.
 
     """
 
@@ -66,7 +67,6 @@ class PathFinder(Value):
 
     def __post_init__(self) -> None:
         planner, objective = self.options.planner, self.options.objective
-        PLANNERS.find(planner)
         if objective != 'information' and planner in BASELINES:
             raise ValueError(
                 f'objective is {objective}, and the planner {planner} seeks none: choose the '
@@ -100,7 +100,7 @@ class PathFinder(Value):
         with PLANNERS.blamed(planner):
             candidates = PLANNERS.find(planner)(self, objective)
             if planner not in PLANNERS.own:
-                self._check(candidates)
+                candidates = self._checked(candidates)
         if least := self.options.minimum_survival:
             survived = [each for each in candidates if each.survival(objective) >= least]
             if not survived:
@@ -132,14 +132,18 @@ class PathFinder(Value):
             )
         return cells
 
-    def _check(self, candidates: list[Candidate]) -> None:
+    def _checked(self, found: object) -> list[Candidate]:
         """Refuse what another package's planner may not return."""
         planner = self.options.planner
-        if not candidates:
+        if not isinstance(found, list | tuple):
+            raise PLANNERS.fault(planner, f'returns {in_short(found)}: it must be {A_LIST}')
+        if not found:
             raise PLANNERS.fault(planner, 'returns no path')
+        for each in found:
+            if not isinstance(each, Candidate):
+                raise PLANNERS.fault(planner, f'finds {in_short(each)}: it must return {A_LIST}')
         try:
-            for each in candidates:
-                self.check_path(each.path)
+            return [Candidate(each.value, self.check_path(each.path)) for each in found]
         except ValueError as error:
             raise PLANNERS.fault(planner, f'returns a path that is none: {error}') from error
 
@@ -247,26 +251,14 @@ def toured(finder: PathFinder, objective: Objective, order: Order) -> list[Candi
     return [Candidate.along(path, objective)]
 
 
-Planner = Callable[[PathFinder, Objective], list[Candidate]]
-
-
-def as_planner(given: object) -> Planner:
-    """Return a planner that is to be registered."""
-    takes(given, ('finder', 'objective'))
-    return cast(Planner, given)
-
-
-PLANNERS = Registry(
-    'planner',
-    as_planner,
+PLANNERS.fill(
     {
         'relaxed': relaxed,
         'beam': beam,
         'random': random,
         'coverage': coverage,
         'shortest_unvisited': shortest_unvisited,
-    },
-    gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
+    }
 )
 
 # Those that seek no information.

@@ -13,6 +13,7 @@ from kbnitp_ros.core.field import (
     of_each,
     RobotType,
     SensorModel,
+    typed,
     Value,
     whole_number,
 )
@@ -93,6 +94,7 @@ class TeamPlan(Value):
     regions: Regions | None
 
 
+@typed
 def plan_team(
     grid: Grid,
     belief: Belief,
