@@ -2,6 +2,8 @@
 """Set up the ament_python package kbnitp_ros."""
 
 from glob import glob
+import os
+from pathlib import Path
 import sys
 
 from setuptools import find_packages, setup
@@ -24,6 +26,18 @@ executables = [
 ]
 if {'bdist_wheel', 'dist_info', 'editable_wheel'} & set(sys.argv):
     executables = []
+
+# colcon installs so, and does not look for another package in the folder of this one.
+prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+is_built_by_colcon = bool({'develop', 'install'} & set(sys.argv))
+if is_built_by_colcon and not any(Path(p, 'share/kbnitp_msgs').exists() for p in prefixes):
+    here = Path(__file__).resolve().parent
+    print(
+        f'{package_name}: no node can start without the package kbnitp_msgs. Link it beside this '
+        f'one, where colcon finds it, and build again: '
+        f'ln -s {here}/msg_defs {here.parent}/kbnitp_msgs',
+        file=sys.stderr,
+    )
 
 shown = ['jinja2', 'matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
 studies = ['joblib', 'threadpoolctl']

@@ -43,7 +43,8 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
     except ModuleNotFoundError as error:
-        print(f'{name}: {error}{"" if name in EXTRAS else "; source ROS 2"}', file=sys.stderr)
+        lacking = 'build it as well' if error.name == 'kbnitp_msgs' else 'source ROS 2'
+        print(f'{name}: {error}{"" if name in EXTRAS else f"; {lacking}"}', file=sys.stderr)
         return 2
     if name in COMMANDS:
         # A node takes signals in its own way at once, a command as it would without this.

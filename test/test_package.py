@@ -231,6 +231,36 @@ def test_robots_and_costmap_filters_speak_to_nav2(name):
     assert hashes[f'nav2_msgs/{file.parent.name}/{name}'] == f'RIHS01_{NAV2[name]}'
 
 
+@pytest.mark.processes
+@pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
+def test_a_clone_in_a_workspace_is_built_with_its_messages(tmp_path):
+    """What the first build says makes colcon find both packages."""
+    clone = tmp_path / 'src' / 'kbnitp_ros'
+    files = subprocess.check_output(['git', '-C', ROOT, 'ls-files', '-z'], text=True).split('\0')
+    for name in filter(None, files):
+        (clone / name).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).exists():
+            shutil.copy(ROOT / name, clone / name)
+    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}
+
+    def run(*command):
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+
+    built = run('colcon', 'build')
+    assert built.returncode == 0
+    told = re.search(
+        'no node can start without the package kbnitp_msgs.*: (ln -s .*)', built.stderr
+    )
+    node = tmp_path.joinpath('install', 'kbnitp_ros', 'lib', 'kbnitp_ros', 'planner')
+    environment['PYTHONPATH'] = str(next(tmp_path.glob('install/kbnitp_ros/lib/*/site-packages')))
+    assert "'kbnitp_msgs'; build it as well" in run(node, '--help').stderr
+    assert run(*told[1].split()).returncode == 0
+    found = run('colcon', 'list', '--names-only').stdout.split()
+    assert found == ['kbnitp_msgs', 'kbnitp_ros']
+
+
 def test_colcon_runs_the_tests_with_pytest():
     """Without this extra `colcon test` runs unittest, which finds no test and passes."""
     assert "'test': ['pytest']" in ROOT.joinpath('setup.py').read_text()
