@@ -33,6 +33,11 @@ def parts_of(path: str | Path) -> list[Path]:
             return [path] if is_later_part(path) else with_later_parts(path)
         files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
         listed = [path / name for name in listed_parts(path)]
+        if listed and not listed[0].exists():
+            raise LogError(
+                f'{listed[0]}, which {METADATA} lists, is missing: put it back, or name the other '
+                'parts singly'
+            )
         firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
         if not firsts:
             raise LogError(f'{path} holds no log: there is no file *.mcap or *.db3 in it')
@@ -87,13 +92,14 @@ def is_later_part(path: Path) -> bool:
 
 
 def listed_parts(folder: Path) -> list[str]:
-    """Return the names of the files that metadata.yaml lists, if it can be read."""
+    """Return the names of the files that metadata.yaml lists; none if all were renamed."""
     information = read_information(folder)
     mode = str(information.get('compression_mode') or 'none')
     if mode.lower() != 'none':
         raise LogError(f'{folder} is compressed, mode {mode}: decompress it with ros2 bag convert')
     listed = information.get('relative_file_paths')
-    return [PurePath(str(name)).name for name in listed] if isinstance(listed, list) else []
+    names = [PurePath(str(name)).name for name in listed] if isinstance(listed, list) else []
+    return names if any((folder / name).exists() for name in names) else []
 
 
 def read_information(folder: Path) -> Mapping[str, Any]:

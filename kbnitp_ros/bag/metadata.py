@@ -123,7 +123,10 @@ def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
 def is_of_another_bag(folder: Path, first: str) -> bool:
     """Return whether the folder's metadata.yaml, if any, is of a bag with another first file."""
     listed = read_information(folder).get('relative_file_paths')
-    return isinstance(listed, list) and listed[:1] != [first]
+    if not isinstance(listed, list) or listed[:1] == [first]:
+        return False
+    # One that lists no file that is there is of a log that was renamed.
+    return any((folder / str(name)).exists() for name in listed)
 
 
 def sync_folder(folder: Path) -> None:

@@ -243,6 +243,18 @@ def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission
     assert (tmp_path / 'metadata.yaml').read_text() != described
 
 
+def test_a_renamed_log_is_read_and_gone_on_with_beside_its_old_description(
+    tmp_path, whole_mission
+):
+    record(tmp_path / 'mission.mcap', whole_mission.sent[:3])
+    (tmp_path / 'mission.mcap').rename(tmp_path / 'good.mcap')
+    with LogWriter(tmp_path, resume=True) as log:
+        assert not log.shares_folder
+        record_to(log, whole_mission.sent[3:5])
+    assert len([*read_log(tmp_path)]) == 5
+    assert 'good_1.mcap' in (tmp_path / 'metadata.yaml').read_text()
+
+
 @for_each('compression, room', [('none', 30_000), ('zstd', 10_000)])
 @for_each('batch', [1, 7])
 def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, compression, room):
