@@ -39,6 +39,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Import and run one of `EXECUTABLES`; return its exit status."""
     handler = _end_well if name in NODES else _end_as_interrupted
     before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    if unknown := '' if name in EXTRAS else missing_rmw():
+        print(f'{name}: {unknown}', file=sys.stderr)
+        return 2
     try:
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
@@ -51,6 +54,23 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         for number, each in before.items():
             signal.signal(number, each)
     return main(argv)
+
+
+def missing_rmw() -> str:
+    """Return that the middleware which the environment names is not installed; empty if it is."""
+    # rcl ends the process when it is imported.
+    rmw = os.environ.get('RMW_IMPLEMENTATION')
+    if not (rmw and os.environ.get('AMENT_PREFIX_PATH')):
+        return ''
+    from ament_index_python import get_resources
+
+    installed = sorted(get_resources('rmw_typesupport').keys() - {'rmw_implementation'})
+    if rmw in installed:
+        return ''
+    return (
+        f'RMW_IMPLEMENTATION is {rmw!r}, which is not installed: install it, or name one of '
+        f'{", ".join(installed)}'
+    )
 
 
 def _end_well(_number: int, _frame: FrameType | None) -> None:

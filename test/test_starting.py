@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 from ament_index_python.packages import get_package_prefix
-from kbnitp_ros.starting import EXECUTABLES, NODES
+from kbnitp_ros.starting import EXECUTABLES, EXTRAS, NODES
 from laws import for_each
 import pytest
 
@@ -23,6 +23,18 @@ time.sleep(60)
 """
 
 INSTALLED = Path(get_package_prefix('kbnitp_ros'), 'lib', 'kbnitp_ros')
+
+
+def test_a_middleware_that_is_not_installed_is_named():
+    env = {**os.environ, 'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'}
+    for name in sorted({*EXECUTABLES} - {*EXTRAS}):
+        command = [sys.executable, '-m', 'kbnitp_ros', name]
+        ended = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+        assert (ended.returncode, ended.stdout) == (2, '')
+        assert ended.stderr == (
+            f"{name}: RMW_IMPLEMENTATION is 'rmw_cyclonedds_cpp', which is not installed: install "
+            'it, or name one of rmw_fastrtps_cpp\n'
+        )
 
 
 @for_each(

@@ -233,6 +233,7 @@ def test_values_follow_changes(make_node):
     ('robots', -1, 'out of range'),
     ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
     ('beam_width', 2.5, 'type'),
+    ('use_sim_time', True, 'use_sim_time cannot change: start the node again with it'),
 ])  # fmt: skip
 def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, told):
     node = make_node()
@@ -242,6 +243,7 @@ def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, to
     assert not result.successful
     assert told in result.reason
     assert values == before
+    assert not node.get_clock().ros_time_is_active
 
 
 def test_the_reference_page_is_up_to_date():

@@ -23,6 +23,9 @@ from rclpy.node import Node
 import rclpy.parameter
 
 
+CLOCK = 'use_sim_time'
+
+
 def declare(node: Node, name: str) -> dict[str, Any]:
     """Declare the parameters of the node called `name` and return their values."""
     mine = parameters_of(name)
@@ -49,6 +52,8 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     def check(changes: list[rclpy.parameter.Parameter]) -> SetParametersResult:
         try:
             for change in changes:
+                if change.name == CLOCK and change.value != node.get_parameter(CLOCK).value:
+                    raise ValueError(f'{CLOCK} cannot change: start the node again with it')
                 if change.name in mine:
                     mine[change.name].check(change.value)
         except ValueError as error:
