@@ -98,7 +98,8 @@ def next_belief(now: Circumstances, names: FullNames) -> str:
     if now.last_heard < now.reported and now.in_flight.forgotten:
         again = not_heard_again(now.in_flight.kept)
         return f'{wait}; the last one holds {now.last_heard}{again}'
-    return f'{wait} on {belief_topic(now, names)}'
+    refusal = f'; {now.refusal}' if now.refusal else ''
+    return f'{wait} on {belief_topic(now, names)}{refusal}'
 
 
 def belief_topic(now: Circumstances, names: FullNames) -> str:

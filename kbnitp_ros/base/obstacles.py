@@ -39,17 +39,6 @@ class Obstacle(Enum):
         """Whether the mission is over by it."""
         return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether it keeps robots from leaving for a while in every mission."""
-        return self in (
-            Obstacle.UNREPORTED,
-            Obstacle.BELIEF_BEHIND,
-            Obstacle.DECIDING,
-            Obstacle.ALL_LEFT,
-            Obstacle.SEARCHING,
-        )
-
 
 class AgentPresence(NamedTuple):
     """What is known of an agent."""
@@ -81,6 +70,8 @@ class Circumstances:
     newest: int | None
     # How many the belief heard last holds: less than the newest if an estimator starts anew.
     last_heard: int
+    # What the estimator has refused of the evidence since that; empty if nothing.
+    refusal: str
     # How many nodes publish beliefs.
     estimators: int
     # Which recorders write which logs; empty if there is no more than one.
@@ -180,6 +171,17 @@ class Circumstances:
         if self.operator.is_paused:
             return Obstacle.PAUSED
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
+
+    def is_plain(self, obstacle: Obstacle) -> bool:
+        """Return whether an obstacle keeps robots from leaving for a while in every mission."""
+        if obstacle is Obstacle.BELIEF_BEHIND:
+            return not self.refusal
+        return obstacle in (
+            Obstacle.UNREPORTED,
+            Obstacle.DECIDING,
+            Obstacle.ALL_LEFT,
+            Obstacle.SEARCHING,
+        )
 
     def mission_state(self, obstacle: Obstacle) -> MissionState:
         """Return how far the mission is while an obstacle keeps robots from leaving."""

@@ -83,9 +83,10 @@ RETURN_DEADLINE = 1.0
 # What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
 SILENT_STEP = 0.01
 
-# What the planner waits for if an operator must decide; how long the demo then goes on, and how
+# What the planner waits for if an operator must act; how long the demo then goes on, and how
 # long for the word that the mission is over, in seconds.
 OPERATOR_AWAITED = 'waiting for the operator'
+BELIEF_AWAITED = 'waiting for a belief'
 OPERATOR_WAIT = 3.0
 END_WAIT = 30.0
 
@@ -417,6 +418,9 @@ class Observer(Node):
     def _most_left(self, robots: int) -> float:
         """Return how long this goes on at most unless something changes, in seconds."""
         now = self._progress
+        # The reason is empty unless the estimator refuses evidence.
+        if now.reason.startswith(BELIEF_AWAITED):
+            return OPERATOR_WAIT
         if self._belief is None or now.out:
             return inf
         if now.state in (MissionState.DONE, MissionState.ENDED):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
@@ -15,6 +16,7 @@ from kbnitp_ros.files import counted
 from kbnitp_ros.log.evidence import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL, TOPIC
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
 
@@ -39,6 +41,8 @@ class NewestBelief:
         self.sent_unknown = 0
         # How many deployments the belief heard last holds.
         self.last_heard = 0
+        # What the estimator has refused of the evidence since; empty if nothing.
+        self.refusal = ''
         # Whether it was told that an estimator will never hold all deployments.
         self._is_incomplete_told = False
 
@@ -55,6 +59,14 @@ class NewestBelief:
     def listen(self) -> None:
         """Hear beliefs from now on."""
         self._subscription = self._hear()
+        self._node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        evidence = tuple(f'{agent}/' for agent in self._agents)
+        for status in array.status:
+            said = {each.key: each.value for each in status.values}.get(LAST_REFUSAL, '')
+            if said.startswith(evidence) and status.name in self._node.authors('belief', BELIEF):
+                self.refusal = f'{status.name} says: {said}'
 
     def listen_anew(self) -> None:
         """Ask for the belief of the estimators that stay when one of several has left."""
@@ -75,6 +87,7 @@ class NewestBelief:
             self._node.diagnostics.refuse('belief', error)
             return
         self._node.diagnostics.accept()
+        self.refusal = ''
         unknown = snapshot.deployments - self._in_flight.sent
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(

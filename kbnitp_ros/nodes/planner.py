@@ -183,6 +183,7 @@ class PlannerNode(FieldNode):
             sent=self._sent,
             newest=newest.deployments if newest else None,
             last_heard=self._beliefs.last_heard,
+            refusal=self._beliefs.refusal,
             estimators=self._peers.estimators,
             several_recorders=records(recorders) if len(recorders) > 1 else '',
             is_decided=self._decisions.is_ready,
@@ -247,7 +248,7 @@ class PlannerNode(FieldNode):
         before = self.diagnostics.values.get(MISSION_STATE)
         self.diagnostics.values |= {
             MISSION_STATE: state,
-            MISSION_REASON: '' if obstacle.is_plain else sentence,
+            MISSION_REASON: '' if now.is_plain(obstacle) else sentence,
         }
         if state != before:
             self.diagnostics.publish()

@@ -50,6 +50,7 @@ CLEAR = Circumstances(
     sent=1,
     newest=1,
     last_heard=1,
+    refusal='',
     estimators=1,
     several_recorders='',
     is_decided=True,

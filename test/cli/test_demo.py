@@ -536,6 +536,7 @@ RUNNING, PAUSED, DONE, ENDED = (
     ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)], 4.0),
     ([(PAUSED, 'waiting for the operator to end the pause', 0)], OPERATOR_WAIT),
     ([(RUNNING, 'waiting for the operator to approve of', 0)], OPERATOR_WAIT),
+    ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], OPERATOR_WAIT),
     # The planner finds something to do after all.
     (
         [(RUNNING, f'waiting for the operator, {n}'[: 99 * (n % 2)], 0) for n in range(6)]

@@ -7,6 +7,8 @@ import json
 import math
 import time
 
+from base import Base
+from base import GRID as FIVE_BY_FIVE
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress, Recorded
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
@@ -348,3 +350,18 @@ def test_a_mission_may_be_empty(field):
     mission.show_belief()
     mission.until_state('done: 0 of 0 robots deployed')
     assert not mission.paths
+
+
+def test_a_planner_that_waits_for_a_belief_tells_what_the_estimator_refuses(field):
+    base = Base(field, **{'prior.hazard': 0.0, 'sensor.malfunction': 0.0})
+    base.until_sent(1)
+    sent, cells = read_path(FIVE_BY_FIVE, 'scout_1', base.paths['scout_1'][0])
+    base.reports['scout_1'].publish(report_message(sent, Observation(cells, False), 1))
+    # Of path and report the later one is refused.
+    base.until_state(
+        'refused: the outcome is impossible under this belief and sensor model: allow'
+    )
+    wait = 'waiting for a belief that holds 1 deployment on /belief; /estimator says: scout_1/'
+    assert field.state('/planner').startswith(wait)
+    told = field.listen(Progress, '/progress')
+    field.until(lambda: told and 'impossible' in told[-1].reason, 'reason on record')

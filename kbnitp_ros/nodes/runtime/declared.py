@@ -22,7 +22,6 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 import rclpy.parameter
 
-
 CLOCK = 'use_sim_time'
 
 

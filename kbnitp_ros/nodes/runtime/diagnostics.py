@@ -23,6 +23,9 @@ PERIOD = 1.0  # seconds
 MISSION_STATE = 'mission_state'
 MISSION_REASON = 'mission_reason'
 
+# By which a node tells what it refused last.
+LAST_REFUSAL = 'last_refusal'
+
 # How many refusals are told at once in such a period, and how many characters are shown of each.
 # Those beyond are only counted: whoever floods a node with messages must not have it flood others.
 SHOWN_AT_ONCE = 10
@@ -137,6 +140,7 @@ class Diagnostics:
             'accepted': self.accepted,
             'refused': self.refused,
             'waiting': self.waiting,
+            **({LAST_REFUSAL: self._last_refusal} if self._last_refusal else {}),
             **self.values,
         }
         status = DiagnosticStatus(
