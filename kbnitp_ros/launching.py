@@ -9,7 +9,7 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from kbnitp_ros.configuration import nearest, parameters_of
+from kbnitp_ros.configuration import nearest, Parameter, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.log_path import new_log
 from kbnitp_ros.nodes.runtime.transport import udp_only
@@ -45,25 +45,10 @@ RESPAWN_DELAY = 2.0  # seconds
 
 # The parameters that are arguments as well, of all nodes that have them.
 OPTIONS = (
-    'robots',
-    'max_steps',
-    'max_distance',
-    'planner',
-    'beam_width',
-    'max_visits',
-    'allocation',
-    'objective',
-    'alpha',
-    'loss_cost',
-    'rolling',
-    'step_period',
-    'silent_loss',
-    'return_deadline',
-    'method',
-    'seed',
-    'approval',
-    'keep_running',
-)
+    'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
+    'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
+    'method', 'seed', 'approval', 'keep_running',
+)  # fmt: skip
 
 
 def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
@@ -79,6 +64,7 @@ TRANSPORT = OpaqueFunction(function=transport)
 
 def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
     """Return the arguments that all launch files of missions take."""
+    known = parameters_of('estimator') | parameters_of('planner')
     return [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
@@ -111,21 +97,14 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
             choices=SWITCH,
             description='Whether to show the mission in RViz.',
         ),
-        *(
-            DeclareLaunchArgument(
-                name,
-                default_value=defaults.get(name, ''),
-                description=f'{description_of(name)} Empty for what params_file says.',
-            )
-            for name in OPTIONS
-        ),
+        *(argument_of(known[name], defaults.get(name, '')) for name in OPTIONS),
     ]
 
 
-def description_of(name: str) -> str:
-    """Return what a parameter of the planner, or else of the estimator, means."""
-    known = parameters_of('estimator') | parameters_of('planner')
-    return known[name].description
+def argument_of(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
+    """Return the argument of a parameter's name."""
+    description = f'{parameter.description} Empty for what params_file says.'
+    return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
 
 
 def mission_description(

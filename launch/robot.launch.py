@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch the agent of one real robot, on its own computer."""
 
+from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.configuration.given import read_sections
-from kbnitp_ros.launching import check_arguments, FINAL, respawned, SHARE, TRANSPORT
+from kbnitp_ros.launching import argument_of, check_arguments, FINAL, respawned, SHARE, TRANSPORT
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import (
@@ -11,12 +12,8 @@ from launch.substitutions import (
 )
 from launch_ros.actions import Node
 
-# Arguments that are also parameters, empty for what the file of parameters says.
-OPTIONS = {
-    'journal': "File on the robot's own disk that keeps its orders, its way and its readings.",
-    'driver': 'Action of Nav2: follow_waypoints, navigate_through_poses or follow_path.',
-    'base_frame': 'Frame of the robot, whose place in the frame map TF tells.',
-}
+# Parameters that are arguments as well.
+OPTIONS = ('journal', 'driver', 'base_frame')
 
 
 def generate_launch_description():
@@ -38,12 +35,7 @@ def generate_launch_description():
             default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
             description='YAML file with the parameters, the same as at the base.',
         ),
-        *(
-            DeclareLaunchArgument(
-                name, default_value='', description=f'{text} Empty for what params_file says.'
-            )
-            for name, text in OPTIONS.items()
-        ),
+        *(argument_of(parameters_of('robot')[name]) for name in OPTIONS),
     ]
     return LaunchDescription([*arguments, TRANSPORT, OpaqueFunction(function=robot)])
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 import itertools
 from typing import Any
 
@@ -23,11 +24,7 @@ from kbnitp_ros.core import (
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
     """Return the sensor model that these parameters describe."""
     return SensorModel(
-        lethality=values['sensor.lethality'],
-        malfunction=values['sensor.malfunction'],
-        false_negative=values['sensor.false_negative'],
-        true_positive=values['sensor.true_positive'],
-        false_positive=values['sensor.false_positive'],
+        **{each.name: values[f'sensor.{each.name}'] for each in fields(SensorModel)}
     )
 
 

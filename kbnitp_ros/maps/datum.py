@@ -27,24 +27,12 @@ class Datum:
     Positions are those of the azimuthal equidistant projection about the datum on the ellipsoid of
     WGS84: distances and directions from the datum are those of the geodesic.
 
-    Attributes
-    ----------
-    latitude : float
-        Of the frame's origin, WGS84, in degrees, -90 to 90.
-    longitude : float
-        Of the frame's origin, WGS84, in degrees, -180 to 180.
-    heading : float
-        The angle from east to the frame's x axis, counterclockwise, in rad.
-
-    Raises
-    ------
-    ValueError
-        If a value is not as above.
-
     """
 
+    # Of the frame's origin, WGS84, in degrees.
     latitude: float
     longitude: float
+    # The angle from east to the frame's x axis, counterclockwise, in rad.
     heading: float
 
     def __post_init__(self) -> None:
@@ -58,15 +46,7 @@ class Datum:
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> Datum | None:
-        """
-        Return the datum that the parameter of this name gives; None if it is empty.
-
-        Raises
-        ------
-        ValueError
-            If there are not three numbers, or they are none of a place on the earth.
-
-        """
+        """Return the datum that the parameter of this name gives; None if it is empty."""
         if not numbers:
             return None
         if len(numbers) != 3:
@@ -83,25 +63,7 @@ class Datum:
         return Proj(proj='aeqd', lat_0=self.latitude, lon_0=self.longitude, ellps='WGS84')
 
     def on_earth(self, points: ArrayLike) -> NDArray[np.float64]:
-        """
-        Return where points of the frame map are on the earth.
-
-        Parameters
-        ----------
-        points : array_like, shape (n, 2)
-            x and y in metres.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Latitude and longitude, WGS84, in degrees.
-
-        Raises
-        ------
-        ValueError
-            If a point is further away than `FARTHEST`.
-
-        """
+        """Return latitude and longitude, WGS84 in degrees, of points of the map in metres."""
         at = np.exp(1j * self.heading) * (np.asarray(points) @ (1, 1j))
         if at.size and abs(at).max() > FARTHEST:
             raise ValueError(

@@ -64,17 +64,6 @@ def read_map(yaml_path: str | Path) -> Map:
     interpolated in mode scale. A pixel that is transparent at all is -1. In mode raw the pixel is
     the value, and -1 above 100.
 
-    Parameters
-    ----------
-    yaml_path : str or Path
-        The YAML file; a relative `image` is looked for beside it.
-
-    Raises
-    ------
-    MapError
-        If a file is missing or corrupt, a value is missing or out of range, or the image is of
-        another format.
-
     """
     file = read_map_file(Path(yaml_path))
     gray, opaque = read_image(file.image)

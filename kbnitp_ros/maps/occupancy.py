@@ -21,30 +21,15 @@ class MapError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """
-    What is known to stand in the field, as nav_msgs/OccupancyGrid has it.
+    """What is known to stand in the field, as nav_msgs/OccupancyGrid has it."""
 
-    Attributes
-    ----------
-    data : ndarray of int8, shape (rows, columns)
-        Row 0 at the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
-    resolution : float
-        Side of a pixel in metres, positive.
-    origin : tuple of float
-        Lower-left corner of the map in metres.
-    yaw : float
-        The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
-
-    Raises
-    ------
-    MapError
-        If the map has no pixels or its geometry is not finite.
-
-    """
-
+    # Rows from the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
     data: NDArray[np.int8]
+    # Side of a pixel in metres, positive.
     resolution: float
+    # Lower-left corner in metres.
     origin: tuple[float, float]
+    # The angle from the frame's x axis to the rows, counterclockwise, in rad.
     yaw: float = 0.0
 
     def __post_init__(self) -> None:
@@ -73,27 +58,8 @@ class Map:
         Cells start at the map's origin and follow its rows and columns. Those that reach beyond
         its far edges are unknown there.
 
-        Parameters
-        ----------
-        resolution : float, optional
-            Side of a cell in metres, at least the map's; without it the map's.
-        base_position : tuple of float, optional
-            A point in the cell of the base, x and y in metres in the map's frame.
-        connectivity : int
-            4 or 8, as of `Grid`.
-        unknown_blocks : bool
-            Whether a pixel that is not known blocks its cell too.
-        base : int
-            The cell of the base, without `base_position`.
-        through_corners : bool
-            As of `Grid`.
-
-        Raises
-        ------
-        ValueError
-            If `resolution` is finer than the map's, the base is off the map or not free, or the
-            connectivity is neither 4 nor 8.
-
+        The resolution is at least the map's, by default that; `base_position` is a point in the
+        cell of the base in place of its number, and the rest is as of `Grid`.
         """
         side = self.resolution if resolution is None else resolution
         pixels = side / self.resolution

@@ -18,39 +18,20 @@ MOST_SHOWN = 1000
 
 @dataclass(frozen=True)
 class Site:
-    """
-    The image of a map.
+    """The image of a map, and where it lies, in metres and rad."""
 
-    Attributes
-    ----------
-    source : str
-        A data URI with a PNG file of at most `MOST_SHOWN` pixels a side, the top row first.
-    width, height : float
-        What it covers along and across the map's rows, in metres.
-    origin : tuple of float
-        Lower-left corner of the map in metres.
-    yaw : float
-        How the map's rows are turned, in rad.
-
-    """
-
+    # A data URI with a PNG file of at most `MOST_SHOWN` pixels a side, the top row first.
     source: str
+    # What it covers along and across the map's rows.
     width: float
     height: float
+    # The lower-left corner.
     origin: tuple[float, float]
     yaw: float
 
 
 def read_site(yaml_path: str | Path) -> Site:
-    """
-    Return the image of a map.
-
-    Raises
-    ------
-    MapError
-        As for `read_map`.
-
-    """
+    """Return the image of a map."""
     file = read_map_file(Path(yaml_path))
     gray, opaque = read_image(file.image)
     shade = np.stack([gray, np.where(opaque, 255, 0).astype(np.uint8)], axis=-1)[::-1]

@@ -26,28 +26,8 @@ def read_probabilities(
     columns, row 0 at the bottom, lies over the whole grid. A cell's probability is the mean over
     the part of it that the map covers, each pixel by its share of the area.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    grid : Grid
-        Its cells need not have the size of the map's pixels.
-    elsewhere : float
-        The probability of cells that the map does not cover: beyond its edges or transparent.
-    resample : bool
-        Whether a .npy file may have other rows and columns than the grid.
-
-    Returns
-    -------
-    ndarray, shape (cells,)
-        In [0, 1].
-
-    Raises
-    ------
-    MapError
-        If the file cannot be read, holds a value outside [0, 1], is a map that is turned
-        otherwise than the grid, or an array of another shape while `resample` is false.
-
+    `elsewhere` is that of cells beyond the map's edges or transparent; with `resample` a .npy file
+    may have other rows and columns than the grid.
     """
     path = Path(path)
     if path.suffix == '.npy':

@@ -16,26 +16,7 @@ WHITE = 255
 
 
 def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) -> None:
-    """
-    Write a map of probabilities in mode scale, black where something is certain.
-
-    Nav2's map_server and `read_probabilities` read it.
-
-    Parameters
-    ----------
-    yaml_path : Path
-        The YAML file; the image is beside it, with the suffix .pgm.
-    grid : Grid
-        A pixel is a cell.
-    levels : ndarray of uint8, shape (cells,)
-        255 times the probability.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-
-    """
+    """Write 255 times the probability of each cell as a map in mode scale, black for 255."""
     image = yaml_path.with_suffix('.pgm')
     rows = (WHITE - levels).reshape(grid.height, grid.width)[::-1]
     Image.fromarray(np.ascontiguousarray(rows)).save(image)
@@ -57,11 +38,6 @@ def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
 
     Each value is the one below or above that of the belief, of all that have a joint distribution
     (kappa h <= t <= kappa h + 1 - h) those next to it.
-
-    Returns
-    -------
-    dict of str to ndarray of uint8, shape (cells,)
-        By the names hazard, target and kappa.
 
     """
     exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE

@@ -56,15 +56,6 @@ def compare(
     Results
         For `tables_of` and `figures_of`.
 
-    Raises
-    ------
-    ValueError
-        If the scenario is none, or names are unknown, taken or used twice.
-    TypeError
-        If an argument, a planner or a method is none, or cannot be sent to other processes.
-    RuntimeError
-        If a mission fails; names it.
-
     """
     if not isinstance(scenario, str | Path | Mapping):
         raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')

@@ -48,17 +48,7 @@ def check_memory(scenario: Scenario) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results:
-    """
-    The outcomes of all trials of a scenario.
-
-    Attributes
-    ----------
-    scenario : Scenario
-        What was run.
-    outcomes : mapping
-        Of every trial, in any order.
-
-    """
+    """The outcomes of all trials of a scenario, in any order."""
 
     scenario: Scenario
     outcomes: Mapping[Trial, MissionResult]

@@ -51,25 +51,10 @@ def draw_round(seed: int) -> RoundCase:
 
 def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0) -> None:
     """
-    See that an allocation keeps every law that holds of those of the package.
+    See that an allocation keeps every law that holds of those of the package, in some drawn cases.
 
-    Parameters
-    ----------
-    allocation : str or object
-        The name of one that is registered, or what an entry point of the group
-        ``kbnitp_ros.allocations`` would stand for.
-    cases : int
-        How many fields and rounds are drawn to try it on, at least 1.
-    seed : int
-        Of the first of them, at least 0.
-
-    Raises
-    ------
-    AssertionError
-        If a law is broken; it says which, by what, and the seed of the case.
-    ValueError
-        If no allocation of that name is registered.
-
+    It is given by its name or as what an entry point of the group ``kbnitp_ros.allocations``
+    stands for. An AssertionError says which law is broken, by what, and the seed of the case.
     """
     hold(ALLOCATIONS, allocation, LAWS, draw_round, cases, seed)
 

@@ -42,25 +42,10 @@ LETHALITY = (0.2, 0.8)
 
 def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> None:
     """
-    See that a method keeps every law that holds of those of the package.
+    See that a method keeps every law that holds of those of the package, in some drawn cases.
 
-    Parameters
-    ----------
-    method : str or object
-        The name of one that is registered, or what an entry point of the group
-        ``kbnitp_ros.methods`` would stand for: a `Method`.
-    cases : int
-        How many missions are drawn to try it on, at least 1.
-    seed : int
-        Of the first of them, at least 0.
-
-    Raises
-    ------
-    AssertionError
-        If a law is broken; it says which, by what, and the seed of the mission.
-    ValueError
-        If no method of that name is registered.
-
+    It is given by its name or as what an entry point of the group ``kbnitp_ros.methods`` stands
+    for. An AssertionError says which law is broken, by what, and the seed of the case.
     """
     hold(METHODS, method, LAWS, draw_mission, cases, seed)
 

@@ -55,25 +55,10 @@ def draw_search(seed: int) -> SearchCase:
 
 def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> None:
     """
-    See that a planner keeps every law that holds of those of the package.
+    See that a planner keeps every law that holds of those of the package, in some drawn cases.
 
-    Parameters
-    ----------
-    planner : str or object
-        The name of one that is registered, or what an entry point of the group
-        ``kbnitp_ros.planners`` would stand for.
-    cases : int
-        How many fields and limits are drawn to try it on, at least 1.
-    seed : int
-        Of the first of them, at least 0.
-
-    Raises
-    ------
-    AssertionError
-        If a law is broken; it says which, by what, and the seed of the case.
-    ValueError
-        If no planner of that name is registered.
-
+    It is given by its name or as what an entry point of the group ``kbnitp_ros.planners`` stands
+    for. An AssertionError says which law is broken, by what, and the seed of the case.
     """
     hold(PLANNERS, planner, LAWS, draw_search, cases, seed)
 
