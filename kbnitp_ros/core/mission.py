@@ -22,6 +22,7 @@ from kbnitp_ros.core.field import (
     SensorModel,
     STATIC,
     typed,
+    typed_fields,
     Unknowns,
     Value,
     whole_number,
@@ -107,6 +108,7 @@ class SimulatedMission(list[Deployment]):
         return table
 
 
+@typed_fields
 @dataclass(frozen=True)
 class Truth:
     """
@@ -128,6 +130,7 @@ class Truth:
     dynamics: Dynamics | None = None
 
 
+@typed_fields
 @dataclass(frozen=True)
 class Learning:
     """

@@ -169,6 +169,10 @@ def test_a_function_that_returns_nonsense_is_named():
     (lambda: core.forecast(GRID, PRIOR, 3, 2, 1), 'estimator is Belief.*: it must be Estimator'),
     (lambda: core.log_loss(PRIOR, WORLD.hazard), 'probability is Belief.*such as Belief.hazard'),
     (lambda: Grid(4, 4, blocked=6), 'blocked is 6: it must be a list'),
+    (lambda: core.Truth(0.5), 'model is 0.5: it must be SensorModel'),
+    (lambda: Learning({'lethality': (0, 1)}), r'unknowns is \{.lethality.*: it must be Unknowns'),
+    (lambda: core.Clustering(0.5, GRID), 'grid is 0.5: it must be Grid'),
+    (lambda: core.PathFinder(GRID, 'beam'), "options is 'beam': it must be SearchOptions"),
     (lambda: core.Area(3), 'cells is 3: it must be a list'),
 ])  # fmt: skip
 def test_a_wrong_type_is_named(make, words):

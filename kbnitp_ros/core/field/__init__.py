@@ -10,6 +10,7 @@ from kbnitp_ros.core.field.check import (
     in_short,
     probability,
     typed,
+    typed_fields,
     whole_number,
     yes_or_no,
 )
@@ -92,6 +93,7 @@ __all__ = [
     'surprisal',
     'times_log',
     'typed',
+    'typed_fields',
     'while_compiling',
     'whole_number',
     'yes_or_no',

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 P = ParamSpec('P')
 R = TypeVar('R')
+T = TypeVar('T')
 
 CORE = __name__.removesuffix('.field.check')
 
@@ -52,6 +53,12 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
         return call(*arguments, **options)
 
     return checked
+
+
+def typed_fields(kind: type[T]) -> type[T]:
+    """Refuse fields of a dataclass as `typed` refuses arguments."""
+    kind.__init__ = typed(kind.__init__)  # type: ignore[method-assign]
+    return kind
 
 
 def in_short(value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kbnitp_ros.core.field.check import typed_fields
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.partition import log_partition, STRIP
 from kbnitp_ros.core.field.unknowns import Bins
@@ -22,6 +23,7 @@ MOST_STEPS = 100
 LEARNT_COUPLING = 'learn'
 
 
+@typed_fields
 @dataclass(frozen=True)
 class Clustering:
     r"""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 
-from kbnitp_ros.core.field import Grid, in_short, Value
+from kbnitp_ros.core.field import Grid, in_short, typed_fields, Value
 from kbnitp_ros.core.planning.objective.behavioral import powers_of
 from kbnitp_ros.core.planning.objective.candidate import Candidate
 from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
@@ -39,6 +39,7 @@ class NoPathError(ValueError):
     """No path that was found is survived as probably as it must be."""
 
 
+@typed_fields
 @dataclass(frozen=True, eq=False, repr=False)
 class PathFinder(Value):
     """
