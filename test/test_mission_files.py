@@ -16,8 +16,8 @@ from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.headers import from_stamp
 from launches import interrupt, launched, nodes_of
 from laws import for_each

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a log: parts, schemas, metadata and repair. Knows bags, and nothing of missions."""
 
-from kbnitp_ros.bag.errors import LogError, same_types
+from kbnitp_ros.bag.errors import LogError
 from kbnitp_ros.bag.lock import LogLock
 from kbnitp_ros.bag.log_files import check_is_new, parts_of
 from kbnitp_ros.bag.reader import (
@@ -12,7 +12,9 @@ from kbnitp_ros.bag.reader import (
     metadata_of_part,
     read_log,
     read_metadata,
+    read_recorded,
     Recorded,
+    RecordedMessage,
 )
 from kbnitp_ros.bag.repair import repair
 from kbnitp_ros.bag.schema import check_installed, qos_profiles_yaml
@@ -25,6 +27,7 @@ __all__ = [
     'LogWriter',
     'LoggedMessage',
     'Recorded',
+    'RecordedMessage',
     'check_installed',
     'check_is_new',
     'check_readable',
@@ -35,6 +38,6 @@ __all__ = [
     'qos_profiles_yaml',
     'read_log',
     'read_metadata',
+    'read_recorded',
     'repair',
-    'same_types',
 ]

@@ -138,7 +138,9 @@ class FileWriter:
         self._pending = 0
 
     def sync(self) -> None:
-        """Put everything written so far onto the disk; raise FileNotFoundError if it is gone."""
+        """Put everything written so far onto the disk; raise an OSError if it is not all there."""
+        # What is written after a cut fills it with zeros.
+        self._check_size()
         self.flush()
         # It leaves out the times of the file, and not how long it is.
         with naming(self.path):
@@ -146,8 +148,17 @@ class FileWriter:
         self.check_in_place()
 
     def check_in_place(self) -> None:
-        """Check that the file has not been removed or replaced; raises FileNotFoundError."""
+        """Check that the file has not been removed, replaced or cut; raises an OSError."""
         check_in_place(self._file, self.path)
+        self._check_size()
+
+    def _check_size(self) -> None:
+        size = os.fstat(self._file.fileno()).st_size
+        if size < self._written:
+            raise OSError(
+                f'{self.path} was cut to {size} bytes, of the {self._written} that were written: '
+                'what rotates logs must leave it alone'
+            )
 
     def finish(self) -> None:
         """Finish the file, with indexes, and put it onto the disk."""

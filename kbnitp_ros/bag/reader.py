@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from itertools import accumulate
+from itertools import accumulate, count
 import os
 from pathlib import Path
 import struct
@@ -78,6 +79,8 @@ class LoggedMessage:
 
     # Full name.
     topic: str
+    # Which of the topic's messages it is, from 0.
+    index: int
     # As 'nav_msgs/msg/Path'.
     type_name: str
     # Times of receiving and sending.
@@ -95,19 +98,24 @@ def read_log(
     path: str | Path,
     types: Collection[str] | None = None,
     corrupt: list[LogError] | None = None,
+    topics: Collection[str] | None = None,
 ) -> Iterator[LoggedMessage]:
     """
-    Yield the messages of these types in the order in which they were written, part after part.
+    Yield the messages of these types and topics in the order in which they were written.
 
     A cut part yields what is before the cut, a corrupt one what is before its first error. That is
     raised as a LogError, or added to `corrupt` if that is given.
     """
-    decode = Decoders(path)
+    decode, indices = Decoders(path), defaultdict[str, Iterator[int]](count)
     for item in read_recorded(path, corrupt):
-        if isinstance(item, RecordedMessage) and (types is None or item.schema.name in types):
+        if not isinstance(item, RecordedMessage):
+            continue
+        topic, type_name = item.channel.topic, item.schema.name
+        if (types is None or type_name in types) and (topics is None or topic in topics):
             yield LoggedMessage(
-                item.channel.topic,
-                item.schema.name,
+                topic,
+                next(indices[topic]),
+                type_name,
                 item.log_time,
                 item.publish_time,
                 item.position,

@@ -191,6 +191,10 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         if status.state is OrderState.DEPARTED and key in self._in_flight:
             self._in_flight[key].has_departed = True
 
+    def check_loss(self, key: DeploymentKey) -> None:
+        """Check that a robot can have been lost, as `Departures` does."""
+        self._departures.check_loss(key)
+
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
         """Take note that a robot was reported by its agent at a time, or was given up."""
         if self._departures.is_refused(key):

@@ -41,8 +41,6 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
                 'all evidence of the belief, for the goal: restart the planner with the '
                 'parameter resume, which names the log'
             )
-        case Obstacle.SEVERAL_RECORDERS:
-            return f'all but one recorder to end: {now.several_recorders}'
         case Obstacle.NOT_HEARD:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:

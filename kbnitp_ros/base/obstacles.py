@@ -25,7 +25,6 @@ class Obstacle(Enum):
     DECIDING = auto()
     UNDECIDED = auto()
     OVER = auto()
-    SEVERAL_RECORDERS = auto()
     NOT_HEARD = auto()
     ALL_LEFT = auto()
     PAUSED = auto()
@@ -74,8 +73,6 @@ class Circumstances:
     refusal: str
     # How many nodes publish beliefs.
     estimators: int
-    # Which recorders write which logs; empty if there is no more than one.
-    several_recorders: str
     # Whether robots can be planned for the goal on the newest belief.
     is_decided: bool
     # Whether it is being computed what may be relied on by that.
@@ -162,8 +159,6 @@ class Circumstances:
             return Obstacle.DECIDING if self.is_deciding else Obstacle.UNDECIDED
         if self.why_over():
             return Obstacle.UNREPORTED if unreported else Obstacle.OVER
-        if self.several_recorders:
-            return Obstacle.SEVERAL_RECORDERS
         if self.missing_listeners():
             return Obstacle.NOT_HEARD
         if self.sent >= self.robots:

@@ -11,8 +11,9 @@ from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.configuration import robot_types_of
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.deployments import read_deployments, read_mission, read_newest_round
-from kbnitp_ros.log.operator_state import OperatorState, read_operator_actions
+from kbnitp_ros.log.deployments import MissionRecord, read_newest_round
+from kbnitp_ros.log.operator_state import OperatorState
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import report_message, Source
 from kbnitp_ros.messages.headers import LAST_COUNTED_ON
 
@@ -21,28 +22,25 @@ class Resumption:
     """The mission of a log, to go on with."""
 
     def __init__(
-        self, log: str, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
+        self, log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
     ) -> None:
         self._log = log
         self._values = values
         self._agents = agents
         robot_types = robot_types_of(values, grid)
+        self.record = MissionRecord(log, grid, values['max_steps'], robot_types)
         # In the order they were made.
-        self.deployments = read_deployments(log, grid, values['max_steps'], robot_types)
+        self.deployments = self.record.deployments
         for key in self.deployments:
             if key.agent not in agents:
                 raise ValueError(
-                    f'{log} has deployments of {key.agent}: the parameter agents names only '
+                    f'{log.path} has deployments of {key.agent}: the parameter agents names only '
                     f'{", ".join(agents)}'
                 )
-        # Those of the operator, each with its message.
-        self.actions = list(read_operator_actions(log, grid))
         # What holds by them.
         self.operator = OperatorState()
-        for action, _ in self.actions:
+        for action, _ in self.record.actions:
             self.operator.apply(action)
-        # When it began, in nanoseconds.
-        self.mission = read_mission(log)
 
     @property
     def last_stamp(self) -> int:

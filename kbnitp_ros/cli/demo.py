@@ -20,7 +20,7 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
-from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of, read_log
+from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of
 from kbnitp_ros.base.reachability import check_reach, reach_note
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
@@ -49,10 +49,10 @@ from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.evidence import PATH
 from kbnitp_ros.log.log_path import NAME, new_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.progress import MissionState
@@ -340,7 +340,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
     parameters = {}
     for node in NODES:
         if f'/{node}' not in recorded:
-            if not any(True for _ in read_log(log, (PATH,))):
+            if not any(True for _ in MissionLog(log).read('path')):
                 raise ValueError(
                     f'{log} ends before the first robot left: begin anew in another folder'
                 )
@@ -455,7 +455,7 @@ class Observer(Node):
 def conclude(log: Path, note: str) -> int:
     """Replay the log, report it, say what became known; return the exit code."""
     say('computing every belief of the log again, and writing the report')
-    reproduction = replay(log, asked=asked_on_record(log))
+    reproduction = replay(recorded := MissionLog(log), asked=asked_on_record(recorded))
     folder = report_folder(log)
     # A mission that is gone on with may have ended before.
     shutil.rmtree(folder, ignore_errors=True)

@@ -33,7 +33,8 @@ from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
 from kbnitp_ros.core.forecast import Course, PossibleWorld
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.resumed import read_ledger
-from kbnitp_ros.nodes.runtime.command_line import command_parser
+from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report import check_is_free
 from kbnitp_ros.study.table import Cell, Table
 from kbnitp_ros.study.workers import Workers, workers
@@ -98,6 +99,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='the log of a mission to continue: its first file, or its folder. Robots that were '
         'out are sent again',
     )
+    add_namespace(parser)
     parser.add_argument(
         '--params',
         metavar='FILE',
@@ -168,11 +170,11 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
 
 def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
     """Return the forecast of a mission that goes on, but for worlds and randomness."""
-    ledger = read_ledger(options.log)
+    ledger = read_ledger(log := MissionLog(options.log, options.namespace))
     parameters = (
         values_of(read_sections(options.params), ('planner',))
         if options.params
-        else {'planner': recorded_planner(options.log)}
+        else {'planner': recorded_planner(log)}
     )
     for rule in options.set:
         set_parameter(parameters, rule, 'forecast')

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -18,9 +17,9 @@ from kbnitp_ros.configuration import (
     parameters_of,
 )
 from kbnitp_ros.configuration.given import Sections, values_for
-from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import first_belief
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
+from kbnitp_ros.log.roles import MissionLog
 
 
 def values_of(
@@ -76,16 +75,16 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
     return values | {name: value for name, value in recorded.items() if own_name(name)}
 
 
-def recorded_planner(log: Path) -> dict[str, Any]:
+def recorded_planner(log: MissionLog) -> dict[str, Any]:
     """Return the values of the planner of a mission on record."""
-    recorded = read_parameters(log, [])
+    recorded = log.parameters
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:
-        raise ValueError(f'{log} does not have the parameters of one planner on record')
+        raise ValueError(f'{log.path} does not have the parameters of one planner on record')
     return recorded_values(recorded[names[0]], 'planner')
 
 
-def asked_on_record(log: Path) -> RecordedGoal | None:
+def asked_on_record(log: MissionLog) -> RecordedGoal | None:
     """Return what the mission of a log was to make sure of; None if that is not on record."""
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)

@@ -17,6 +17,7 @@ from kbnitp_ros.log.configuration import recorded_environment
 from kbnitp_ros.log.environment import numerical_environment
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade, ReplayReport, TOLERANCE
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.progress import NOT_KNOWN
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from tqdm import tqdm
@@ -64,7 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             say(f'{repaired.messages} messages of {log} are saved in {options.repair}')
             say(*([f'lost: {loss}' for loss in repaired.lost] or ['nothing was lost']))
             log = options.repair
-        report = replay(log, partial(with_progress, log_size(log)), asked_on_record(log))
+        mission = MissionLog(log, options.namespace)
+        progress = partial(with_progress, log_size(log))
+        report = replay(mission, progress, asked_on_record(mission))
     except (LogError, OSError) as error:
         complain('replay', error)
         return 2

@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         check_is_free(options.out)
         if options.other is None:
-            missions = [report(options.log, options.out)]
+            missions = [report(options.log, options.out, namespace=options.namespace)]
         else:
             missions = compare(options.log, options.other, options.out)
     except (LogError, ValueError, OSError) as error:
@@ -78,9 +78,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 2 if corrupt else 0
 
 
-def report(log: Path, folder: Path, note: str = '') -> Mission:
+def report(log: Path, folder: Path, note: str = '', namespace: str | None = None) -> Mission:
     """Write the report of a log and say so, with progress bars on a terminal."""
-    mission = read(log)
+    mission = read(log, namespace)
     curves = curves_with_progress(mission)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
@@ -101,9 +101,9 @@ def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
     return missions
 
 
-def read(log: Path) -> Mission:
+def read(log: Path, namespace: str | None = None) -> Mission:
     """Return the mission of a log, with a progress bar on a terminal."""
-    return read_mission(log, partial(with_progress, log_size(log)))
+    return read_mission(log, partial(with_progress, log_size(log)), namespace)
 
 
 def curves_with_progress(mission: Mission) -> Curves:

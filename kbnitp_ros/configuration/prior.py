@@ -8,6 +8,7 @@ from typing import Any
 
 from kbnitp_ros.core import Belief, Grid
 from kbnitp_ros.log.evidence import last_belief
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_probabilities
 
 MAPS = ('hazard', 'target', 'kappa')
@@ -43,7 +44,7 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
 
 def earlier_belief(log: str, grid: Grid) -> Belief:
     """Return what a mission came to believe, of the same field."""
-    known = last_belief(log)
+    known = last_belief(MissionLog(log))
     if known is None:
         raise ValueError(f'{log} has no belief on record')
     for name in SAME:

@@ -328,7 +328,7 @@ TABLE = (
         ('scout_1',),
         f'Names of all agents of the team, at most {MOST_AGENTS}; each has its topics under its '
         'name.',
-        FIELD,
+        (*FIELD, 'recorder'),
         element=str,
         pattern=NAME,
     ),

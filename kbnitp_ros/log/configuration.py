@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime, timezone
 import json
 import os
@@ -60,14 +60,16 @@ def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
     return {name: json.dumps(value, default=ord) for name, value in sorted(values.items())}
 
 
-def read_changes(path: str | Path) -> Iterator[str]:
-    """Yield in words which parameters of nodes changed in a run, and from what to what."""
+def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
+    """Yield in words which parameters of some nodes changed in a run, and from what to what."""
     known: dict[str, dict[str, str]] = {}
     for part in parts_of(path):
         for record in metadata_of_part(part, []):
             if not record.name.startswith(f'{PARAMETERS}/'):
                 continue
             node = record.name.removeprefix(PARAMETERS)
+            if not is_meant(node):
+                continue
             before = known.setdefault(node, {})
             for name, value in record.values.items():
                 if before.get(name, value) != value:

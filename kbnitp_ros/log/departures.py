@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
-
-from kbnitp_ros.bag import LogError, read_log, same_types
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.messages.deployments import agent_of
-from kbnitp_ros.messages.status import AgentStatus, OrderState, read_status
+from kbnitp_ros.messages.status import AgentStatus, OrderState
 
-STATUS = 'kbnitp_msgs/msg/AgentStatus'
+
+class AtBaseError(ValueError):
+    """A robot is reported lost that is at the base, or was when word of it came last."""
 
 
 class Departures:
@@ -81,29 +77,14 @@ class Departures:
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost."""
+        """Check that a robot can have been lost; raises `AtBaseError` if it is not known to be."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, and its robot stays at the base: '
                 f'{self._statuses[key].reason}'
             )
-
-
-def read_statuses(
-    log: str | Path, corrupt: list[LogError] | None = None
-) -> Iterator[tuple[DeploymentKey, AgentStatus]]:
-    """Yield what is on record that agents said of their orders, as far as it can be read."""
-    with same_types(log):
-        for logged in read_log(log, (STATUS,), corrupt):
-            with suppress(ValueError):
-                yield read_status(logged.message, agent_of(logged.topic))
-
-
-def read_departures(log: str | Path, corrupt: list[LogError] | None = None) -> Departures:
-    """Fold the statuses on record; `corrupt` as for `read_log`."""
-    departures = Departures()
-    for key, status in read_statuses(log, corrupt):
-        # What was refused when it came is refused again.
-        with suppress(ValueError):
-            departures.take(key, status)
-    return departures
+        if self.is_at_base(key) and key not in self._reported:
+            raise AtBaseError(
+                f'deployment {key} is reported lost, and its agent has not said that its robot '
+                'departs'
+            )

@@ -7,11 +7,10 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
+from kbnitp_ros.bag import LogError, LoggedMessage
 from kbnitp_ros.core import (
     DeploymentKey,
     Deployments,
@@ -21,78 +20,40 @@ from kbnitp_ros.core import (
     Report,
     RobotType,
 )
-from kbnitp_ros.log.configuration import recorded_environment
+from kbnitp_ros.log.roles import BELIEF, LONGEST, MissionLog, Role
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
-    belief_field_names,
     read_belief_maps,
     read_robot_types,
     Snapshot,
 )
 from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_path, read_report
+from kbnitp_ros.messages.deployments import read_path, read_report
 from numpy.typing import ArrayLike
 
-BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
-DECISION = 'kbnitp_msgs/msg/Decision'
-GRID = 'nav_msgs/msg/OccupancyGrid'
-MODEL = 'kbnitp_msgs/msg/ModelBelief'
-PROGRESS = 'kbnitp_msgs/msg/Progress'
-PATH = 'nav_msgs/msg/Path'
-REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 
-# Of a refusal, in characters: a report may name any number of cells.
-LONGEST = 500
-
-
-def record(deployments: Deployments, logged: LoggedMessage) -> bool:
+def record(deployments: Deployments, role: Role, message: Any) -> bool:
     """Record a path or report as an estimator does; return whether an outcome changed."""
-    agent, content = agent_of(logged.topic), content_hash(logged.message)
-    if logged.type_name == REPORT:
-        key, report = read_report(logged.message, agent)
+    content = content_hash(message)
+    if role.name == 'report':
+        key, report = read_report(message, role.agent)
         return deployments.record_report(key, replace(report, content=content))
-    if key_of_path(logged.topic, logged.message) is None:
-        return False
-    return deployments.record_path(*read_path(deployments.grid, agent, logged.message), content)
+    return deployments.record_path(*read_path(deployments.grid, role.agent, message), content)
 
 
-def first_belief(log: str | Path) -> Snapshot | None:
+def first_belief(log: MissionLog) -> Snapshot | None:
     """Return the first belief on record; None if there is none that can be read."""
-    with same_types(log):
-        for logged in read_log(log, (BELIEF,)):
-            check_version(log, logged.message)
-            with suppress(ValueError):
-                return read_belief_maps(logged.message)
-    return None
+    return next((read_belief_maps(each.message) for _, each in log.read('belief')), None)
 
 
-def required_belief(log: str | Path) -> Snapshot:
+def required_belief(log: MissionLog) -> Snapshot:
     """Return the first belief on record; raise a LogError if none can be read."""
     if belief := first_belief(log):
         return belief
     raise LogError(
-        f'{log} has no beliefs on record that can be read: it must have messages of type {BELIEF}'
+        f'{log.path} has no beliefs on record that can be read: it must have messages of type '
+        f'{BELIEF} on {log.roles.names["belief"]}'
     )
-
-
-# Fields of beliefs that 0.3.0 did not have.
-ADDED = {'move'}
-
-
-def check_version(log: str | Path, belief: Any) -> None:
-    """Check that the messages of a log are those of this version."""
-    known, fields = belief_field_names(), set(belief.__slots__)
-    if lacking := known - fields - ADDED:
-        raise LogError(
-            f'{log} was recorded before version 0.3.0, its beliefs have no {min(lacking)}: '
-            'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
-        )
-    if unknown := fields - known:
-        recorder = recorded_environment(log)['kbnitp_ros']
-        raise LogError(
-            f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
-            f'read it with that version of kbnitp_ros ({recorder})'
-        )
 
 
 def begun(prior: Snapshot) -> Ledger:
@@ -110,30 +71,27 @@ def begun(prior: Snapshot) -> Ledger:
     return ledger
 
 
-def last_belief(log: str | Path) -> Snapshot | None:
+def last_belief(log: MissionLog) -> Snapshot | None:
     """Return the last of the recorded beliefs that hold the most deployments."""
     last, most = None, -1
-    with same_types(log):
-        for logged in read_log(log, (BELIEF,)):
-            with suppress(ValueError):
-                if logged.message.deployments >= most:
-                    last = read_belief_maps(logged.message)
-                    most = last.deployments
-    return last
+    for _, logged in log.read('belief'):
+        if logged.message.deployments >= most:
+            last, most = logged.message, logged.message.deployments
+    return None if last is None else read_belief_maps(last)
 
 
 def check_same_field(
-    log: str | Path, grid: Grid, robot_types: Mapping[str, RobotType]
+    log: MissionLog, grid: Grid, robot_types: Mapping[str, RobotType]
 ) -> Snapshot | None:
     """Return the first recorded belief; raise ValueError if its grid or bases are others."""
     belief = first_belief(log)
     if belief and belief.grid != grid:
-        raise ValueError(f'{log} is of a mission on {belief.grid}: the parameters say {grid}')
+        raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters say {grid}')
     for agent, robot_type in robot_types.items():
         before = belief.base_of(agent) if belief else grid.at(robot_type.base).base
         if before != (now := grid.at(robot_type.base).base):
             raise ValueError(
-                f'{log} is of a mission in which the base of {agent} is {before}, and by the '
+                f'{log.path} is of a mission in which the base of {agent} is {before}, and by the '
                 f'parameters it is {now}: a base is fixed for a mission; begin another one, with '
                 'prior.log'
             )
@@ -180,10 +138,10 @@ class Evidence(Deployments):
         """Return the most steps that the path of a deployment may have."""
         return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
-    def take(self, logged: LoggedMessage) -> None:
+    def take(self, role: Role, logged: LoggedMessage) -> None:
         """Take note of a path or a report, or of why it is refused."""
         with self.refusals(logged.topic):
-            record(self, logged)
+            record(self, role, logged.message)
 
     @contextmanager
     def refusals(self, topic: str) -> Iterator[None]:

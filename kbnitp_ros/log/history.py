@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
-from kbnitp_ros.bag import LogError, LoggedMessage, read_log, same_types
+from kbnitp_ros.bag import LogError, LoggedMessage
 from kbnitp_ros.core import (
     Belief,
     Decision,
@@ -21,28 +21,23 @@ from kbnitp_ros.core import (
     Observation,
     World,
 )
-from kbnitp_ros.log.evidence import (
-    BELIEF,
-    DECISION,
-    Evidence,
-    GRID,
-    MODEL,
-    PATH,
-    PROGRESS,
-    REPORT,
-    required_belief,
-)
+from kbnitp_ros.log.departures import Departures
+from kbnitp_ros.log.evidence import Evidence, required_belief
+from kbnitp_ros.log.roles import mission_log, MissionLog, Role, TRUTH
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.decisions import read_decision
-from kbnitp_ros.messages.deployments import agent_of, key_of_path, read_report
+from kbnitp_ros.messages.deployments import key_of_path, read_report
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.models import Known, ModelState, read_model_belief
+from kbnitp_ros.messages.status import read_status
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-TYPES = (BELIEF, DECISION, GRID, MODEL, PATH, PROGRESS, REPORT)
+ROLES = ('belief', 'decision', 'model', 'path', 'progress', 'report', 'status', *TRUTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +60,6 @@ class History:
     grid: Grid
     # The deployments on record.
     evidence: Evidence
-    # That of the beliefs.
-    topic: str = ''
     # The beliefs on record, the prior first; what an estimator told again comes again.
     heard: list[HeardBelief] = field(default_factory=list)
     # When the path of a deployment was received, in nanoseconds.
@@ -77,6 +70,8 @@ class History:
     models: dict[int, ModelState] = field(default_factory=dict)
     # What no path was worth more than given the belief of a stamp, nats, where that was computed.
     bounds: dict[int, float] = field(default_factory=dict)
+    # What agents said of their orders.
+    departures: Departures = field(default_factory=Departures)
     # The last one on record: what may be relied on of the goal.
     decision: Decision | None = None
     # The hidden truth, if the agent published it.
@@ -112,67 +107,63 @@ class History:
 
 
 def read_history(
-    path: str | Path,
+    log: str | Path | MissionLog,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
     """Read what happened in a mission."""
-    first = required_belief(path)
+    log = mission_log(log)
+    first = required_belief(log)
     history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
     truth = {}
-    with same_types(path):
-        for logged in progress(read_log(path, TYPES, history.corrupt)):
-            with named(path, logged, history):
-                if logged.type_name in (PATH, REPORT):
-                    take_evidence(history, logged)
-                elif logged.type_name == BELIEF:
-                    take_belief(history, logged)
-                elif logged.type_name == MODEL:
-                    stamp = from_stamp(logged.message.header.stamp)
-                    history.models[stamp] = read_model_belief(logged.message)
-                elif logged.type_name == DECISION:
-                    history.decision = read_decision(first.grid, logged.message)
-                elif logged.type_name == PROGRESS:
-                    if not isnan(logged.message.upper_bound):
-                        stamp = from_stamp(logged.message.header.stamp)
-                        history.bounds[stamp] = logged.message.upper_bound
-                elif logged.topic.endswith(('/truth/hazard', '/truth/target')):
-                    name = logged.topic.rpartition('/')[2]
-                    truth[name] = read_occupancy_grid(logged.message) > 0.0
-    if len(truth) == 2 and truth['hazard'].size == first.grid.cells:
-        history.world = World(**truth)
+    for role, logged in log.read(*ROLES, corrupt=history.corrupt, progress=progress):
+        with log.leaving_out(role, logged):
+            message = logged.message
+            stamp = from_stamp(message.header.stamp)
+            if role.name in ('path', 'report'):
+                take_evidence(history, role, logged)
+            elif role.name == 'status':
+                history.departures.take(*read_status(message, role.agent))
+            elif role.name == 'belief':
+                take_belief(history, logged)
+            elif role.name == 'model':
+                history.models[stamp] = read_model_belief(message)
+            elif role.name == 'decision':
+                history.decision = read_decision(first.grid, message)
+            elif role.name in TRUTH:
+                truth[role.name] = read_truth(first.grid, message)
+            elif not isnan(message.upper_bound):
+                history.bounds[stamp] = message.upper_bound
+    history.evidence.refused += map(str, log.left_out.values())
+    if len(truth) == len(TRUTH):
+        history.world = World(*(truth[name] for name in TRUTH))
     return history
 
 
-@contextmanager
-def named(path: str | Path, logged: LoggedMessage, history: History) -> Iterator[None]:
-    """Raise a LogError that says which message it is that cannot be."""
-    try:
-        yield
-    except ValueError as error:
-        number = f'belief {len(history.heard)}' if logged.type_name == BELIEF else 'a message'
-        raise LogError(f'{path}: {number} on {logged.topic} is refused: {error}') from error
+def read_truth(grid: Grid, message: Any) -> NDArray[np.bool_]:
+    """Return where a map of the hidden truth shows something, shape (cells,)."""
+    shown = read_occupancy_grid(message) > 0.0
+    if shown.size != grid.cells:
+        raise ValueError(f'it has {shown.size} cells: the grid has {grid.cells}')
+    return shown
 
 
 def take_belief(history: History, logged: LoggedMessage) -> None:
     """Add a belief to the history."""
     snapshot = read_belief_maps(logged.message)
-    history.topic = history.topic or logged.topic
-    if logged.topic != history.topic:
-        raise ValueError(f'there are beliefs on {history.topic} too: a log holds one mission')
     if snapshot.grid != history.grid:
         raise ValueError(f'it is on {snapshot.grid}, and the first on {history.grid}')
     history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
     history.evidence.allow(snapshot.max_steps, snapshot.robot_types)
 
 
-def take_evidence(history: History, logged: LoggedMessage) -> None:
+def take_evidence(history: History, role: Role, logged: LoggedMessage) -> None:
     """Add a path or a report to the history, or note that it is refused."""
-    history.evidence.take(logged)
-    if logged.type_name == PATH:
-        key = key_of_path(logged.topic, logged.message)
+    history.evidence.take(role, logged)
+    if role.name == 'path':
+        key = key_of_path(role.agent, logged.message)
         if key in history.evidence.paths:
             history.sent.setdefault(key, logged.log_time)
     else:
         with suppress(ValueError):
-            key, report = read_report(logged.message, agent_of(logged.topic))
+            key, report = read_report(logged.message, role.agent)
             history.reported.setdefault((key, report.stamp), logged.log_time)

@@ -3,17 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import Mapping
 
-from kbnitp_ros.bag import LoggedMessage, read_log, same_types
-from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.messages.operator_action import Action, OperatorAction, read_operator_action
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.messages.operator_action import Action, OperatorAction
 import numpy as np
 from numpy.typing import NDArray
-
-OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
 
 # How often a mission goes on after a pause, and how often proposals are refused, at the most:
 # whoever calls these services for ever fills neither the memory of the planner nor the disk.
@@ -85,18 +80,3 @@ def are_same(ones: Paths, others: Paths) -> bool:
     """Return whether robots of the same agents go the same paths."""
     cells = [{key.agent: path.tolist() for key, path in paths.items()} for paths in (ones, others)]
     return cells[0] == cells[1]
-
-
-def is_operator_action(logged: LoggedMessage) -> bool:
-    """Return whether a message on record is an action of the mission's operator."""
-    return logged.type_name == OPERATOR and logged.topic.endswith('/operator')
-
-
-def read_operator_actions(log: str | Path, grid: Grid) -> Iterator[tuple[OperatorAction, bytes]]:
-    """Yield the actions of the operator, each with the message as it came off the wire."""
-    with same_types(log):
-        for logged in read_log(log, (OPERATOR,)):
-            if is_operator_action(logged):
-                # The planner takes no other, either.
-                with suppress(ValueError):
-                    yield read_operator_action(grid, logged.message), logged.data

@@ -16,28 +16,16 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, read_log, same_types
-from kbnitp_ros.core import DeploymentKey, Grid, Ledger
+from kbnitp_ros.bag import is_finished, LogError, LoggedMessage
+from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.log.compare import differences
 from kbnitp_ros.log.configuration import read_changes
-from kbnitp_ros.log.departures import STATUS
-from kbnitp_ros.log.evidence import (
-    begun,
-    BELIEF,
-    DECISION,
-    Evidence,
-    first_belief,
-    GapError,
-    GRID,
-    MODEL,
-    PATH,
-    PROGRESS,
-    REPORT,
-)
-from kbnitp_ros.log.operator_state import is_operator_action, OPERATOR, OperatorState
+from kbnitp_ros.log.evidence import begun, Evidence, GapError, required_belief
+from kbnitp_ros.log.operator_state import OperatorState
 from kbnitp_ros.log.replay_report import BeliefFinding, ReplayReport, TOLERANCE
 from kbnitp_ros.log.replayed_decisions import RecordedGoal, ReplayedDecisions
 from kbnitp_ros.log.replayed_views import ReplayedViews
+from kbnitp_ros.log.roles import GRID, mission_log, MissionLog, MODEL, VIEWS
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
     belief_fields,
@@ -47,7 +35,6 @@ from kbnitp_ros.messages.beliefs import (
     read_joint,
     Snapshot,
 )
-from kbnitp_ros.messages.deployments import agent_of
 from kbnitp_ros.messages.fields import Fields
 from kbnitp_ros.messages.headers import from_stamp, read_stamp
 from kbnitp_ros.messages.missions import NO_MISSION
@@ -55,60 +42,63 @@ from kbnitp_ros.messages.operator_action import read_operator_action
 from kbnitp_ros.messages.progress import MissionState, Standing
 from kbnitp_ros.messages.status import read_status
 
-# What is read before the beliefs.
-TYPES = (BELIEF, PATH, REPORT, STATUS, OPERATOR, GRID, MODEL, DECISION, PROGRESS)
-
-# What the paths of a log without a belief would be judged by.
-NO_RULES = Grid(1, 1), 1
+# What is computed from the evidence, and what is read besides before the beliefs.
+COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
+READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
 
 
 def replay(
-    path: str | Path,
+    log: str | Path | MissionLog,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     asked: RecordedGoal | None = None,
 ) -> ReplayReport:
     """Compute a log's beliefs again, and decisions, and compare them with those on record."""
-    first = first_belief(path)
-    evidence = Evidence(*((first.grid, first.max_steps, first.robot_types) if first else NO_RULES))
-    fold = Fold(ReplayReport(evidence, finished=is_finished(path)), asked)
+    log = mission_log(log)
+    first = required_belief(log)
+    evidence = Evidence(first.grid, first.max_steps, first.robot_types)
+    report = ReplayReport(evidence, finished=is_finished(log.path))
+    fold = Fold(report, log.roles.names['belief'], asked)
     operator = OperatorState()
-    departures = fold.report.departures
-    with same_types(path):
-        for logged in progress(read_log(path, TYPES, fold.report.corrupt)):
-            if logged.type_name == BELIEF:
-                evidence.pass_belief(logged.message)
-            elif logged.type_name == PROGRESS:
-                state, reason = logged.message.state, logged.message.reason
-                with evidence.refusals(logged.topic):
-                    fold.report.standing = Standing(MissionState(state), reason)
-            elif logged.type_name in (GRID, MODEL):
-                fold.views.note(logged)
-            elif logged.type_name == STATUS:
-                with evidence.refusals(logged.topic):
-                    departures.take(*read_status(logged.message, agent_of(logged.topic)))
-            elif logged.type_name == DECISION:
-                fold.decisions.note(logged)
-            elif logged.type_name != OPERATOR:
-                evidence.take(logged)
-            elif is_operator_action(logged):
-                with evidence.refusals(logged.topic):
-                    operator.apply(read_operator_action(evidence.grid, logged.message))
-        fold.report.actions = list(operator.actions.values())
-        fold.report.changes = list(read_changes(path))
-        for logged in progress(read_log(path, (BELIEF,), [])):
-            fold.take(logged)
-    if not fold.topic:
-        raise LogError(f'{path} has no beliefs on record: it must have messages of type {BELIEF}')
+    for role, logged in log.read(*READ, corrupt=report.corrupt, progress=progress):
+        message = logged.message
+        if role.name == 'belief':
+            evidence.pass_belief(message)
+        elif role.name == 'progress':
+            report.standing = Standing(MissionState(message.state), message.reason)
+        elif role.type_name in (GRID, MODEL):
+            fold.views.note(role, logged)
+        elif role.name == 'status':
+            with evidence.refusals(logged.topic):
+                report.departures.take(*read_status(message, role.agent))
+        elif role.name == 'decision':
+            fold.decisions.note(logged)
+        elif role.name == 'operator':
+            with log.leaving_out(role, logged):
+                operator.apply(read_operator_action(evidence.grid, message))
+        else:
+            evidence.take(role, logged)
+    report.actions = list(operator.actions.values())
+    report.changes = list(read_changes(log.path, log.roles.is_node))
+    for _, logged in log.read('belief', corrupt=[], progress=progress):
+        fold.take(logged)
     fold.finish()
-    return fold.report
+    for wrong in log.left_out.values():
+        if wrong.role.name in COMPUTED:
+            report.compared[wrong.topic] += 1
+            report.mismatches.append(BeliefFinding(wrong.topic, wrong.index, None, (), wrong.why))
+        else:
+            evidence.refused.append(str(wrong))
+    return report
 
 
 class Fold:
     """The belief that a log's evidence gives, up to one belief on record after another."""
 
-    def __init__(self, report: ReplayReport, asked: RecordedGoal | None = None) -> None:
+    def __init__(
+        self, report: ReplayReport, topic: str, asked: RecordedGoal | None = None
+    ) -> None:
         self.report = report
-        self.topic = ''
+        self._topic = topic
         self._ledger: Ledger | None = None
         # What the ledger has assimilated; the digests of the belief that names it, empty if none
         # does, and of the last one on record.
@@ -121,13 +111,7 @@ class Fold:
 
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate what a belief names, and compare it; errors are those of `replay`."""
-        if self.topic not in ('', logged.topic):
-            raise LogError(
-                f'beliefs are on record from {self.topic} and {logged.topic}: '
-                'a log to replay holds one mission'
-            )
-        self.topic = logged.topic
-        self._index += 1
+        self._index = logged.index
         belief = logged.message
         newest = newest_deployment(belief)
         digest = blake2b(logged.data, digest_size=16).digest()
@@ -163,11 +147,11 @@ class Fold:
             self._find(self.report.not_compared, newest, str(gap))
             self.views.pass_over(stamp)
         except ValueError as error:
-            self.report.compared[self.topic] += 1
+            self.report.compared[self._topic] += 1
             self._find(self.report.mismatches, newest, str(error))
 
     def _find(self, found: list[BeliefFinding], newest: DeploymentKey | None, reason: str) -> None:
-        found.append(BeliefFinding(self.topic, self._index, newest, reason=reason))
+        found.append(BeliefFinding(self._topic, self._index, newest, reason=reason))
 
     def _begin(self, prior: Snapshot) -> None:
         """Begin with the prior of an estimator."""
@@ -211,7 +195,7 @@ class Fold:
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
         # What it was computed from.
         del computed.since, computed.taken_in
-        self.report.compared[self.topic] += 1
+        self.report.compared[self._topic] += 1
         learnt = self._ledger.estimator.unknowns.priors
         found = tuple(differences(belief, computed, TOLERANCE, learnt))
         is_equal = all(each.is_rounding for each in found)
@@ -222,10 +206,10 @@ class Fold:
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
         if found:
-            self.report.add(BeliefFinding(self.topic, self._index, newest, found))
+            self.report.add(BeliefFinding(self._topic, self._index, newest, found))
         # The grids of a belief that was rounded otherwise show that one.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
-        self.views.expect(self.topic, self._ledger, seen, newest, stamp)
+        self.views.expect(self._ledger, seen, newest, stamp)
         if not found:
             self.decisions.compare(self._ledger, stamp, self.report)
 

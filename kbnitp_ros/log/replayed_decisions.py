@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,14 +36,12 @@ class ReplayedDecisions:
         # The index and the message of each, by its topic, the stamp of its belief and the
         # deployments in that.
         self._recorded: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
-        self._heard: Counter[str] = Counter()
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a decision until the belief that it is made with is computed."""
         message = logged.message
         key = from_stamp(message.header.stamp), message.deployments
-        self._recorded[key].append((logged.topic, self._heard[logged.topic], message))
-        self._heard[logged.topic] += 1
+        self._recorded[key].append((logged.topic, logged.index, message))
 
     def compare(self, ledger: Ledger, stamp: int, report: ReplayReport) -> None:
         """Compare the decisions that were made with the belief of a ledger, of this stamp."""

@@ -44,17 +44,22 @@ def decision_message(
     )
 
 
-def read_decision(grid: Grid, message: Any) -> Decision:
-    """Return the decision that a message tells."""
+def check_decision(message: Any) -> None:
+    """Check that a message tells a decision; raises ValueError."""
     names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
     if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
         raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')
     if message.probability > 1.0:
         raise ValueError(f'probability is {message.probability}: it must be in [0, 1]')
+    if message.path.poses and not 0.0 <= message.survival <= 1.0:
+        raise ValueError(f'survival is {message.survival}: it must be in [0, 1]')
+
+
+def read_decision(grid: Grid, message: Any) -> Decision:
+    """Return the decision that a message tells."""
+    check_decision(message)
     at = [(each.pose.position.x, each.pose.position.y) for each in message.path.poses]
     path = grid.cells_at(at) if at else np.empty(0, dtype=np.intp)
-    if at and not 0.0 <= message.survival <= 1.0:
-        raise ValueError(f'survival is {message.survival}: it must be in [0, 1]')
     return Decision(
         goal=message.goal,
         p_free=message.probability,

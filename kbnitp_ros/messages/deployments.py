@@ -80,16 +80,9 @@ def read_path_name(message: Any) -> int:
     return read_name('header.stamp', message.header.stamp)
 
 
-def key_of_path(topic: str, message: Any) -> DeploymentKey | None:
-    """Return which deployment a path names, whatever its poses are; None if not on AGENT/path."""
-    if not topic.endswith('/path'):
-        return None
-    return DeploymentKey(agent_of(topic), from_stamp(message.header.stamp))
-
-
-def agent_of(topic: str) -> str:
-    """Return whose topic it is: scout_1 for the full name /north/scout_1/report."""
-    return topic.rpartition('/')[0].rpartition('/')[2]
+def key_of_path(agent: str, message: Any) -> DeploymentKey:
+    """Return which deployment of an agent a path names, whatever its poses are."""
+    return DeploymentKey(agent, from_stamp(message.header.stamp))
 
 
 def report_message(

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_ros.configuration import robot_types_of
-from kbnitp_ros.log.deployments import read_deployments, read_mission
+from kbnitp_ros.log.deployments import MissionRecord
+from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.nodes.hidden_field import PATIENCE
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -20,21 +21,18 @@ class AgentNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('agent')
-        log = self.values['resume']
+        resume = self.values['resume']
+        log = resumed_log(resume, self.roles) if resume else None
         rules = self.grid, self.values['max_steps'], robot_types_of(self.values, self.grid)
-        recorded = read_deployments(log, *rules) if log else {}
-        mission = read_mission(log) if log else None
+        record = MissionRecord(log, *rules) if log else None
+        recorded = record.deployments if record else {}
+        mission = record.mission if record else None
         self._simulation = simulation = Simulation(self, recorded)
         played = self._agents_played(simulation.agents)
-        self._agents = [
-            SimulatedAgent(simulation, name, self._prefix(name), mission, recorded)
-            for name in played
-        ]
+        self._agents = [SimulatedAgent(simulation, name, mission, recorded) for name in played]
         # Robots of other nodes change the field as well, unless hazards stay.
         others = () if simulation.field.is_static else set(simulation.agents).difference(played)
-        self._others = [
-            AgentPaths(simulation, name, self._prefix(name), mission) for name in sorted(others)
-        ]
+        self._others = [AgentPaths(simulation, name, mission) for name in sorted(others)]
         self._is_deaf = True
         self.create_poll(self._look)
 
@@ -47,14 +45,6 @@ class AgentNode(FieldNode):
                 'or empty for all of them'
             )
         return [name] if name else team
-
-    def _prefix(self, name: str) -> str:
-        """Return what the names of an agent's topics begin with."""
-        # In the namespace of its name an agent's topics are not below that name once more.
-        own, namespace = self.values['agent'], self.get_namespace()
-        if not (own and namespace.endswith(f'/{own}')):
-            return f'{name}/'
-        return '' if name == own else f'{namespace.removesuffix(own)}{name}/'
 
     def _look(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""

@@ -5,26 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent import futures
-from contextlib import suppress
 from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.base.computation import computed
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.configuration import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
-from kbnitp_ros.log.evidence import first_belief, PATH, REPORT
+from kbnitp_ros.log.deployments import MissionRecord
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.decisions import decision_message
-from kbnitp_ros.messages.deployments import (
-    agent_of,
-    key_of_path,
-    path_message,
-    read_path,
-    read_report,
-)
+from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
@@ -60,20 +51,14 @@ class Decisions:
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
         node.create_poll(self._decide)
 
-    def restore(self, log: str) -> None:
+    def restore(self, record: MissionRecord) -> None:
         """Take in the prior and the evidence on record."""
-        if prior := first_belief(log):
-            self.knowledge.begin(prior)
-        with same_types(log):
-            for logged in read_log(log, (PATH, REPORT)):
-                agent, content = agent_of(logged.topic), content_hash(logged.message)
-                # What is none was refused when it came.
-                with suppress(ValueError):
-                    if logged.type_name == REPORT:
-                        self.knowledge.note_report(*read_report(logged.message, agent))
-                    elif key_of_path(logged.topic, logged.message):
-                        key, cells = read_path(self._grid, agent, logged.message)
-                        self.knowledge.note_path(key, cells, content)
+        if record.prior:
+            self.knowledge.begin(record.prior)
+        for key, deployment in record.deployments.items():
+            self.knowledge.note_path(key, deployment.path, deployment.content)
+            if report := record.evidence.reports.get(key):
+                self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
         """Take note of a belief, the newest."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
@@ -15,6 +16,7 @@ from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import base_of, value_for
 from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
+from kbnitp_ros.log.departures import AtBaseError
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import (
     path_message,
@@ -27,7 +29,7 @@ from kbnitp_ros.messages.headers import read_name
 from kbnitp_ros.messages.missions import mission_of_path
 from kbnitp_ros.messages.status import OrderState, read_status
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
 from nav_msgs.msg import Path
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -63,6 +65,8 @@ class Dispatch:
         self.late = LateReturns(self._values)
         # The agents that refused their last orders.
         self.refusals = Refusals()
+        # Losses of robots that are not known to have departed, and until when they wait.
+        self._early: list[tuple[str, DeploymentReport, float]] = []
         # Names the last deployment, in nanoseconds.
         self.last_stamp = 0
         # Where robots go that were sent and are not known to have departed, in words.
@@ -79,11 +83,12 @@ class Dispatch:
             self.late.expect(key, resumed.deployments[key].path)
         self.last_stamp = resumed.last_stamp
         for key, steps_survived in resumed.operator.given_up.items():
-            if key in self.in_flight:
+            if key in self.in_flight and self.in_flight.has_departed(key):
                 self.give_up(key, Source.OPERATOR, steps_survived)
 
     def listen(self) -> None:
         """Hear what becomes of robots from now on."""
+        self._node.create_poll(self._try_early)
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         for agent in self._agents:
             self._node.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
@@ -137,14 +142,30 @@ class Dispatch:
             self.refusals.clear(key.agent)
             self._node.deployment_logger.info(f'{key} leaves {goal}')
 
-    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+    def _try_early(self) -> None:
+        early, self._early = self._early, []
+        for each in early:
+            self._on_report(*each)
+
+    def _on_report(
+        self, agent: str, message: DeploymentReport, deadline: float | None = None
+    ) -> None:
         try:
             key, report = read_report(message, agent)
+            if not report.survived:
+                self.in_flight.check_loss(key)
             if is_awaited := key in self.in_flight:
                 # The estimator would refuse it too, and the robot is still out.
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
                 observation_of(report, key, path, self._node.grid, max_steps)
+        except AtBaseError as error:
+            deadline = deadline or time.monotonic() + PATIENCE
+            if time.monotonic() < deadline and len(self._early) < MOST_EARLY:
+                self._early.append((agent, message, deadline))
+            else:
+                self._node.diagnostics.refuse(f'{agent}/report', error)
+            return
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/report', error)
             return

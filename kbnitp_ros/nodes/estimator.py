@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import sys
+import time
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
-from kbnitp_ros.bag import read_log, same_types
 from kbnitp_ros.base.clustered_density import density_note
 from kbnitp_ros.configuration import (
     agents_of,
@@ -21,13 +21,14 @@ from kbnitp_ros.configuration import (
 )
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.departures import Departures, read_departures
+from kbnitp_ros.log.departures import AtBaseError, Departures
 from kbnitp_ros.log.deployments import is_of_mission, read_mission
-from kbnitp_ros.log.evidence import check_same_field, PATH, record, REPORT
+from kbnitp_ros.log.evidence import check_same_field, record
+from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.costmap_filters import check_filter, filter_info
-from kbnitp_ros.messages.deployments import agent_of, read_path, read_report
+from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path
 from kbnitp_ros.messages.models import model_belief
@@ -36,7 +37,7 @@ from kbnitp_ros.nodes.assimilated import NewEvidence
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
-from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import Views
 from nav_msgs.msg import Path
@@ -65,7 +66,7 @@ class EstimatorNode(FieldNode):
         self._mission: int | None = None
         self._departures = Departures()
         if self.values['resume']:
-            self._restore(self.values['resume'])
+            self._restore(resumed_log(self.values['resume'], self.roles))
         agents = agents_of(self.values, self.grid)
         # In this order whoever knows of belief knows of its views as well.
         self._views = Views(self, agents)
@@ -86,12 +87,13 @@ class EstimatorNode(FieldNode):
             event_callbacks=PublisherEventCallbacks(matched=self.guarded(self._on_matched)),
         )
         for agent in agents:
-            sent = RecordedPaths(
-                self, agent, f'{agent}/', partial(self._read_path, agent), self._take_path
-            )
+            sent = RecordedPaths(self, agent, partial(self._read_path, agent), self._take_path)
             sent.listen()
             self.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
+        # Losses of robots that are not known to have departed, and until when they wait.
+        self._early: list[tuple[str, DeploymentReport, float]] = []
+        self.create_poll(self._try_early)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''
@@ -110,24 +112,23 @@ class EstimatorNode(FieldNode):
         mask = self.resolve_topic_name('belief/hazard')
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
-    def _restore(self, log: str) -> None:
+    def _restore(self, log: MissionLog) -> None:
         """Take in what is on record."""
         check_same_field(log, self._ledger.grid, self._ledger.robot_types)
-        self._departures = read_departures(log)
         self._take_in(log)
 
-    def _take_in(self, log: str) -> None:
+    def _take_in(self, log: MissionLog) -> None:
         """Take in the paths and reports on record; those that are known change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
-        agents = agents_of(self.values, self.grid)
-        with same_types(log):
-            evidence = read_log(log, (PATH, REPORT))
-            for logged in self.tell_progress(evidence, f'taking in {log}'):
-                if agent_of(logged.topic) in agents and is_of_mission(logged, self._mission):
-                    # What was refused when it came is refused again.
-                    with suppress(ValueError):
-                        record(self._ledger, logged)
+        evidence = log.read('path', 'report', 'status')
+        for role, logged in self.tell_progress(evidence, f'taking in {log.path}'):
+            # What was refused when it came is refused again.
+            with suppress(ValueError):
+                if role.name == 'status':
+                    self._departures.take(*read_status(logged.message, role.agent))
+                elif is_of_mission(role, logged.message, self._mission):
+                    record(self._ledger, role, logged.message)
         for key in self._ledger.deployments:
             self._departures.end(key, None)
 
@@ -138,7 +139,7 @@ class EstimatorNode(FieldNode):
         else:
             if log := self.values['resume']:
                 # The recorder may have heard robots that were gone before they were heard here.
-                self._take_in(log)
+                self._take_in(resumed_log(log, self.roles))
             self._started = now
             self._awaiting.cancel()
             # From the prior a log can be computed again.
@@ -174,13 +175,27 @@ class EstimatorNode(FieldNode):
             self._say_what_is_pending()
         self._accept(key, changed)
 
-    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+    def _try_early(self) -> None:
+        early, self._early = self._early, []
+        for each in early:
+            self._on_report(*each)
+
+    def _on_report(
+        self, agent: str, message: DeploymentReport, deadline: float | None = None
+    ) -> None:
         try:
             key, report = read_report(message, agent)
             if not report.survived:
                 self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
             changed = self._ledger.record_report(key, named)
+        except AtBaseError as error:
+            # Of two topics of one node the later message may come first.
+            deadline = deadline or time.monotonic() + PATIENCE
+            if time.monotonic() < deadline and len(self._early) < MOST_EARLY:
+                self._early.append((agent, message, deadline))
+            else:
+                self._refuse(f'{agent}/report', error)
         except ValueError as error:
             self._refuse(f'{agent}/report', error)
         else:

@@ -24,14 +24,11 @@ MAX_UNNAMED = 30.0
 class Hold:
     """The planner's word on departures: none without it, in a pause, or if others publish it."""
 
-    def __init__(
-        self, node: MissionNode, prefix: str, act: Callable[[], None] = lambda: None
-    ) -> None:
+    def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
         self._node = node
         self._act = act
         self.is_held: bool | None = None
-        above = node.get_namespace().rpartition('/')[0]
-        self._topic = node.resolve_topic_name(TOPIC if prefix else f'{above}/{TOPIC}')
+        self._topic = node.resolve_topic_name(f'{node.above}/{TOPIC}')
         node.hear(Bool, self._topic, self._on_hold, qos.LATCHED)
 
     def _on_hold(self, message: Bool) -> None:

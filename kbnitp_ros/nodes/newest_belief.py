@@ -13,7 +13,7 @@ from kbnitp_ros.base.obstacle_sentences import not_heard_again
 from kbnitp_ros.configuration import base_of, check_search, value_for
 from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.evidence import BELIEF
+from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL, TOPIC

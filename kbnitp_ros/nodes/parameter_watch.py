@@ -78,6 +78,10 @@ class ParameterWatch:
             self._over.add(name)
             self._refuse('the name of a node', error)
 
+    def is_present(self, name: str) -> bool:
+        """Return whether a node was in the graph at the last look."""
+        return name in self._present
+
     def is_over(self, name: str) -> bool:
         """Return whether a node has once told its parameters, will not or is not to be asked."""
         if name == NAMELESS:

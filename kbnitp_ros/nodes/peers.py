@@ -5,18 +5,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-import time
 
-from kbnitp_ros.log.departures import STATUS
-from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
-from kbnitp_ros.messages.deployments import agent_of
-from kbnitp_ros.nodes.instances import Instance
+from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
 from kbnitp_ros.nodes.parameter_watch import NAMELESS
-from kbnitp_ros.nodes.recorders import Recorders, records, TOPIC
 from kbnitp_ros.nodes.runtime.node import MissionNode
-
-# Seconds after which DDS has forgotten a node that was killed: what publishes for longer is alive.
-FORGOTTEN = 30.0
 
 # How often the planner looks for the names of other planners before it reports them.
 LOOKS = 20
@@ -28,10 +20,6 @@ class Peers:
     def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
         # How many nodes publish beliefs.
         self.estimators = 0
-        # Those that are alive.
-        self.recorders: list[Instance] = []
-        self._recorders = Recorders(node)
-        self._several_since: float | None = None
         self._node = node
         self._agents = agents
         self._answering: dict[str, int] = {}
@@ -87,36 +75,12 @@ class Peers:
                 )
             self._planners[agent] = planners
 
-    def look_for_recorders(self) -> None:
-        """Notice when more than one recorder is alive, and say which."""
-        if self._node.count_publishers(TOPIC) < 2:
-            self.recorders, self._several_since = [], None
-            return
-        before, self.recorders = self.recorders, self._recorders.alive
-        if len(self.recorders) > max(len(before), 1):
-            self._node.diagnostics.refuse(
-                TOPIC,
-                f'more than one recorder is alive: {records(self.recorders)}; no robot leaves '
-                'until all but one have ended',
-            )
-        self._several_since = self._several_since or time.monotonic()
-        if len(self.recorders) < 2 and time.monotonic() > self._several_since + FORGOTTEN:
-            nodes = ', '.join(sorted(self._recorders.publishers.elements()))
-            self._node.refuse_once(
-                TOPIC,
-                f'nodes {nodes} publish it, and no more than one of them is a recorder that is '
-                'heard on diagnostics: find out what the others are',
-            )
-
     def look_for_unknown_agents(self) -> None:
         """Notice who reports for an agent that is none of the team."""
         for topic, types in self._node.get_topic_names_and_types():
-            agent = agent_of(topic)
-            is_known = not agent or agent in self._agents or agent in self._unknown_agents
-            if REPORT not in types or is_known:
-                continue
-            reports = self._node.resolve_topic_name(f'{agent}/report')
-            if topic == reports and self._node.count_publishers(topic):
+            agent = topic.removeprefix(f'{self._node.above}/').removesuffix('/report')
+            is_known = '/' in agent or agent in self._agents or agent in self._unknown_agents
+            if REPORT in types and not is_known and self._node.count_publishers(topic):
                 self._unknown_agents.add(agent)
                 self._node.diagnostics.refuse(
                     f'{agent}/report',

@@ -28,7 +28,6 @@ class PendingPaths:
         self,
         node: FieldNode,
         agent: str,
-        prefix: str,
         journal: Journal,
         accept: Callable[[Deployment], None],
         refuse: Callable[[Deployment, str], object],
@@ -42,7 +41,7 @@ class PendingPaths:
         self._refuse = refuse
         self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
-        self._sent = RecordedPaths(node, agent, prefix, self._read_path, self._take_path)
+        self._sent = RecordedPaths(node, agent, self._read_path, self._take_path)
         # Has a robot move when its departure is on record.
         self.when_recorded = self._sent.when_recorded
         self._last = 0.0

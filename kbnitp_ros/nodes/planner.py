@@ -25,6 +25,7 @@ from kbnitp_ros.configuration import (
 )
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
+from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import next_name
@@ -36,7 +37,6 @@ from kbnitp_ros.nodes.hold import Holding
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.peers import Peers
-from kbnitp_ros.nodes.recorders import records
 from kbnitp_ros.nodes.runtime.diagnostics import (
     done,
     MISSION_REASON,
@@ -86,8 +86,10 @@ class PlannerNode(FieldNode):
         self._is_heard = False
         self._end_told = ''
         if self.values['resume']:
-            self._restore(self.values['resume'])
-            self._decisions.restore(self.values['resume'])
+            log = resumed_log(self.values['resume'], self.roles)
+            resumed = Resumption(log, self.grid, self.values, self._agents)
+            self._restore(resumed)
+            self._decisions.restore(resumed.record)
             check_robots(self.values['robots'], self._sent)
         self._holding.tell(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
@@ -98,13 +100,12 @@ class PlannerNode(FieldNode):
         self.create_look(self._look_at_graph)
         self.create_poll(self._go_on)
 
-    def _restore(self, log: str) -> None:
+    def _restore(self, resumed: Resumption) -> None:
         """Go on with the mission of a log."""
-        resumed = Resumption(log, self.grid, self.values, self._agents)
-        for action, message in resumed.actions:
+        for action, message in resumed.record.actions:
             self._operator.restore(action, message)
         self._dispatch.restore(resumed)
-        self._beliefs.tracker.mission = resumed.mission
+        self._beliefs.tracker.mission = resumed.record.mission
         if missing := resumed.missing(self._rounds):
             self._send(*missing)
 
@@ -138,8 +139,6 @@ class PlannerNode(FieldNode):
         self._peers.look_for_planners()
         if self._peers.look_for_estimators():
             self._beliefs.listen_anew()
-        if self.values['recorded']:
-            self._peers.look_for_recorders()
         self._peers.look_for_unknown_agents()
 
     def _go_on(self) -> None:
@@ -166,7 +165,7 @@ class PlannerNode(FieldNode):
 
     def _circumstances(self) -> Circumstances:
         """Return what decides whether robots leave, as it is now."""
-        newest, recorders = self._beliefs.newest, self._peers.recorders
+        newest = self._beliefs.newest
         return Circumstances(
             values=self.values,
             agents={
@@ -185,7 +184,6 @@ class PlannerNode(FieldNode):
             last_heard=self._beliefs.last_heard,
             refusal=self._beliefs.refusal,
             estimators=self._peers.estimators,
-            several_recorders=records(recorders) if len(recorders) > 1 else '',
             is_decided=self._decisions.is_ready,
             is_deciding=self._decisions.is_deciding,
             why_over=self._decisions.why_over,

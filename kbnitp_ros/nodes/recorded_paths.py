@@ -32,13 +32,11 @@ class RecordedPaths(Generic[P]):
         self,
         node: FieldNode,
         agent: str,
-        prefix: str,
         read: Callable[[Path], P | None],
         take: Callable[[P], None],
     ) -> None:
         self._node = node
         self._agent = agent
-        self._prefix = prefix
         self._read = read
         self._take = take
         # Paths that the recorder has not named, by stamp and content.
@@ -51,7 +49,7 @@ class RecordedPaths(Generic[P]):
 
     def listen(self) -> None:
         """Take paths from now on."""
-        self._node.hear_agent(Path, self._agent, self._on_path, self._prefix)
+        self._node.hear_agent(Path, self._agent, self._on_path)
         if self._node.values['recorded']:
             self._recorded = self._hear_recorded()
             self._node.create_poll(self._ask_again)
@@ -82,7 +80,7 @@ class RecordedPaths(Generic[P]):
     def _hear_recorded(self) -> Subscription:
         self._has_missed = False
         self._ask_at = time.monotonic() + self._interval
-        return self._node.hear_agent(Recorded, self._agent, self._on_recorded, self._prefix)
+        return self._node.hear_agent(Recorded, self._agent, self._on_recorded)
 
     def _on_path(self, message: Path) -> None:
         try:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 import heapq
 from itertools import chain
@@ -19,26 +20,26 @@ from kbnitp_ros.bag import check_readable, LogWriter, MAX_MESSAGE, qos_profiles_
 from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
-from kbnitp_ros.log.departures import Departures, read_departures, STATUS
-from kbnitp_ros.log.deployments import read_mission, read_paths
-from kbnitp_ros.log.evidence import BELIEF, GRID, MODEL, PATH, PROGRESS, REPORT
+from kbnitp_ros.log.departures import AtBaseError, Departures
+from kbnitp_ros.log.deployments import read_mission
 from kbnitp_ros.log.log_path import make_folder, new_log
-from kbnitp_ros.log.operator_state import OPERATOR
-from kbnitp_ros.log.replayed_views import VIEWS
+from kbnitp_ros.log.roles import BELIEF, check_content, PATH, RECORD, resumed_log, Role
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import agent_of, read_path_name, read_report
+from kbnitp_ros.messages.deployments import read_path_name, read_report
 from kbnitp_ros.messages.headers import to_stamp
 from kbnitp_ros.messages.missions import check_mission, mission_of_path, NO_MISSION
 from kbnitp_ros.messages.operator_action import read_action_name
 from kbnitp_ros.messages.status import OrderState, read_status
 from kbnitp_ros.nodes.parameter_watch import ParameterWatch
-from kbnitp_ros.nodes.recorders import Precedence
+from kbnitp_ros.nodes.recorders import Recorders
+from kbnitp_ros.nodes.recorders import TOPIC as OPERATORS
 from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.declared import TOPICS
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
-from kbnitp_ros.nodes.runtime.node import MissionNode
+from kbnitp_ros.nodes.runtime.node import MissionNode, MOST_EARLY, PATIENCE
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.topic import HeardTopic, Message, message_class, time_received
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -53,35 +54,14 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-EVIDENCE = (PATH, REPORT, STATUS, OPERATOR)
+# In these roles others act on messages at once, also when they read the log.
+ACTED_ON = ('path', 'report', 'status', 'operator')
 
 # Without whom there is no mission.
-AWAITED = {PATH: 'a planner to publish AGENT/path', BELIEF: 'an estimator to publish belief'}
+AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to publish belief'}
 
 # No mission begins before these are heard, and they are when their nodes' configuration is known.
-AFTER_CONFIGURATION = (*EVIDENCE, BELIEF)
-
-# Of the topics of a mission, and of those under the name of an agent: nobody who was first to
-# publish something else there keeps them from being recorded.
-TYPES = {
-    'belief': BELIEF,
-    'model': MODEL,
-    'operator': OPERATOR,
-    'progress': PROGRESS,
-    'decision': 'kbnitp_msgs/msg/Decision',
-    'decision/lane': PATH,
-    **{f'belief/{name}': GRID for name in VIEWS},
-}
-AGENT_TYPES = {
-    'path': PATH,
-    'proposal': PATH,
-    'report': REPORT,
-    'status': STATUS,
-    'recorded': 'kbnitp_msgs/msg/Recorded',
-}
-
-# What a log is read for.
-READ = {PATH, REPORT, STATUS, BELIEF, GRID, MODEL, PROGRESS, OPERATOR}
+AFTER_CONFIGURATION = (*ACTED_ON, 'belief')
 
 # How often what is no evidence is put onto the disk, in seconds.
 SYNC_PERIOD = 0.5
@@ -89,10 +69,6 @@ SYNC_PERIOD = 0.5
 # Of how many topics that are none of the mission's it is asked at a look who publishes them: with
 # thousands of them in the graph each answer takes half a millisecond.
 LOOKED_AT_ONCE = 500
-
-# How long a belief waits for the paths of its deployments, in seconds, and how many do.
-PATIENCE = 2.0
-MOST_EARLY = 20
 
 
 class RecorderNode(MissionNode):
@@ -103,9 +79,8 @@ class RecorderNode(MissionNode):
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        self._precedence = Precedence(self)
-        self._precedence.wait()
         resume = self.values['resume']
+        recorded = resumed_log(resume, self.roles) if resume else None
         path = resume or self.values['file']
         if not path:
             path = new_log()
@@ -125,7 +100,12 @@ class RecorderNode(MissionNode):
                 f'finds this one by the names of its files, such as {self._log.path}; a folder '
                 'for each log avoids that'
             )
-        self._precedence.begin(self._log.path)
+        self._recorders = Recorders(self)
+        self._recorders.begin(self._log.path)
+        self._why_silent = self._recorders.why_silent
+        # Of `operator/recorded`, by which other nodes find recorders in the graph.
+        self._operators = self.create_publisher(Recorded, OPERATORS, qos.EVIDENCE)
+        self._log.add_metadata(RECORD, self.roles.record)
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True
         self._shown_at = time.monotonic()
@@ -137,11 +117,19 @@ class RecorderNode(MissionNode):
         # Which paths are on record, whatever their mission.
         self._ordered: set[DeploymentKey] = set()
         self._departures = Departures()
-        if resume:
-            self._tracker.mission = read_mission(resume)
-            for name, stamp, mission, content in read_paths(resume):
-                self._note(name, stamp, mission, content)
-            self._departures = read_departures(resume)
+        # How the names that nodes state for roles differ from those here, by node.
+        self._differing: dict[str, str] = {}
+        if recorded is not None:
+            self._tracker.mission = read_mission(recorded)
+            for role, logged in recorded.read('path', 'status'):
+                message = logged.message
+                if role.name == 'path':
+                    name = read_path_name(message), mission_of_path(message)
+                    self._note(logged.topic, role, *name, content_hash(message))
+                else:
+                    # What was refused when it came is refused again.
+                    with suppress(ValueError):
+                        self._departures.take(*read_status(message, role.agent))
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, HeardTopic] = {}
@@ -149,7 +137,8 @@ class RecorderNode(MissionNode):
         self._settled: set[str] = set()
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
-        # Beliefs that came before the paths of their deployments, and until when they wait.
+        # Beliefs that came before the paths of their deployments, and losses before departures,
+        # and until when they wait.
         self._early: list[tuple[Message, float]] = []
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
@@ -182,7 +171,6 @@ class RecorderNode(MissionNode):
         now = time.monotonic()
         if now > self._shown_at + PERIOD:
             self._shown_at = now
-            self._precedence.check()
             self.diagnostics.publish()
 
     def close(self) -> None:
@@ -193,10 +181,12 @@ class RecorderNode(MissionNode):
             super().close()
 
     def _check_log(self) -> None:
-        """See that the log is where it was and no other recorder's; write what waited for it."""
+        """See that the log is where it was and whose word counts; write what waited."""
         self._log.check_in_place()
-        self._precedence.check()
         self._write_early()
+        if (why := self._recorders.why_silent) != self._why_silent:
+            self._why_silent = why
+            self._tell_what_waited()
 
     def _discover(self) -> None:
         """Subscribe to what is published and not heard yet."""
@@ -212,6 +202,10 @@ class RecorderNode(MissionNode):
             found = self._published(own)
             looked = found.keys() != before
         self._watch.look()
+        if gone := [node for node in self._differing if not self._watch.is_present(node)]:
+            for node in gone:
+                del self._differing[node]
+            self._tell_what_waited()
         found |= self._published(self._next_of(others))
         for topic in sorted(found, reverse=True):
             self._hear(topic, found[topic])
@@ -222,7 +216,7 @@ class RecorderNode(MissionNode):
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
             if self._is_ours(topic) and not self._is_settled(topic, types):
-                (own if self._type_of(topic) else others).append(topic)
+                (own if topic in self.roles.by_topic else others).append(topic)
         return own, others
 
     def _is_settled(self, topic: str, types: Sequence[str]) -> bool:
@@ -243,7 +237,9 @@ class RecorderNode(MissionNode):
         return taken
 
     def _is_ours(self, topic: str) -> bool:
-        return topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT)
+        if topic in SHARED or topic in self.roles.by_topic:
+            return True
+        return topic.startswith(self._namespace) and topic not in LEFT_OUT
 
     def _hear(self, name: str, publishers: Sequence[Any]) -> None:
         """Subscribe to a topic as often as its publishers need."""
@@ -253,7 +249,8 @@ class RecorderNode(MissionNode):
                 continue
             node = full_name(publisher.node_namespace, publisher.node_name)
             profile = qos.unread_kept(publisher.qos_profile)
-            if type_name in AFTER_CONFIGURATION:
+            role = self.roles.by_topic.get(name)
+            if role is not None and role.name in AFTER_CONFIGURATION:
                 # No node of the mission hears less, and what it does not hear is no evidence.
                 profile = qos.unread_kept(qos.EVIDENCE)
                 if not self._watch.is_over(node):
@@ -284,41 +281,43 @@ class RecorderNode(MissionNode):
             if type_name != topic.type_name:
                 raise LookupError(f'type is {type_name}: it is on record as {topic.type_name}')
             return topic
-        wanted = self._type_of(name) or type_name
-        if type_name != wanted:
-            raise LookupError(f'type is {type_name}: on this topic it must be {wanted}')
+        role = self.roles.by_topic.get(name)
+        if role is not None and type_name != role.type_name:
+            raise LookupError(f'type is {type_name}: on this topic it must be {role.type_name}')
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
-        topic = self._topics[name] = HeardTopic(name, type_name)
-        topic.recorded = self._acknowledging(name, type_name)
+        topic = self._topics[name] = HeardTopic(name, type_name, role)
+        topic.recorded = self._acknowledging(role)
         self.diagnostics.state = self._state()
         return topic
 
-    def _acknowledging(self, name: str, type_name: str) -> Publisher | None:
-        """Return what tells which messages of a topic are on the disk, if anything does."""
-        agent, _, last = name.rpartition('/')
-        if (last, type_name) in (('path', PATH), ('status', STATUS)):
+    def _acknowledging(self, role: Role | None) -> Publisher | None:
+        """Return what tells which messages in a role are on the disk, if anything does."""
+        if role is None:
+            return None
+        if role.name in ('path', 'status'):
             # Each with a history of its own, which is as deep as DDS has it.
-            return self.create_publisher(Recorded, f'{agent}/recorded', qos.EVIDENCE)
-        is_operator = type_name == OPERATOR and name == self.resolve_topic_name('operator')
-        return self._precedence.publisher if is_operator else None
+            return self.create_publisher(Recorded, f'{role.agent}/recorded', qos.EVIDENCE)
+        return self._operators if role.name == 'operator' else None
 
     def _state(self) -> NodeState:
         """Return what is recorded, and whom it waits for."""
         recording = f'recording {len(self._topics)} topics'
-        heard = {topic.type_name for topic in self._topics.values()}
+        if self._differing:
+            node, differs = next(iter(self._differing.items()))
+            return waiting_for(
+                f'{node} to have the same names of topics: its {differs}; no robot leaves before '
+                '(remapped topics and the parameter agents must be those of all nodes)'
+            )
+        if self._why_silent:
+            return waiting_for(f'{self._why_silent}; {recording}')
+        heard = {topic.role.name for topic in self._topics.values() if topic.role}
         absent = [who for kind, who in AWAITED.items() if kind not in heard]
         if not absent:
             return working(recording)
         return waiting_for(
             f'{" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
         )
-
-    def _type_of(self, name: str) -> str | None:
-        """Return the type of a topic that is one of the mission's; None if it is another."""
-        relative = name.removeprefix(self._namespace)
-        agent, _, last = relative.rpartition('/')
-        return TYPES.get(relative) or (AGENT_TYPES.get(last) if agent else None)
 
     def _subscribe(self, topic: HeardTopic, profile: QoSProfile) -> Subscription:
         def look_again(_: Any) -> None:
@@ -336,17 +335,18 @@ class RecorderNode(MissionNode):
         )
 
     def _on_message(self, topic: HeardTopic, data: bytes, info: Any) -> None:
-        if topic.type_name in (BELIEF, STATUS):
+        role = topic.role.name if topic.role else ''
+        # Of these many keep nobody waiting; but the paths that were read with them do.
+        is_seldom_awaited = role in ('belief', 'status')
+        if is_seldom_awaited:
             # They are judged by the paths that are known, and callbacks come in any order.
             self._write_arrived_on(
-                each for each in self._topics.values() if each.type_name == PATH
+                each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
         self._write(topic, data, info)
-        if topic.type_name == PATH:
+        if role == 'path':
             self._write_early()
-        # Of these many keep nobody waiting; but the paths that were read with them do.
-        is_seldom_awaited = topic.type_name in (BELIEF, STATUS)
-        is_evidence = topic.type_name in EVIDENCE and not is_seldom_awaited
+        is_evidence = role in ACTED_ON and not is_seldom_awaited
         is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
             # One sync serves all that waits: the paths of a round come together, and so does a
@@ -370,8 +370,9 @@ class RecorderNode(MissionNode):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            # DDS keeps the order of what one node publishes, not of what two do.
-            is_early = isinstance(error, PathsUnknownError) and time.monotonic() < deadline
+            is_early = (
+                isinstance(error, (PathsUnknownError, AtBaseError)) and time.monotonic() < deadline
+            )
             if is_early and len(self._early) < MOST_EARLY:
                 self._early.append((message, deadline))
             else:
@@ -382,7 +383,7 @@ class RecorderNode(MissionNode):
         self.diagnostics.accept()
 
     def _write_early(self) -> None:
-        """Write the beliefs that were ahead of their paths, or refuse those that waited long."""
+        """Write what was ahead of what it follows from, or refuse what waited long."""
         early, self._early = self._early, []
         for message, deadline in early:
             self._write_checked(message, deadline)
@@ -396,16 +397,18 @@ class RecorderNode(MissionNode):
 
     def _check(self, topic: HeardTopic, data: bytes) -> None:
         """Check that what others act on, also when they read the log, can be of this mission."""
-        if topic.type_name not in READ:
+        role = topic.role
+        if role is None:
             return
         message = deserialize_message(data, message_class(topic.type_name))
         check_readable(topic.type_name, data)
-        if topic.type_name == STATUS:
-            self._check_status(topic, message)
+        check_content(role, message)
+        if role.name == 'status':
+            self._check_status(topic, role, message)
         elif topic.recorded:
-            stamp, mission = self._name(topic, message)
+            stamp, mission = self._name(role, message)
             content = content_hash(message)
-            first = self._note(topic.name, stamp, mission, content)
+            first = self._note(topic.name, role, stamp, mission, content)
             topic.unacknowledged.append((stamp, first, mission))
             if len(topic.unacknowledged) > qos.DEPTH:
                 self.diagnostics.refuse(
@@ -419,19 +422,18 @@ class RecorderNode(MissionNode):
                     f'another message with stamp {stamp} was recorded first, and counts (do two '
                     'nodes publish this topic?)'
                 )
-        elif topic.type_name == REPORT:
-            # No robot is taken for back by it: only those who have its path see whether it fits.
-            read_report(message, agent_of(topic.name))
-        elif topic.name == self.resolve_topic_name('belief'):
+        elif role.name == 'report' and not message.survived:
+            self._departures.check_loss(read_report(message)[0])
+        elif role.name == 'belief':
             snapshot = read_belief_maps(message)
             known = self._paths[snapshot.mission]
             self._tracker.check_belief(snapshot, self.count_authors(topic.name, BELIEF), known)
             self._tracker.accept_belief(snapshot, known)
 
-    def _check_status(self, topic: HeardTopic, message: Any) -> None:
+    def _check_status(self, topic: HeardTopic, role: Role, message: Any) -> None:
         """Check what an agent says of an order, and have a departure told to be on the disk."""
         # Of two departures of one deployment, by two robots of one name, only the first is told.
-        key, status = read_status(message, agent_of(topic.name))
+        key, status = read_status(message, role.agent)
         if key not in self._ordered:
             raise PathsUnknownError(
                 f'deployment {key} is {status.state.name}, and its path is not on record'
@@ -440,24 +442,26 @@ class RecorderNode(MissionNode):
         if status.state is OrderState.DEPARTED:
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
-    def _name(self, topic: HeardTopic, message: Any) -> tuple[int, int]:
+    def _name(self, role: Role, message: Any) -> tuple[int, int]:
         """Return the stamp of a path or an operator's action, and when its mission began."""
-        if topic.type_name == OPERATOR:
+        if role.name == 'operator':
             return read_action_name(message), NO_MISSION
         stamp, mission = read_path_name(message), mission_of_path(message)
         check_mission(mission, self._tracker.mission)
         return stamp, mission
 
-    def _note(self, name: str, stamp: int, mission: int, content: int) -> int:
+    def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
         """Return the hash of the first path or action of this name that is on record."""
         key = name, stamp, mission
-        if key not in self._first and name.endswith('/path'):
+        if key not in self._first and role.name == 'path':
             self._paths[mission] += 1
-            self._ordered.add(DeploymentKey(agent_of(name), stamp))
+            self._ordered.add(DeploymentKey(role.agent, stamp))
         return self._first.setdefault(key, content)
 
     def _tell_recorded(self) -> None:
-        """Tell the agents which of their paths are on the disk."""
+        """Tell the agents which of their paths are on the disk, unless that does not count."""
+        if self._differing or self._why_silent:
+            return
         for topic in self._topics.values():
             if topic.recorded is not None:
                 topic.unacknowledged = [
@@ -490,8 +494,26 @@ class RecorderNode(MissionNode):
     def _on_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         if values != self._configuration.get(node):
             self._configuration[node] = values
+            self._compare_roles(node, values.get(TOPICS, ()))
             self._log.add_metadata(f'{PARAMETERS}{node}', parameters_record(values))
             self._unsynced = True
+
+    def _compare_roles(self, node: str, stated: Sequence[str]) -> None:
+        """See whether a node has the same names for the roles of the mission."""
+        names = dict(each.partition('=')[::2] for each in stated)
+        differs = self.roles.difference(self.roles.meant_by(node, names))
+        if differs and differs != self._differing.get(node):
+            self.diagnostics.refuse(f'{node}', f'its {differs}: no robot leaves')
+        self._differing.pop(node, None)
+        if differs:
+            self._differing[node] = differs
+        self._tell_what_waited()
+
+    def _tell_what_waited(self) -> None:
+        """Tell what is on the disk once the word of this recorder counts."""
+        self.diagnostics.state = self._state()
+        self._sync()
+        self._tell_recorded()
 
 
 def offered_by(publishers: Sequence[Any], type_name: str) -> str:

@@ -70,17 +70,14 @@ class RobotNode(FieldNode):
         super().__init__('robot')
         values = self.values
         self._agent: str = values['agent']
-        # In a namespace of its own its topics are not once more below its name.
-        prefix = '' if self.get_namespace().endswith(f'/{self._agent}') else f'{self._agent}/'
+        prefix = f'{self.above}/{self._agent}/'
         detections = detection_class(values['detection_type'])
         self._journal = Journal(values['journal'] or self._usual_journal(), self._agent, self.grid)
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
-        self._hold = Hold(self, prefix)
-        self._pending = PendingPaths(
-            self, self._agent, prefix, self._journal, self._accept, self._refuse
-        )
+        self._hold = Hold(self)
+        self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
         self._duplicates = DuplicateNames(self, self._reports.topic_name)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']

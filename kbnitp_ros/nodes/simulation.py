@@ -143,9 +143,7 @@ class Simulation:
 class AgentPaths:
     """The paths of one agent, each told to the simulation."""
 
-    def __init__(
-        self, simulation: Simulation, name: str, prefix: str, mission: int | None
-    ) -> None:
+    def __init__(self, simulation: Simulation, name: str, mission: int | None) -> None:
         self.name = name
         self._simulation = simulation
         self._node = simulation.node
@@ -153,7 +151,7 @@ class AgentPaths:
         self._max_steps = value_for(self._node.values, 'max_steps', name)
         self._base = base_of(self._node.values, name, simulation.grid)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-        self._sent = RecordedPaths(self._node, name, prefix, self._read_path, self._take_path)
+        self._sent = RecordedPaths(self._node, name, self._read_path, self._take_path)
 
     def listen(self) -> None:
         """Take paths from now on."""
@@ -203,12 +201,10 @@ class SimulatedAgent(AgentPaths):
         self,
         simulation: Simulation,
         name: str,
-        prefix: str,
         mission: int | None,
         recorded: dict[DeploymentKey, RecordedDeployment],
     ) -> None:
-        super().__init__(simulation, name, prefix, mission)
-        self._prefix = prefix
+        super().__init__(simulation, name, mission)
         simulation.leave[name] = self._leave
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
@@ -217,7 +213,7 @@ class SimulatedAgent(AgentPaths):
         self._at_home: list[DeploymentKey] = []
         # Those whose robots have, by the log.
         self._departed = {key for key, each in recorded.items() if each.has_departed}
-        self._hold = Hold(self._node, prefix, self._depart_all)
+        self._hold = Hold(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
@@ -226,7 +222,8 @@ class SimulatedAgent(AgentPaths):
                 self._restore(key, deployment)
 
     def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
-        return self._node.create_publisher(message_type, self._prefix + topic, profile)
+        name = f'{self._node.above}/{self.name}/{topic}'
+        return self._node.create_publisher(message_type, name, profile)
 
     def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
         """Publish a report on record again, and do not make that deployment once more."""

@@ -11,6 +11,7 @@ import time
 from typing import Any
 
 from kbnitp_ros.bag import check_installed
+from kbnitp_ros.log.roles import Role
 from kbnitp_ros.nodes.runtime import qos
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -52,6 +53,8 @@ class HeardTopic:
     # Full names; a topic has one type.
     name: str
     type_name: str
+    # What it is to the mission; None if nothing.
+    role: Role | None = None
     # One for each reliability and durability offered, by these two. A publisher that comes back
     # with others is heard by one more subscription, so that no message is lost while one is
     # replaced, and no history comes twice.

@@ -27,10 +27,10 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.configuration import read_parameters, RUN
-from kbnitp_ros.log.departures import read_departures
+from kbnitp_ros.log.configuration import RUN
 from kbnitp_ros.log.evidence import Evidence
 from kbnitp_ros.log.history import HeardBelief, History, read_history
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import Datum, Site
 from kbnitp_ros.messages.models import Known, ModelState, NOTHING_LEARNT
 from kbnitp_ros.report.place import datum_of, site_of
@@ -167,23 +167,24 @@ class Mission:
 
 
 def read_mission(
-    log: str | Path,
+    path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+    namespace: str | None = None,
 ) -> Mission:
-    """Return what a log tells of its mission."""
+    """Return what a log tells of its mission, or of that in a namespace."""
+    log = MissionLog(path, namespace)
     history = read_history(log, progress)
     evidence = history.evidence
     if not evidence.paths and evidence.refused:
-        raise LogError(f'{log}: nothing to report, since refused was {evidence.refused[0]}')
+        raise LogError(f'{path}: nothing to report, since refused was {evidence.refused[0]}')
     keys = sorted(evidence.paths, key=deployment_order)
     moments, notes = moments_of(log, history, keys)
     first = history.heard[0].snapshot
-    departures = read_departures(log, [])
-    in_flight = sum(not departures.is_at_base(key) for key in evidence.without_report)
-    parameters = read_parameters(log, [])
+    in_flight = sum(not history.departures.is_at_base(key) for key in evidence.without_report)
+    parameters = log.parameters
     site, unseen = site_of(parameters, history.grid)
     return Mission(
-        log=Path(log),
+        log=log.path,
         grid=history.grid,
         rules={
             'method': first.method,
@@ -194,9 +195,9 @@ def read_mission(
         moments=moments,
         deployments=deployments_of(history, keys, moments),
         world=history.world,
-        run=read_metadata(log, []).get(RUN, {}),
+        run=read_metadata(path, []).get(RUN, {}),
         parameters=parameters,
-        notes=[*notes, *notes_of(log, history, in_flight), *filter(None, [unseen])],
+        notes=[*notes, *notes_of(path, history, in_flight), *filter(None, [unseen])],
         corrupt=history.corrupt,
         in_flight=in_flight,
         decision=history.decision,
@@ -206,11 +207,12 @@ def read_mission(
 
 
 def moments_of(
-    log: str | Path, history: History, keys: Sequence[DeploymentKey]
+    log: MissionLog, history: History, keys: Sequence[DeploymentKey]
 ) -> tuple[list[Moment], list[str]]:
     """Return the recorded beliefs as moments, and remarks on missing ones."""
     place = {key: number for number, key in enumerate(keys)}
-    ends = list(accumulate(part.stat().st_size for part in parts_of(log)))
+    ends = list(accumulate(part.stat().st_size for part in parts_of(log.path)))
+    is_any_left_out = any(each.role.name == 'belief' for each in log.left_out.values())
     moments: list[Moment] = []
     notes = []
     taken = set()
@@ -231,15 +233,16 @@ def moments_of(
             which = f'{moments[-1].held + 1} to {said.deployments - 1}'
             if missing == 1:
                 which = f'{said.deployments - 1}'
-            if not (is_restarted or is_later_part or moments[-1].deployment is None):
+            is_begun = moments[-1].deployment is None
+            if not (is_restarted or is_later_part or is_begun or is_any_left_out):
                 raise LogError(
-                    f'{log}: the belief after deployment {which} is missing, and neither the '
+                    f'{log.path}: the belief after deployment {which} is missing, and neither the '
                     'estimator nor the recorder was restarted there: the log is not as it was '
                     'recorded. replay tells what else is wrong with it'
                 )
             notes.append(
                 f'There is no belief after deployment {which} on record: estimator or recorder '
-                'were restarted, or began later.'
+                'were restarted, or began later, or it is refused.'
             )
         moments.append(
             Moment(

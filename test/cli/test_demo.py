@@ -44,9 +44,10 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.log.evidence import last_belief, PROGRESS, REPORT
+from kbnitp_ros.log.evidence import last_belief
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog, PROGRESS, REPORT
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
@@ -432,7 +433,7 @@ def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
             assert bases == {'scout_1': 0, 'scout_2': 24}
         else:
             assert recorded_parameters(log)['planner']['team.scout_2.max_steps'] == 6
-            belief = last_belief(log)
+            belief = last_belief(MissionLog(log))
             assert belief.robot_types == {'scout_2': RobotType(max_steps=6)}
             assert belief.deployments == 6
 

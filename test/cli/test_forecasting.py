@@ -11,6 +11,7 @@ from kbnitp_ros.cli.forecast import main
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.evidence import last_belief
 from kbnitp_ros.log.resumed import read_ledger
+from kbnitp_ros.log.roles import MissionLog
 from laws import for_each
 import pytest
 
@@ -54,7 +55,7 @@ def test_any_number_of_workers_writes_the_same_bytes(tmp_path):
 @pytest.mark.processes
 def test_a_mission_on_record_goes_on(tmp_path, capsys):
     path = log(tmp_path / 'run')
-    sent = last_belief(path).deployments
+    sent = last_belief(MissionLog(path)).deployments
     assert main([str(tmp_path / 'run'), '--set', f'robots={sent + 2}', '--worlds', '3']) == 0
     told = capsys.readouterr().out
     assert told.startswith('3 missions of at most 2 robots, no goal')
@@ -64,7 +65,7 @@ def test_a_mission_on_record_goes_on(tmp_path, capsys):
 @for_each('name', ['kappa_bnitp', 'kappa_bnitp_sampled', 'late_return'])
 def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     path = log(tmp_path, name)
-    ledger, last = read_ledger(path), last_belief(path)
+    ledger, last = read_ledger(MissionLog(path)), last_belief(MissionLog(path))
     assert len(ledger.deployments) == last.deployments
     assert ledger.belief.joint == pytest.approx(last.belief.joint, abs=1e-9)
 

@@ -9,7 +9,8 @@ import os
 from forger import Forger
 from kbnitp_ros.bag import read_log
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.log.replay import BELIEF, replay
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import BELIEF
 from mission import full_name, Mission, NAMESPACE, StuckError
 import numpy as np
 from schedule import NODES

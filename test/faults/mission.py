@@ -10,11 +10,11 @@ from pathlib import Path
 import signal
 import time
 
-from kbnitp_ros.bag.reader import LogError, read_log
+from kbnitp_ros.bag.reader import LogError
 from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
-from kbnitp_ros.log.evidence import PATH, REPORT
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import key_of_path
 import numpy as np
 from onlooker import Evidence, Onlooker
@@ -46,8 +46,18 @@ class Mission:
     """Four nodes and an onlooker on a domain of their own, set in the environment."""
 
     def __init__(
-        self, domain, folder, parameters, *, awaited=None, remaps=None, processes=Processes
+        self,
+        domain,
+        folder,
+        parameters,
+        *,
+        awaited=None,
+        remaps=None,
+        namespace=NAMESPACE,
+        processes=Processes,
     ):
+        self._namespace = namespace
+        folder = folder.joinpath(*namespace.split('/'))
         self.log = folder / 'log' / 'mission.mcap'
         self.log.parent.mkdir(parents=True)
         self._folder = folder
@@ -68,7 +78,7 @@ class Mission:
             self.node = rclpy.create_node('onlooker', context=context)
             stack.callback(self.node.destroy_node)
             agents = with_defaults(parameters)['agents']
-            self.onlooker = Onlooker(self.node, NAMESPACE, agents)
+            self.onlooker = Onlooker(self.node, namespace.rstrip('/'), agents)
             self._executor = SingleThreadedExecutor(context=context)
             self._executor.add_node(self.node)
             self.processes = stack.enter_context(processes(domain))
@@ -88,7 +98,7 @@ class Mission:
         """Start nodes; those that can go on with the log of those before them."""
         for name in names:
             self._struck.discard(name)
-            self.onlooker.forget(full_name(name))
+            self.onlooker.forget(full_name(name, self._namespace))
             parameters = self._parameters | {
                 'await_nodes': self._awaited[name],
                 'resume': str(self.log) if self.log.exists() else '',
@@ -100,7 +110,7 @@ class Mission:
                 self.processes.start(
                     name,
                     {each: value for each, value in parameters.items() if each in own},
-                    namespace=NAMESPACE,
+                    namespace=self._namespace,
                     remaps=self._remaps.get(name),
                     output=output,
                 )
@@ -119,7 +129,7 @@ class Mission:
         return memory
 
     def _signal(self, name, number):
-        self.processes.started[full_name(name)].send_signal(number)
+        self.processes.started[full_name(name, self._namespace)].send_signal(number)
 
     def halt(self, name):
         """Make a node stand still; it may still be killed."""
@@ -130,7 +140,11 @@ class Mission:
         """End a node without warning."""
         self._struck.add(name)
         self._signal(name, signal.SIGKILL)
-        self.processes.started[full_name(name)].wait()
+        self.processes.started[full_name(name, self._namespace)].wait()
+
+    def forget_remaps(self):
+        """Have nodes that are started from now on the usual names of topics."""
+        self._remaps = {}
 
     def restart(self, name):
         """Kill a node and start it again."""
@@ -185,7 +199,7 @@ class Mission:
 
     def _check_alive(self):
         for name in NODES:
-            code = self.processes.ended().get(full_name(name))
+            code = self.processes.ended().get(full_name(name, self._namespace))
             if code is not None and name not in self._struck:
                 raise StuckError(f'{name} ended with {code}: {self.said(name)}')
 
@@ -195,7 +209,10 @@ class Mission:
         self.until(lambda: heard.held == robots, 'belief in all deployments')
         self.until(lambda: len(heard.evidence.reports) >= robots, 'word of them all')
         self.until(lambda: states.keys() >= self.processes.started.keys(), 'word of every node')
-        self.until(lambda: states[full_name('planner')].startswith('done'), 'done planner')
+        self.until(
+            lambda: states[full_name('planner', self._namespace)].startswith('done'),
+            'done planner',
+        )
         if with_defaults(self._parameters)['silent_loss']:
             # Who was given up may be on its way, and an agent that has just come back knows.
             self.wait(1.0)
@@ -207,11 +224,12 @@ class Mission:
     def logged(self):
         """Return the evidence that is in the log."""
         evidence = Evidence()
-        for message in read_log(self.log, (PATH, REPORT)):
-            if message.type_name == REPORT:
-                evidence.take_report(message.message)
+        for role, logged in MissionLog(self.log).read('path', 'report'):
+            if role.name == 'report':
+                evidence.take_report(logged.message)
             else:
-                evidence.take_path(key_of_path(message.topic, message.message), message.message)
+                key = key_of_path(role.agent, logged.message)
+                evidence.take_path(key, logged.message)
         return evidence
 
     @property
@@ -258,9 +276,9 @@ class Mission:
         return found
 
 
-def full_name(name):
-    """Return what a node of the mission is called in ROS."""
-    return f'{NAMESPACE}/{name}'
+def full_name(name, namespace=NAMESPACE):
+    """Return what a node of a mission is called in ROS."""
+    return f'{namespace.rstrip("/")}/{name}'
 
 
 def missing(heard, logged):

@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
 from extent import some
+from kbnitp_ros.bag import LogError
 from kbnitp_ros.base.resumption import Resumption
 from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.configuration.prior import earlier_belief
+from kbnitp_ros.core import Grid
+from kbnitp_ros.log.evidence import Evidence
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map
 from kbnitp_ros.messages.beliefs import read_belief_maps
 import numpy as np
@@ -179,6 +185,76 @@ def test_a_mission_ends_as_that_of_core(set_out, tmp_path, kind, killed):
     assert is_of_kind(core_mission(parameters), parameters)
 
 
+def test_missions_in_namespaces_within_each_other_do_not_meet(set_out):
+    shared = {**SMALL, 'robots': 8, 'step_period': 0.03}
+    missions = [
+        set_out({**shared, 'seed': seed}, namespace=namespace)
+        for seed, namespace in enumerate(('/', '/north', '/north/east'))
+    ]
+    for each in missions:
+        each.start(*NODES)
+    for each in missions:
+        each.until(lambda m=each: len(m.onlooker.evidence.reports) >= 3, 'reports')
+        for node in NODES:
+            each.kill(node)
+    for each in missions:
+        each.start(*NODES)
+    for each in missions:
+        each.until_over()
+    assert [each.findings() for each in missions] == [[], [], []]
+
+
+# All nodes of a mission call these topics so, within and out of their namespace.
+RENAMED = {'belief': '/shared/belief', 'scout_1/path': 'scout_1/plan', 'decision': 'verdict'}
+
+
+def test_topics_may_have_other_names_if_all_nodes_have_them(set_out):
+    parameters = {**SMALL, 'robots': 4, 'agents': ['scout_1'], 'step_period': 0.03}
+    mission = set_out(parameters, remaps=dict.fromkeys(NODES, RENAMED))
+    mission.start(*NODES)
+    log = mission.log
+    mission.until(lambda: log.exists() and len(replayed(log).reports) >= 2, 'robots')
+    for node in NODES:
+        mission.kill(node)
+    mission.start(*NODES)
+    mission.until(lambda: len(replayed(log).reports) == 4, 'robots')
+    mission.processes.stop()
+    report = replay(log)
+    assert report.reproduced
+    assert report.compared['/shared/belief'] >= 5
+    assert not report.not_yet_held
+
+
+@pytest.mark.parametrize('node', some(['planner', 'estimator', 'agent', 'recorder'], 2))
+def test_no_robot_leaves_while_a_node_has_another_name_for_a_topic(set_out, node):
+    parameters = {**SMALL, 'robots': 3, 'agents': ['scout_1']}
+    own = {'scout_1/path': 'scout_1/plan'}
+    mission = set_out(parameters, remaps={node: own})
+    mission.start(*NODES)
+    other = 'estimator' if node == 'recorder' else node
+    differs = 'scout_1/path is /mission/scout_1/'
+    mission.until(
+        lambda: f'/mission/{other} refused: its {differs}' in mission.said('recorder'), node
+    )
+    mission.wait(3.0)
+    assert not mission.onlooker.evidence.reports
+    assert not mission.onlooker.recorded
+    mission.kill(node)
+    mission.forget_remaps()
+    if node == 'recorder':
+        mission.log.unlink()
+    mission.start(node)
+    mission.until_over()
+    assert not mission.findings()
+
+
+def replayed(log):
+    """Return the evidence of a log as far as it is written."""
+    with suppress(LogError):
+        return replay(log).evidence
+    return Evidence(Grid(1, 1), 1)
+
+
 def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_others(set_out):
     parameters = {**SMALL, **BASES, 'robots': 6}
     mission = set_out(parameters)
@@ -187,7 +263,7 @@ def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_oth
     assert not mission.findings()
     moved = with_defaults({**parameters, 'team.scout_1.base': 62, 'team.scout_2.base': 0})
     with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
-        Resumption(str(mission.log), grid_of(moved), moved, parameters['agents'])
+        Resumption(MissionLog(mission.log), grid_of(moved), moved, parameters['agents'])
     last = read_belief_maps(mission.onlooker.belief)
     assert [last.base_of(agent) for agent in parameters['agents']] == [0, 62, 62]
     # What was a base stays free of hazards, and what becomes one is.

@@ -3,7 +3,8 @@
 
 from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Ledger, SensorModel
-from kbnitp_ros.log.deployments import read_deployments, read_mission
+from kbnitp_ros.log.deployments import MissionRecord, read_mission
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message
 from laws import for_each
@@ -48,5 +49,7 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
         for time, (topic, kind, message) in enumerate(messages):
             writer.add_topic(topic, kind, '[]')
             writer.write(topic, serialize_message(message), time, time)
-    assert read_mission(log) == mission
-    assert list(read_deployments(log, GRID, 4)) == [DeploymentKey('scout', each) for each in paths]
+    assert read_mission(MissionLog(log)) == mission
+    assert list(MissionRecord(MissionLog(log), GRID, 4).deployments) == [
+        DeploymentKey('scout', each) for each in paths
+    ]

@@ -17,10 +17,11 @@ import subprocess
 import sys
 
 from kbnitp_ros.core import METHODS
-from kbnitp_ros.log.deployments import read_deployments
+from kbnitp_ros.log.deployments import MissionRecord
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.roles import MissionLog
 from kinds_of_hazards import KINDS
 from laws import for_each
 import numpy as np
@@ -50,7 +51,7 @@ from kbnitp_ros.report import curves_of, read_mission, write_report
 for log in sys.argv[1:]:
     found = replay(log)
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))
-    mission = read_mission(log)
+    mission = read_mission(MissionLog(log))
     if mission.moments[-1].learnt:
         write_report(Path(log).parent / 'report', mission, curves_of(mission))
 """
@@ -101,7 +102,7 @@ def test_it_is_reproduced(name, tmp_path):
 def test_its_deployments_can_be_gone_on_with(name, tmp_path):
     path = log(name, tmp_path)
     history = read_history(path)
-    deployments = read_deployments(path, history.grid, 8)
+    deployments = MissionRecord(MissionLog(path), history.grid, 8).deployments
     assert len(history.observations) == len(deployments) >= 5
     assert {each.survived for each in history.observations} == {True, False}
     for each, deployment in zip(history.observations, deployments.values()):

@@ -28,11 +28,11 @@ from kbnitp_ros.core import (
     Report,
     Unknowns,
 )
-from kbnitp_ros.log.deployments import read_deployments, read_newest_round
-from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
+from kbnitp_ros.log.deployments import MissionRecord, read_newest_round
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.roles import BELIEF, MissionLog, PATH, REPORT
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.nodes.assimilated import COMPLETE_EVERY
@@ -382,8 +382,8 @@ def interval(**values):
     ('deployments', 0, ''),
     ('agent', 'scout_2', ''),
     ('agent', '', ''),
-    ('info', lambda info: changed(info, width=10), 'info.width'),
-    ('info', lambda info: changed(info, height=8), 'info.height'),
+    ('info', lambda info: changed(info, width=10), 'joint has 80 values'),
+    ('info', lambda info: changed(info, height=8), 'joint has 80 values'),
     ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
     ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
 ])  # fmt: skip
@@ -755,8 +755,8 @@ def every_belief(**fields):
 
 @for_each('change, told', [
     (lambda sent: sent + mission(2, namespace='/other').sent,
-     'beliefs are on record from /belief and /other/belief'),
-    (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no beliefs on record: '),
+     'has missions in the namespaces /, /other: name one, --namespace'),
+    (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no beliefs on record'),
     (every_belief(method_version=2), 'beliefs are on record by version 2 of kappa_bnitp: '),
     (every_belief(method='guessing'), "cannot be computed: method is 'guessing': .*known are"),
     (every_belief(method='kappa_bnitp_smoothed'), "'kappa_bnitp_smoothed': .*0.3.0 reads .*use"),
@@ -792,11 +792,11 @@ def rewritten(path, sent, edit):
 
 
 def deployments(path):
-    return read_deployments(path, GRID, MAX_STEPS)
+    return MissionRecord(MissionLog(path), GRID, MAX_STEPS).deployments
 
 
 def newest_round(path):
-    return read_newest_round(path, deployments(path))
+    return read_newest_round(MissionLog(path), deployments(path))
 
 
 class Later:

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
 from kbnitp_ros.messages.deployments import (
-    agent_of,
     path_message,
     read_path,
     read_report,
@@ -185,14 +184,3 @@ def test_a_report_on_the_topic_of_another_agent_is_refused():
     assert read_report(message, 'scout_2') == (KEY, Report(False))
     with pytest.raises(ValueError, match="agent is 'scout_2': on this topic it must be 'scout_1'"):
         read_report(message, 'scout_1')
-
-
-@for_each('topic, agent', [
-    ('/scout_1/report', 'scout_1'),
-    ('/north/scout_1/path', 'scout_1'),
-    ('/scout_1/scout_2/report', 'scout_2'),
-    ('/report', ''),
-    ('report', ''),
-])  # fmt: skip
-def test_whose_topic_it_is(topic, agent):
-    assert agent_of(topic) == agent

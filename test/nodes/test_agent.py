@@ -188,7 +188,7 @@ def test_no_robot_waits_for_ever_for_a_path_before_its_own_that_never_comes(fiel
 
 def test_no_robot_waits_for_an_agent_whose_robot_is_out(field):
     agents = {'agents': ['a', 'b'], 'hazards.dynamics': 'used_up'}
-    slow = {'step_period': 1000.0, 'robots.b.step_period': 0.001}
+    slow = {'step_period': 1000.0, 'team.b.step_period': 0.001}
     field.start('agent', {**PARAMETERS, **agents, **slow})
     reports = {name: field.listen(DeploymentReport, f'/{name}/report') for name in ('a', 'b')}
     paths = {name: field.talk(Path, f'/{name}/path') for name in reports}

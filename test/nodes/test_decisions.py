@@ -8,6 +8,7 @@ from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import read_path
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
@@ -76,6 +77,6 @@ def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field)
     assert set(field.processes.stop().values()) == {0}
     recorded = [logged for logged in read_log(log) if logged.topic == '/m/decision']
     assert {each.message.deployments for each in recorded} >= {len(expected)}
-    told = replay(log, asked=asked_on_record(log))
+    told = replay(log, asked=asked_on_record(MissionLog(log)))
     assert told.reproduced, told.mismatches
     assert told.compared['/m/decision'] > len(expected)

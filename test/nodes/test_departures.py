@@ -58,6 +58,25 @@ class StatedBase(Base):
         )
 
 
+def test_a_robot_at_its_base_is_not_lost_whoever_says_so(field):
+    base = StatedBase(field, robots=2, silent_loss=False)
+    base.until_sent(1)
+    base.say(OrderState.ACCEPTED)
+    base.until_state('to depart, as its agent tells on /scout_1/status')
+    key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
+    base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
+    for node in ('/planner', '/estimator', '/recorder'):
+        refusal = 'is reported lost, and its agent has not said that its robot departs'
+        field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
+    base.crash()
+    base.until_state('to depart, as its agent tells on /scout_1/status')
+    base.until_named(base.say(OrderState.DEPARTED))
+    base.come_back()
+    base.until_held(1)
+    base.until_sent(2)
+    assert base.replayed().evidence.survived == 1
+
+
 def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(field):
     base = StatedBase(field, robots=2)
     base.until_sent(1)

@@ -97,8 +97,8 @@ def test_it_does_not_matter_whose_report_is_heard_first(field, heard, first, sec
     told = replay(log)
     assert told.reproduced, (told.mismatches, told.not_yet_held)
     assert told.evidence.refused
-    resumed = field.listen(BeliefMaps, '/n/belief')
-    field.start('estimator', {**samples.FIELD, 'await_nodes': ['test'], 'resume': str(log)}, '/n')
+    resumed = field.listen(BeliefMaps, '/m/belief')
+    field.start('estimator', {**samples.FIELD, 'await_nodes': ['test'], 'resume': str(log)}, '/m')
     field.until(lambda: resumed and resumed[-1].deployments == 1, 'resumed belief', may_end=True)
     assert resumed[-1].joint == beliefs[-1].joint
 

@@ -305,12 +305,13 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         home = path_message(Grid(9, 9), [0, 1, 0], 1)
         writer.write('/scout_9/path', serialize_message(home), 1, 1)
     for namespace, resumed, told in (
-        ('/a', log, 'has deployments of scout_9: the parameter agents'),
+        ('/', log, 'has deployments of scout_9: the parameter agents'),
+        ('/a', log, 'is of another mission: belief is /a/belief, and not /belief'),
         ('/b', field.folder / 'none.mcap', 'none.mcap cannot be read'),
     ):
         planner = field.start('planner', {'resume': str(resumed)}, namespace)
         assert planner.wait(timeout=60) == 2
-        assert told in field.said(f'{namespace}/planner')
+        assert told in field.said(f'{namespace.rstrip("/")}/planner')
 
 
 def test_robots_that_wait_for_their_plans_are_told_of_once(field):

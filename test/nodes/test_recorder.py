@@ -124,6 +124,24 @@ def test_only_the_mission_and_what_all_share_is_recorded(field):
     assert set(recorded(log)) == {*topics[:4], '/diagnostics'}
 
 
+def test_topics_of_others_in_the_namespace_are_recorded_as_they_are(field):
+    """None has a role in the mission, whatever its last name and its type are."""
+    log = record(field)
+    strangers = {
+        '/m/battery/status': String(data='full'),
+        '/m/sensor/report': Int32(data=1),
+        '/m/nav/path': path(1),
+        '/m/evil/belief': prior(),
+        '/m/x/scout_1/report': lost(1),
+        '/m/scout_2/report': lost(2),
+        '/m/navigate/_action/status': String(data='driving'),
+    }
+    for topic, message in strangers.items():
+        field.talk(type(message), topic, RELIABLE).publish(message)
+    field.until(lambda: recorded(log).keys() >= strangers.keys(), 'messages')
+    assert field.count('/m/recorder', 'refused') == 0
+
+
 def test_without_a_namespace_everything_but_the_logs_of_ros_is_recorded(field):
     log = record(field, '/')
     field.node.create_publisher(String, '/a/topic', qos.LATCHED).publish(String())
@@ -155,7 +173,7 @@ def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
 
 
 def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
-    log = record(field)
+    log = record(field, agents=['one', 'two'])
     state_mission(field)
     told = {agent: field.listen(Recorded, f'/m/{agent}/recorded') for agent in ('one', 'two')}
     paths = {agent: field.talk(Path, f'/m/{agent}/path') for agent in told}
@@ -206,13 +224,12 @@ def test_a_resumed_log_holds_everything(field):
 
 def test_a_log_has_one_recorder_at_a_time(field):
     log, told, paths = record_path(field)
-    # Outside the mission, so that it does not record the first one's last words.
-    field.start('recorder', {'resume': str(log)}, '/other')
-    other = field.processes.started.pop('/other/recorder')
+    field.set_aside('/m/recorder')
+    other = field.start('recorder', {'resume': str(log)}, '/m', {'__node': 'other'})
     # Its last words on diagnostics are for whom it knows first: the other recorder or the test.
     assert other.wait(60) == 2
-    said = field.said('/other/recorder')
-    assert f'{log} is being written by another recorder' in said
+    field.processes.started.pop('/m/recorder')
+    assert f'{log} is being written by another recorder' in field.said('/m/recorder')
     paths.publish(path(2))
     field.until(lambda: from_stamp(told[-1].stamp) == key(2).stamp, 'word of path 2')
     field.processes.stop()
@@ -409,7 +426,7 @@ def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, tmp_pat
     assert told == f'recorder: {log}: No space left on device (free some space on that disk)'
 
 
-@pytest.mark.parametrize('what', ['folder', 'file', 'replaced'])
+@pytest.mark.parametrize('what', ['folder', 'file', 'replaced', 'cut'])
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     log, told, paths = record_path(field)
     recorder = field.processes.started['/m/recorder']
@@ -419,13 +436,16 @@ def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
         shutil.rmtree(log.parent)
     elif what == 'file':
         log.unlink()
+    elif what == 'cut':
+        os.truncate(log, 100)
     else:
         log.with_suffix('.new').write_bytes(log.read_bytes())
         log.with_suffix('.new').replace(log)
     paths.publish(path(2))
     recorder.send_signal(signal.SIGCONT)
-    assert f'{log} is gone' in until_failed(field, '/m/recorder', 1)
-    assert log.exists() == (what == 'replaced')
+    why = f'{log} was cut to 100 bytes' if what == 'cut' else f'{log} is gone'
+    assert why in until_failed(field, '/m/recorder', 1)
+    assert log.exists() == (what in ('replaced', 'cut'))
     assert [from_stamp(each.stamp) for each in told] == [key(1).stamp]
 
 

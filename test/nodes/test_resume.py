@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.bag import LogWriter, read_log
+from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.configuration import MOST_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
-from kbnitp_ros.log.evidence import PATH, record, REPORT
+from kbnitp_ros.log.evidence import record
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
@@ -68,14 +69,14 @@ def until_done(field, robots):
 
 def reported(log):
     """Return which deployments are reported in a log."""
-    return {from_stamp(logged.message.deployment) for logged in read_log(log, (REPORT,))}
+    return {from_stamp(each.message.deployment) for _, each in MissionLog(log).read('report')}
 
 
 def folded(log):
     """Return the belief that an estimator has after all that is in a log."""
     register = ledger()
-    for logged in read_log(log, (PATH, REPORT)):
-        record(register, logged)
+    for role, logged in MissionLog(log).read('path', 'report'):
+        record(register, role, logged.message)
     return register.belief.joint.tobytes()
 
 

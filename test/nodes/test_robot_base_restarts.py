@@ -10,8 +10,8 @@ from extent import FULL
 from fleet import FIELD, Fleet
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.bag.reader import read_log
-from kbnitp_ros.log.evidence import REPORT
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
 from nav_msgs.msg import Path

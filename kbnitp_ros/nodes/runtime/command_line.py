@@ -59,6 +59,15 @@ def add_log(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="the log of one mission: its first file, or its folder if it is the only one's",
     )
+    add_namespace(parser)
+
+
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Have a command choose between the missions of a log."""
+    parser.add_argument(
+        '--namespace',
+        help='whose mission it is, of a log of several that does not tell',
+    )
 
 
 def node_parser(name: str, description: str) -> argparse.ArgumentParser:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration import (
@@ -22,6 +23,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 import rclpy.parameter
 
+# The parameter that states a node's topics.
+TOPICS = 'topics'
+
 CLOCK = 'use_sim_time'
 
 
@@ -34,7 +38,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         if parameter := parameter_of(name, given):
             mine[given] = parameter
             values[given] = parameter.check(override.value)
-        else:
+        elif given != TOPICS:
             check_known(given, NODES)
     # A real robot knows of no other agents.
     if 'agents' in values:
@@ -70,6 +74,21 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(keep)
     return values
+
+
+def state(node: Node, names: Mapping[str, str]) -> None:
+    """Declare the names of a node's topics, by role, for others to read."""
+    stated = [f'{role}={topic}' for role, topic in names.items()]
+    given = node._parameter_overrides.get(TOPICS)
+    if given is not None and list(given.value) != stated:
+        raise ValueError(
+            f'parameter {TOPICS} is {given.value}: it only states the names of topics, which are '
+            f'{stated}; remap them with -r'
+        )
+    descriptor = ParameterDescriptor(
+        description='Names of its topics of the mission, by role.', read_only=True
+    )
+    node.declare_parameter(TOPICS, stated, descriptor, ignore_override=True)
 
 
 def descriptor_of(parameter: Parameter) -> ParameterDescriptor:

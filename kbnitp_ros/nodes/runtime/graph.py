@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from kbnitp_ros.log.evidence import BELIEF, PATH, REPORT
+from kbnitp_ros.log.roles import BELIEF, PATH, RECORDED, REPORT
 from kbnitp_ros.messages.headers import SHOWN, shown
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -76,7 +76,7 @@ PUBLISHED = {
     'planner': PATH,
     'agent': REPORT,
     'estimator': BELIEF,
-    'recorder': 'kbnitp_msgs/msg/Recorded',
+    'recorder': RECORDED,
 }
 
 

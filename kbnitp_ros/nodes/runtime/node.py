@@ -14,11 +14,12 @@ from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import some
+from kbnitp_ros.log.roles import Roles
 from kbnitp_ros.maps import Map
 from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.declared import declare
+from kbnitp_ros.nodes.runtime.declared import declare, state
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
 from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
 from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
@@ -39,6 +40,11 @@ from rclpy.timer import Timer
 # In seconds: how long a signal may have to wait, and how often a node looks at the graph.
 SPIN = 0.2
 POLL = 0.05
+
+# How long a message waits for one of another topic that it follows from, in seconds, and how many
+# wait: DDS keeps the order within one topic alone.
+PATIENCE = 2.0
+MOST_EARLY = 20
 
 # After a look at the graph the node does something else for so many times as long as it took.
 REST = 4.0
@@ -70,6 +76,17 @@ class MissionNode(GraphNode):
         super().__init__(name)
         # By name, kept up to date.
         self.values = declare(self, name)
+        # In the namespace of its name an agent's topics are not below that name once more.
+        own = self.values.get('agent', '')
+        self.above = self.get_namespace().rstrip('/').removesuffix(f'/{own}')
+        # Its part in the mission, which it states with its parameters.
+        self.roles = Roles.of(
+            self.above,
+            [own] if own else self.values['agents'],
+            lambda role: self.resolve_topic_name(f'{self.above}/{role}'),
+            name,
+        )
+        state(self, self.roles.names)
         self.diagnostics = Diagnostics(self)
         # Whether its work is done, so that its process ends, and with which code.
         self.is_over, self.exit_code = False, 0
@@ -314,12 +331,10 @@ class FieldNode(MissionNode):
         assert self._grid is not None
         return self._grid
 
-    def hear_agent(
-        self, kind: type, agent: str, callback: Callable[[Any], None], prefix: str | None = None
-    ) -> Subscription:
-        """Subscribe to a topic of an agent, which is below its name unless a prefix is given."""
-        above = f'{agent}/' if prefix is None else prefix
-        return self.hear(kind, f'{above}{AGENT_TOPICS[kind]}', callback, qos.EVIDENCE)
+    def hear_agent(self, kind: type, agent: str, callback: Callable[[Any], None]) -> Subscription:
+        """Subscribe to a topic of an agent."""
+        topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
+        return self.hear(kind, topic, callback, qos.EVIDENCE)
 
     def _await_map(self, topic: str) -> None:
         self._topic = topic

@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topic plays which role in a mission, and the messages of a log by these roles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+import json
+import operator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kbnitp_ros.bag import LogError, LoggedMessage, read_log, read_recorded, RecordedMessage
+from kbnitp_ros.log.configuration import PARAMETERS, read_parameters, recorded_environment
+from kbnitp_ros.messages.beliefs import belief_field_names, read_belief_maps
+from kbnitp_ros.messages.decisions import check_decision
+from kbnitp_ros.messages.deployments import read_path_name, read_report
+from kbnitp_ros.messages.grids import read_occupancy_grid
+from kbnitp_ros.messages.headers import read_stamp
+from kbnitp_ros.messages.missions import mission_of_path
+from kbnitp_ros.messages.models import read_model_belief
+from kbnitp_ros.messages.operator_action import read_action_name
+from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.status import read_status
+
+BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
+DECISION = 'kbnitp_msgs/msg/Decision'
+GRID = 'nav_msgs/msg/OccupancyGrid'
+MODEL = 'kbnitp_msgs/msg/ModelBelief'
+OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
+PATH = 'nav_msgs/msg/Path'
+PROGRESS = 'kbnitp_msgs/msg/Progress'
+RECORDED = 'kbnitp_msgs/msg/Recorded'
+REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+STATUS = 'kbnitp_msgs/msg/AgentStatus'
+
+VIEWS = ('hazard', 'target', 'kappa')
+TRUTH = ('truth/hazard', 'truth/target')
+
+# The roles of a mission, and those that each agent has below its name, with their types.
+OF_MISSION = {
+    'belief': BELIEF,
+    'model': MODEL,
+    'operator': OPERATOR,
+    'operator/recorded': RECORDED,
+    'progress': PROGRESS,
+    'decision': DECISION,
+    'decision/lane': PATH,
+    'hold': 'std_msgs/msg/Bool',
+    **{f'belief/{name}': GRID for name in VIEWS},
+    **dict.fromkeys(TRUTH, GRID),
+}
+OF_AGENT = {
+    'path': PATH,
+    'proposal': PATH,
+    'report': REPORT,
+    'status': STATUS,
+    'recorded': RECORDED,
+    **dict.fromkeys(TRUTH, GRID),
+}
+
+# Of those what each node takes part in.
+EVIDENCE = ('path', 'report', 'status', 'recorded')
+ROLES_OF = {
+    'planner': (
+        *EVIDENCE,
+        'proposal',
+        'belief',
+        'progress',
+        'decision',
+        'decision/lane',
+        'operator',
+        'operator/recorded',
+        'hold',
+    ),
+    'estimator': (*EVIDENCE, 'belief', 'model', 'progress', *(f'belief/{name}' for name in VIEWS)),
+    'agent': EVIDENCE,
+    'robot': EVIDENCE,
+    'recorder': (*OF_MISSION, *OF_AGENT),
+}
+
+# The metadata record of the roles, and its value that is no role.
+RECORD = 'roles'
+NAMESPACE = 'namespace'
+
+# Of what is said of a message, in characters: a report may name any number of cells.
+LONGEST = 500
+
+# Fields of beliefs that 0.3.0 did not have.
+ADDED = {'move'}
+
+
+class Role(NamedTuple):
+    """What a topic is to a mission: a name such as `path`, and whose it is; '' if of all."""
+
+    name: str
+    agent: str
+    type_name: str
+
+
+@dataclass(frozen=True)
+class Roles:
+    """The roles of a mission, `belief` or `scout_1/path`, and the full names of their topics."""
+
+    namespace: str
+    names: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        namespace: str,
+        agents: Iterable[str],
+        resolve: Callable[[str], str] | None = None,
+        node: str = 'recorder',
+    ) -> Roles:
+        """Return the roles that a node takes part in, named as it resolves them."""
+        own, root = ROLES_OF[node], namespace.rstrip('/')
+        roles = [name for name in OF_MISSION if name in own and node not in ('agent', 'robot')]
+        roles += [f'{agent}/{name}' for agent in agents for name in OF_AGENT if name in own]
+        return cls(root or '/', {each: (resolve or f'{root}/{{}}'.format)(each) for each in roles})
+
+    @property
+    def agents(self) -> list[str]:
+        """Return the agents of the team."""
+        return [each.removesuffix('/path') for each in self.names if each.endswith('/path')]
+
+    @cached_property
+    def by_topic(self) -> dict[str, Role]:
+        """Return the role of each topic that has one."""
+        return {topic: role_called(name) for name, topic in self.names.items()}
+
+    @property
+    def record(self) -> dict[str, str]:
+        """Return what the record `RECORD` of a log says."""
+        return {NAMESPACE: self.namespace, **self.names}
+
+    def meant_by(self, node: str, stated: Mapping[str, str]) -> dict[str, str]:
+        """Return those names that a node of this full name states of this mission."""
+        root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
+        if above == root:
+            # An agent that is none of the team does not concern it.
+            is_whole = 'belief' in stated
+            return {role: name for role, name in stated.items() if is_whole or role in self.names}
+        agent = above.removeprefix(f'{root}/')
+        is_own = agent in self.agents
+        return {
+            role: name for role, name in stated.items() if is_own and role.startswith(f'{agent}/')
+        }
+
+    def is_node(self, name: str) -> bool:
+        """Return whether a node of this full name stands where those of the mission do."""
+        above, root = name.rpartition('/')[0], self.namespace.rstrip('/')
+        return above in (root, *(f'{root}/{agent}' for agent in self.agents))
+
+    def difference(self, stated: Mapping[str, str]) -> str:
+        """Return in words how the names that another states differ first; empty if they do not."""
+        for role, topic in stated.items():
+            if (own := self.names.get(role)) is None:
+                agents = ', '.join(self.agents)
+                return f'agent {role.partition("/")[0]} is none of agents, which names {agents}'
+            if own != topic:
+                return f'{role} is {topic}, and not {own}'
+        return ''
+
+
+def role_called(name: str) -> Role:
+    """Return the role of a name such as `belief` or `scout_1/path`."""
+    if name in OF_MISSION:
+        return Role(name, '', OF_MISSION[name])
+    agent, _, own = name.partition('/')
+    return Role(own, agent, OF_AGENT[own])
+
+
+def roles_on_record(
+    log: str | Path, namespace: str | None = None, agents: Iterable[str] = ()
+) -> Roles:
+    """Return the roles of a mission on record, of these agents where it tells of none."""
+    nodes: dict[str, dict[str, str]] = {}
+    topics: dict[str, str] = {}
+    for item in read_recorded(log, []):
+        if isinstance(item, RecordedMessage):
+            topics[item.channel.topic] = item.schema.name
+        elif item.name == RECORD and namespace in (None, item.values[NAMESPACE]):
+            return Roles(item.values.pop(NAMESPACE), item.values)
+        elif item.name.startswith(f'{PARAMETERS}/'):
+            nodes.setdefault(item.name.removeprefix(PARAMETERS), {}).update(item.values)
+    return roles_of_old(log, namespace, agents, nodes, topics)
+
+
+def roles_of_old(
+    log: str | Path,
+    namespace: str | None,
+    agents: Iterable[str],
+    nodes: Mapping[str, Mapping[str, str]],
+    topics: Mapping[str, str],
+) -> Roles:
+    """Return the roles of a log of 0.3, by the parameters of its nodes and its topics."""
+    above = {name.rpartition('/')[0] for name, own in nodes.items() if 'max_file_size' in own}
+    above = above or {
+        topic.removesuffix('/belief')
+        for topic, kind in topics.items()
+        if kind == BELIEF and topic.endswith('/belief')
+    }
+    if namespace is None and len(above) > 1:
+        found = ', '.join(sorted(each or '/' for each in above))
+        raise SeveralError(f'{log} has missions in the namespaces {found}: name one, --namespace')
+    root = (next(iter(above), '') if namespace is None else namespace).rstrip('/')
+    for name, own in nodes.items():
+        if name.rpartition('/')[0] == root and {'agents', 'rolling'} <= own.keys():
+            return Roles.of(root, json.loads(own['agents']))
+    sent = [
+        topic.removeprefix(f'{root}/').partition('/')
+        for topic, kind in topics.items()
+        if kind in (PATH, REPORT) and topic.startswith(f'{root}/')
+    ]
+    found_agents = (agent for agent, _, role in sent if role in EVIDENCE)
+    return Roles.of(root, dict.fromkeys([*agents, *found_agents]))
+
+
+class SeveralError(LogError):
+    """A log of which it is not known whose it is of several missions."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A message in a role of a mission that says nothing that it can."""
+
+    role: Role
+    topic: str
+    # Which of its topic it is.
+    index: int
+    why: str
+
+    def __str__(self) -> str:
+        """Return where it stands and what is wrong."""
+        return f'{self.topic}: {self.why}'
+
+
+class MissionLog:
+    """A log, read by the roles of its topics: nothing else on record means anything."""
+
+    def __init__(
+        self, path: str | Path, namespace: str | None = None, agents: Iterable[str] = ()
+    ) -> None:
+        self.path = Path(path)
+        self.roles = roles_on_record(path, namespace, agents)
+        # Messages in roles of the mission that cannot be, by topic and number.
+        self.left_out: dict[tuple[str, int], LeftOut] = {}
+
+    def read(
+        self,
+        *names: str,
+        corrupt: list[LogError] | None = None,
+        progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+    ) -> Iterator[tuple[Role, LoggedMessage]]:
+        """Yield the messages in roles of these names in their order; `corrupt` as `read_log`."""
+        roles = {topic: each for topic, each in self.roles.by_topic.items() if each.name in names}
+        types = {each.type_name for each in roles.values()}
+        for logged in progress(read_log(self.path, types, corrupt, roles.keys())):
+            role = roles[logged.topic]
+            if role.type_name == logged.type_name and self._is_sound(role, logged):
+                yield role, logged
+
+    def _is_sound(self, role: Role, logged: LoggedMessage) -> bool:
+        if role.name == 'belief':
+            check_version(self.path, logged.message)
+        try:
+            with self.leaving_out(role, logged):
+                check_content(role, logged.message)
+                return True
+        except (AttributeError, TypeError) as error:
+            raise LogError(
+                f'{self.path} has messages of another version of their type: {error}'
+            ) from error
+        return False
+
+    @contextmanager
+    def leaving_out(self, role: Role, logged: LoggedMessage) -> Iterator[None]:
+        """Go on without a message that turns out to be wrong."""
+        try:
+            yield
+        except LogError:
+            raise
+        except ValueError as error:
+            wrong = LeftOut(role, logged.topic, logged.index, str(error)[:LONGEST])
+            self.left_out[logged.topic, logged.index] = wrong
+
+    @cached_property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Return the parameters that the nodes of the mission had last, by their full names."""
+        known = read_parameters(self.path, [])
+        return {name: values for name, values in known.items() if self.roles.is_node(name)}
+
+
+def mission_log(log: str | Path | MissionLog) -> MissionLog:
+    """Return a log to be read by its roles."""
+    return log if isinstance(log, MissionLog) else MissionLog(log)
+
+
+def resumed_log(log: str, own: Roles) -> MissionLog:
+    """Return the log of a mission to go on with; raise ValueError if it is not that of a node."""
+    try:
+        recorded = MissionLog(log, agents=own.agents)
+    except SeveralError:
+        recorded = MissionLog(log, own.namespace, own.agents)
+    if differs := recorded.roles.difference(own.names):
+        raise ValueError(
+            f'{log} is of another mission: {differs} (namespace, remapped topics and the '
+            'parameter agents must be those of the mission)'
+        )
+    return recorded
+
+
+def check_content(role: Role, message: Any) -> None:
+    """Check that a message says what one in this role can; raises ValueError."""
+    if role.name == 'path':
+        read_path_name(message)
+        mission_of_path(message)
+    elif role.name == 'report':
+        read_report(message, role.agent)
+    elif role.name == 'status':
+        read_status(message, role.agent)
+    elif role.name == 'operator':
+        read_action_name(message)
+    elif role.name == 'belief':
+        operator.index(read_belief_maps(message).deployments)
+    elif role.name == 'model':
+        read_model_belief(message)
+    elif role.name == 'decision':
+        check_decision(message)
+    elif role.name == 'progress':
+        MissionState(message.state)
+        read_stamp('header.stamp', message.header.stamp)
+    elif role.type_name == GRID:
+        read_occupancy_grid(message)
+
+
+def check_version(log: str | Path, belief: Any) -> None:
+    """Check that the messages of a log are those of this version."""
+    known, fields = belief_field_names(), set(belief.__slots__)
+    if lacking := known - fields - ADDED:
+        raise LogError(
+            f'{log} was recorded before version 0.3.0, its beliefs have no {min(lacking)}: '
+            'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
+        )
+    if unknown := fields - known:
+        recorder = recorded_environment(log)['kbnitp_ros']
+        raise LogError(
+            f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
+            f'read it with that version of kbnitp_ros ({recorder})'
+        )
