@@ -161,21 +161,15 @@ class RobotNode(FieldNode):
         self._walk = Walk(
             self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
         )
-        self._whereabouts = Whereabouts(
-            round(self.values['tf_timeout'] * SECOND), round(self._unseen() * SECOND)
-        )
+        kept, speed = self.values['tf_timeout'], self.values['max_speed']
+        # In less time the robot cannot leave its cell and come back to where it sees it.
+        gap = min(kept, 2 * MARGIN * self.grid.resolution / speed) if speed else kept
+        self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
         # What was seen and is not counted for a step yet, and between which times.
         self._unread: list[tuple[int, int, bool]] = []
         self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
         self._stays_until, self._try_again_at = None, 0.0
-
-    def _unseen(self) -> float:
-        """Return for how many seconds the robot cannot leave its cell and come back unseen."""
-        longest: float = self.values['tf_timeout']
-        if speed := self.values['max_speed']:
-            longest = min(longest, 2 * MARGIN * self.grid.resolution / speed)
-        return longest
 
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
@@ -295,17 +289,15 @@ class RobotNode(FieldNode):
         # Where that is not certain, nothing is read: it would count for another cell.
         unread, self._unread = self._unread, []
         for since, until, seen in unread:
-            if not self._whereabouts.is_known(until):
-                self._unread.append((since, until, seen))
-                continue
             number = self._whereabouts.step_within(since, until)
-            if number == NONE or deployment.is_doubted:
-                continue
-            step = deployment.steps[number - 1]
-            # All that is said in a cell is one reading: whether anything was seen.
-            if step.reading < seen:
-                step.reading = int(seen)
-                self._keep(partial(self._journal.step, deployment, number))
+            if number is None:
+                self._unread.append((since, until, seen))
+            elif number != NONE and not deployment.is_doubted:
+                step = deployment.steps[number - 1]
+                # All that is said in a cell is one reading: whether anything was seen.
+                if step.reading < seen:
+                    step.reading = int(seen)
+                    self._keep(partial(self._journal.step, deployment, number))
 
     def _look(self) -> None:
         self._looked = time.time_ns(), self.now()

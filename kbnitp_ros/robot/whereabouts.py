@@ -42,12 +42,10 @@ class Whereabouts:
         while spans[0].last < time - self._kept:
             spans.popleft()
 
-    def is_known(self, time: int) -> bool:
-        """Return whether the robot was seen at a time or after it."""
-        return bool(self._spans) and time <= self._spans[-1].last
-
-    def step_within(self, since: int, until: int) -> int:
-        """Return the step in which the robot was all the time between two, or `NONE`."""
+    def step_within(self, since: int, until: int) -> int | None:
+        """Return the step in which the robot was between two times, or `NONE`; None before."""
+        if not self._spans or until > self._spans[-1].last:
+            return None
         for span in reversed(self._spans):
             if span.first <= since:
                 return span.step if until <= span.last else NONE
