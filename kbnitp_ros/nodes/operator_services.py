@@ -121,7 +121,8 @@ class Operator:
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
-        if request.data == self.state.is_paused:
+        # An action that is pending may change that.
+        if not self._pending and request.data == self.state.is_paused:
             state = 'is paused' if request.data else 'is not paused'
             return answered(response, not self.state.is_ended, f'the mission {state} already')
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
