@@ -193,7 +193,8 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     assert not answer.done()
     # It is not over yet, though it is not on disk.
     told = base.refused('pause', data=False)
-    assert told.startswith('waiting for the recorder') and told.endswith(': ask again when it is')
+    assert told.startswith('waiting for the recorder')
+    assert told.endswith(': ask again when it is')
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
