@@ -11,8 +11,8 @@ from typing import Any
 
 from kbnitp_ros.configuration import nearest, Parameter, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
-from kbnitp_ros.log.log_path import new_log
-from kbnitp_ros.nodes.runtime.transport import udp_only
+from kbnitp_ros.log.files import new_log
+from kbnitp_ros.nodes.runtime.graph import udp_only
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,

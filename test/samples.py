@@ -17,8 +17,8 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, report_message
+from kbnitp_ros.messages.headers import content_hash
 from rclpy.serialization import deserialize_message, serialize_message
 
 GRID = Grid(4, 3, blocked=[5])

@@ -14,7 +14,7 @@ LISTS = ROOT.joinpath('CONTRIBUTING.md').read_text().split('## Steps of frequent
 
 COLUMN = """
 from pathlib import Path
-from kbnitp_ros.report.curves import curves_of
+from kbnitp_ros.report.tables import curves_of
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.tables import write_tables
 mission = read_mission('log.mcap')

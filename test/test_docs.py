@@ -6,9 +6,9 @@ import re
 
 from demo_mission import demo_mission
 from documented import ROOT, rows, words
-from kbnitp_ros.bag import file_writer
 from kbnitp_ros.configuration import TABLE
 from kbnitp_ros.core import log_loss
+from kbnitp_ros.log import mcap_file as file_writer
 from kbnitp_ros.nodes.runtime import qos
 import numpy as np
 import pytest

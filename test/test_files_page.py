@@ -10,8 +10,8 @@ import subprocess
 import sys
 from typing import get_args, get_type_hints
 
+from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
-from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import Grid
 from kbnitp_ros.study.scenario import read_scenario, Scenario
 from kbnitp_ros.study.trial import trials_of

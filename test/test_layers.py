@@ -37,21 +37,20 @@ BELOW = {
     },
     'messages': {'core'},
     'maps': {'files', 'plugins', 'core'},
-    'bag': {'files'},
-    'log': {'core', 'messages', 'bag'},
+    'log': {'files', 'core', 'messages'},
     'robot': {'files', 'core', 'messages'},
     'figures': {'core', 'plugins'},
     'study': {'files', 'plugins', 'core', 'core.decision', 'figures'},
-    'report': {'files', 'core', 'maps', 'messages', 'log', 'bag', 'figures'},
+    'report': {'files', 'core', 'maps', 'messages', 'log', 'figures'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
     'base': {'files', 'core', 'messages', 'log', 'configuration'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {
-        'files', 'core', 'messages', 'log', 'bag', 'base', 'robot', 'configuration',
+        'files', 'core', 'messages', 'log', 'base', 'robot', 'configuration',
         'nodes.runtime',
     },
     'cli': {
-        'files', 'core', 'messages', 'log', 'bag', 'study', 'figures', 'report', 'configuration',
+        'files', 'core', 'messages', 'log', 'study', 'figures', 'report', 'configuration',
         'base', 'nodes.runtime',
     },
 }  # fmt: skip
@@ -191,7 +190,7 @@ def test_logs_are_read_without_ros():
     needed = [
         (str(path.relative_to(ROOT)), name)
         for path, tree in sources().items()
-        if layer_of(path).split('.')[0] in ('messages', 'log', 'bag', 'report', 'maps', 'figures')
+        if layer_of(path).split('.')[0] in ('messages', 'log', 'report', 'maps', 'figures')
         if str(path.relative_to(ROOT / 'kbnitp_ros')) not in WRITERS
         for node in tree.body
         if isinstance(node, ast.ImportFrom | ast.Import)

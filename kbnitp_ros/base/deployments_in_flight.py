@@ -1,20 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which robots were sent, which of them have departed, and when one times out."""
+"""Which robots were sent, which of them have departed, and who may still come home."""
 
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+import time
 from typing import Any, TypeVar
 
 from kbnitp_ros.configuration import MOST_ROBOTS, value_for
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.log.departures import Departures
+from kbnitp_ros.log.record import Departures
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState
 from kbnitp_ros.messages.headers import SECOND
-from kbnitp_ros.messages.status import AgentStatus, OrderState
 import numpy as np
 from numpy.typing import NDArray
+
+# Seconds after the first refusal and, since each that follows doubles it, at the most.
+FIRST, LONGEST = 1.0, 60.0
+
+
+class Refusals:
+    """The agents that refused their last orders: another one would be refused for the same."""
+
+    def __init__(self) -> None:
+        self._pauses: dict[str, float] = {}
+        self._until: dict[str, float] = {}
+
+    def add(self, agent: str) -> None:
+        """Take note that an agent refused an order."""
+        pause = min(2 * self._pauses[agent], LONGEST) if agent in self._pauses else FIRST
+        self._pauses[agent], self._until[agent] = pause, time.monotonic() + pause
+
+    def clear(self, agent: str) -> None:
+        """Take note that a robot of an agent departed."""
+        self._pauses.pop(agent, None)
+        self._until.pop(agent, None)
+
+    def is_left_alone(self, agent: str) -> bool:
+        """Return whether an agent is sent no order yet."""
+        return time.monotonic() < self._until.get(agent, 0.0)
+
+
+# How long the nodes of a base have to take in a return, in seconds.
+TAKEN_IN = 5.0
+
+
+class LateReturns:
+    """The robots that were given up and may still come home."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = values
+        self._until: dict[DeploymentKey, float] = {}
+
+    def expect(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        """Await a robot that was given up on a path, shape (steps + 1,)."""
+        self._until[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
+
+    def end(self, key: DeploymentKey) -> None:
+        """Await no robot that is home, once that has been taken in."""
+        if key in self._until:
+            self._until[key] = min(self._until[key], time.monotonic() + TAKEN_IN)
+
+    @property
+    def awaited(self) -> dict[DeploymentKey, float]:
+        """Return the robots that may still come home, and for how many seconds."""
+        now = time.monotonic()
+        return {key: until - now for key, until in self._until.items() if until > now}
+
 
 K = TypeVar('K')
 V = TypeVar('V')

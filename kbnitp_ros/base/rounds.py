@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rounds of a mission: where the robots go that leave together."""
+"""The rounds of a mission: where the robots go that leave together, found in the background."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
+from threading import Thread
 import time
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.configuration import most_distance, search_options, type_to_plan, value_for
@@ -25,6 +27,54 @@ from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar('T')
+
+
+def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Future[T]:
+    """Return the future of a computation in a thread, which calls `when_over` at its end."""
+    future: Future[T] = Future()
+    future.add_done_callback(lambda _: when_over())
+
+    def run() -> None:
+        try:
+            future.set_result(compute())
+        except BaseException as error:
+            future.set_exception(error)
+
+    # A process that ends waits for the threads of a pool, but not for this one.
+    Thread(target=run, daemon=True).start()
+    return future
+
+
+class SearchRequest(NamedTuple):
+    """What paths are searched for."""
+
+    # When the belief is from, in nanoseconds, and how many deployments it holds.
+    belief: tuple[int, int]
+    # Whose robots are to leave.
+    agents: list[str]
+    # How many rounds the operator refused in place of this one.
+    refused: int
+    # How often parameters were changed.
+    changes: int
+
+    def lasts(self, now: SearchRequest, is_rolling: bool) -> bool:
+        """Return whether robots may leave now on what was found for this."""
+        # Where robots leave one by one, a belief that came meanwhile is no news.
+        return (
+            (is_rolling or self.belief == now.belief)
+            and {*self.agents} <= {*now.agents}
+            and (self.refused, self.changes) == (now.refused, now.changes)
+        )
+
+
+class Search(NamedTuple):
+    """A search for the paths of the next round."""
+
+    request: SearchRequest
+    found: Future[PlannedRound]
+
 
 # Of robots that leave together, by deployment.
 Paths = dict[DeploymentKey, NDArray[np.intp]]

@@ -20,8 +20,7 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
-from kbnitp_ros.bag import check_is_new, LogError, LogLock, parts_of
-from kbnitp_ros.base.reachability import check_reach, reach_note
+from kbnitp_ros.base.checks import check_reach, reach_note
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
@@ -44,14 +43,14 @@ from kbnitp_ros.configuration import (
     true_dynamics,
     value_for,
 )
+from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
-from kbnitp_ros.configuration.world_file import read_world
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.log_path import NAME, new_log
+from kbnitp_ros.log.files import check_is_new, LogError, LogLock, NAME, new_log, parts_of
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_report

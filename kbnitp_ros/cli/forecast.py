@@ -32,11 +32,11 @@ from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
 from kbnitp_ros.core.forecast import Course, PossibleWorld
 from kbnitp_ros.figures import forecast_figure, save
-from kbnitp_ros.log.resumed import read_ledger
+from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report import check_is_free
-from kbnitp_ros.study.table import Cell, Table
+from kbnitp_ros.study.summary import Cell, Table
 from kbnitp_ros.study.workers import Workers, workers
 import numpy as np
 from numpy.typing import NDArray

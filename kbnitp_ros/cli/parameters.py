@@ -17,8 +17,8 @@ from kbnitp_ros.configuration import (
     parameters_of,
 )
 from kbnitp_ros.configuration.given import Sections, values_for
-from kbnitp_ros.log.evidence import first_belief
-from kbnitp_ros.log.replayed_decisions import RecordedGoal
+from kbnitp_ros.log.record import first_belief
+from kbnitp_ros.log.replayed import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
 
 

@@ -17,7 +17,7 @@ import time
 from typing import Any, IO
 
 from kbnitp_ros.files import share
-from kbnitp_ros.nodes.runtime.transport import udp_only
+from kbnitp_ros.nodes.runtime.graph import udp_only
 
 # Domains beyond 101 use ports that Linux hands out to others.
 DOMAINS = range(1, 102)

@@ -9,14 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from kbnitp_ros.bag import log_size, LogError, LoggedMessage, Recorded, repair
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.log.configuration import recorded_environment
-from kbnitp_ros.log.environment import numerical_environment
+from kbnitp_ros.log.configuration import numerical_environment, recorded_environment
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.mcap_file import repair
+from kbnitp_ros.log.read import log_size, LoggedMessage, Recorded
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replay_report import Grade, ReplayReport, TOLERANCE
+from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.progress import NOT_KNOWN
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from kbnitp_ros.bag import log_size, LogError
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report import (
     check_is_free,

@@ -15,12 +15,11 @@ import sys
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.study import benchmark
-from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import read_scenario, scenario_file, shipped
 from kbnitp_ros.study.trial import run_trial, trials_of
-from kbnitp_ros.study.workers import BACKENDS, workers
+from kbnitp_ros.study.workers import BACKENDS, Folder, workers
 from tqdm import tqdm
 
 DESCRIPTION = """

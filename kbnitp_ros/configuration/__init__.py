@@ -4,36 +4,39 @@
 from kbnitp_ros.configuration.agents import (
     agents_of,
     base_of,
+    clustering_of,
+    dynamics_of,
+    execution_of,
     most_distance,
     most_steps,
     own_robot_types,
     robot_type_of,
     robot_types_of,
+    sensor_model_of,
+    true_dynamics,
+    unknowns_of,
     value_for,
 )
-from kbnitp_ros.configuration.estimator import estimator_of
 from kbnitp_ros.configuration.field import datum_of, grid_of
-from kbnitp_ros.configuration.goal import check_goal, goal_of, stop_of
 from kbnitp_ros.configuration.known import (
     check_known,
     check_own,
     parameter_of,
     parameters_of,
+    reference_page,
     ROS_PARAMETERS,
 )
-from kbnitp_ros.configuration.models import (
-    clustering_of,
-    dynamics_of,
-    execution_of,
-    sensor_model_of,
-    true_dynamics,
-    unknowns_of,
+from kbnitp_ros.configuration.mission import (
+    check_goal,
+    check_search,
+    estimator_of,
+    goal_of,
+    prior_of,
+    search_options,
+    stop_of,
+    type_to_plan,
 )
-from kbnitp_ros.configuration.names import nearest, own_name
-from kbnitp_ros.configuration.page import reference_page
-from kbnitp_ros.configuration.parameter import Parameter
-from kbnitp_ros.configuration.prior import prior_of
-from kbnitp_ros.configuration.search import check_search, search_options, type_to_plan
+from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
 from kbnitp_ros.configuration.table import (
     LEARN,
     MOST_AGENTS,

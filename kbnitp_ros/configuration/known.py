@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameters a node has."""
+"""Which parameters a node has, and the page that documents them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import json
 from typing import Any
 
-from kbnitp_ros.configuration.names import nearest, own_name
-from kbnitp_ros.configuration.parameter import Parameter
+from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
 from kbnitp_ros.log.configuration import current_name
+from kbnitp_ros.plugins import Registry
 
 # What rclpy gives every node.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -66,3 +67,34 @@ def check_own(values: Mapping[str, Any]) -> None:
                 f'parameter {name} is for {own[0]}: {nearest(own[0], agents)}the parameter agents '
                 f'names {", ".join(agents)}'
             )
+
+
+def reference_page() -> str:
+    """Return the page that documents every parameter, in Markdown."""
+    lines = [
+        '# Parameters',
+        '',
+        'Printed by `python3 -m kbnitp_ros.configuration` from the table that the nodes use.',
+        'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
+        'says that it can be changed. Other packages may add methods, planners and allocations.',
+        '',
+        'Of these an agent may have others than the rest, as `team.AGENT.NAME`; see',
+        '[Maps](maps.md#robots-that-differ): '
+        f'{", ".join(dict.fromkeys(f"`{each.of_agent}`" for each in TABLE if each.per_agent))}.',
+    ]
+    for name in NODES:
+        lines += [
+            '',
+            f'## {name}',
+            '',
+            '| parameter | default | must be | meaning |',
+            '|---|---|---|---|',
+        ]
+        for parameter in parameters_of(name).values():
+            if isinstance(parameter.choices, Registry):
+                parameter = replace(parameter, choices=parameter.choices.own)
+            lines.append(
+                f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
+                f'| {parameter.description}{parameter.changeable} |'
+            )
+    return '\n'.join(lines) + '\n'

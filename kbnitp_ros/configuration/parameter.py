@@ -1,17 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a parameter is: its default, what its values must be, and how they are checked."""
+"""What a parameter is: its name, its default, what its values must be."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 import json
 import re
 from typing import Any
 
-from kbnitp_ros.configuration.names import nearest
 from kbnitp_ros.files import parse_yaml
 from kbnitp_ros.plugins import Registry
+
+NAME = '[A-Za-z][A-Za-z0-9_]*'
+
+
+def own_name(name: str) -> tuple[str, str] | None:
+    """Return the agent and the parameter that ``team.AGENT.NAME`` names; None of other names."""
+    own = re.fullmatch(rf'team\.({NAME})\.(.+)', name)
+    return (own[1], own[2]) if own else None
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return which of the names known may have been meant, as a question; empty when none."""
+    # A name within groups, such as lethality, is further from the whole ones than it looks.
+    meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
+    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    return f'did you mean {" or ".join(meant)}? ' if meant else ''
+
 
 KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
 

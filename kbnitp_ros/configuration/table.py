@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of all parameters: names, types, defaults, ranges and meanings."""
 
-from kbnitp_ros.configuration.names import NAME
-from kbnitp_ros.configuration.parameter import Parameter
+from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import (
     ALLOCATIONS,
     ALPHAS,

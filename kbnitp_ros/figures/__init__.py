@@ -4,19 +4,21 @@
 from kbnitp_ros.plugins import extra
 
 with extra('report'):
-    from kbnitp_ros.figures.field import draw_map, draw_paths, extent, hatch, plot
-    from kbnitp_ros.figures.files import FORMATS, LETTERS, save, WIDTH
-    from kbnitp_ros.figures.forecast import forecast_figure
-    from kbnitp_ros.figures.palette import (
+    from kbnitp_ros.figures.field import draw_map, draw_paths, extent, forecast_figure, hatch, plot
+    from kbnitp_ros.figures.files import (
         COUNTS,
         DARK_MAPS,
+        FORMATS,
+        LETTERS,
         LOST,
         MAPS,
         RETURNED,
+        save,
         Scale,
         SERIES,
         Style,
         UNVISITED,
+        WIDTH,
     )
 
 __all__ = [

@@ -1,18 +1,147 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML, files of the package, and words for what went wrong."""
 
-from kbnitp_ros.files.share import installed, share
-from kbnitp_ros.files.words import counted, in_words, naming, some
-from kbnitp_ros.files.yaml_text import NotYamlError, parse_yaml, read_yaml
+from __future__ import annotations
 
-__all__ = [
-    'NotYamlError',
-    'counted',
-    'in_words',
-    'installed',
-    'naming',
-    'parse_yaml',
-    'read_yaml',
-    'share',
-    'some',
-]
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+import errno
+from importlib.metadata import version
+from pathlib import Path
+import re
+from typing import Any
+
+import yaml
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def installed() -> str:
+    """Return the version of the package in use and its folder: there may be several installed."""
+    return f'kbnitp_ros {version("kbnitp_ros")} in {PACKAGE}'
+
+
+def share(relative: str) -> Path:
+    """Return where a file or folder of the package is: in the source tree, or installed."""
+    source = PACKAGE.parent / relative
+    if source.exists():
+        return source
+    # pip and colcon both install share/ beside lib/, which site-packages is in.
+    return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
+
+
+# What a user can do about an error of the disk.
+REMEDIES = {
+    errno.ENOSPC: 'free some space on that disk',
+    errno.EDQUOT: 'free some space within the disk quota',
+    errno.EFBIG: 'raise the limit on the size of files, see ulimit -f',
+    errno.EROFS: 'name a file on a disk that can be written to',
+    errno.EACCES: 'check the permissions of the file and its folder',
+    errno.EPERM: 'check the permissions of the file and its folder',
+    errno.EIO: 'check the disk',
+}
+
+# How many of many topics, or robots, a line names.
+NAMED = 3
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Have every OSError name a file."""
+    # The system names a file that is opened, but not an open one that is written.
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
+def in_words(error: BaseException) -> str:
+    """Return an error as one line; of an error of the system the file, the reason and a remedy."""
+    if isinstance(error, OSError) and error.strerror:
+        about = [error.filename] if error.filename is not None else []
+        remedy = REMEDIES.get(error.errno or 0)
+        return ': '.join(map(str, [*about, error.strerror])) + (f' ({remedy})' if remedy else '')
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
+def some(items: Iterable[object], named: int = NAMED) -> str:
+    """Return the first few of some items in words, and how many more there are."""
+    first = [str(each) for each in items]
+    more = len(first) - named
+    return ', '.join(first[:named]) + (f' and {more} more' if more > 0 else '')
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f'{number} {what}' if number == 1 else f'{number} {what}s'
+
+
+class Loader(yaml.CSafeLoader):
+    """The types of YAML 1.1, numbers such as 1e-3, and lists for the tuples of launch files."""
+
+
+Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'),
+    list('-+.0123456789'),
+)
+Loader.add_constructor(  # type: ignore[type-var]
+    'tag:yaml.org,2002:python/tuple', Loader.construct_yaml_seq
+)
+
+
+class NotYamlError(ValueError):
+    """A text that is no YAML, such as one that was cut off."""
+
+
+class KeyTwiceError(ValueError):
+    """A key that stands twice in a mapping."""
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Return the content of a YAML file; raise OSError or as `parse_yaml`."""
+    with naming(path):
+        return parse_yaml(Path(path).read_bytes())
+
+
+def parse_yaml(text: str | bytes) -> Any:
+    """Return the content of a YAML text; raise NotYamlError or KeyTwiceError."""
+    try:
+        loader = Loader(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            check_keys(node, set())
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
+    except KeyTwiceError:
+        raise
+    except Exception as error:
+        # PyYAML fails in many ways on a value that does not fit its tag.
+        raise NotYamlError(f'it is not YAML: {" ".join(str(error).split())}') from error
+
+
+def check_keys(node: yaml.Node, seen: set[int]) -> None:
+    """Raise KeyTwiceError for a mapping with a key twice; aliases lead to nodes seen before."""
+    if id(node) in seen or isinstance(node, yaml.ScalarNode):
+        return
+    seen.add(id(node))
+    lines: dict[str, int] = {}
+    for child in node.value:
+        if isinstance(node, yaml.MappingNode):
+            key, value = child
+            check_keys(key, seen)
+            if isinstance(key, yaml.ScalarNode):
+                line = key.start_mark.line + 1
+                if key.value in lines:
+                    raise KeyTwiceError(
+                        f'the key {key.value!r} stands in line {line} and in line '
+                        f'{lines[key.value]}'
+                    )
+                lines[key.value] = line
+            child = value
+        check_keys(child, seen)

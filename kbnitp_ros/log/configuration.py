@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a run was configured, as it stands in its log: versions, and the parameters of each node."""
+"""How a run was configured, as it stands in its log: versions, processor, and parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
 import json
 import os
 from pathlib import Path
@@ -14,8 +16,46 @@ import subprocess
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from kbnitp_ros.bag import LogError, metadata_of_part, parts_of, read_metadata
-from kbnitp_ros.log.environment import numerical_environment
+from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.read import metadata_of_part, read_metadata
+import numpy as np
+
+
+def numerical_environment() -> dict[str, str]:
+    """Return what this process computes with, by what it is."""
+    return {
+        'processor': _processor(),
+        # numpy and the C library compute logarithms otherwise where the processor can do more.
+        'processor_features': ' '.join(_processor_features()),
+        'c_library': ' '.join(platform.libc_ver()),
+        'numpy': np.__version__,
+        'numba': _installed_version('numba'),
+    }
+
+
+def _processor() -> str:
+    """Return the processor's name, its architecture if it has none."""
+    with suppress(OSError):
+        for line in Path('/proc/cpuinfo').read_text().splitlines():
+            if line.startswith('model name'):
+                return line.partition(':')[2].strip()
+    return platform.machine()
+
+
+def _processor_features() -> list[str]:
+    """Return what numpy found that the processor can do, and uses."""
+    extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
+    found = extensions['SIMD Extensions']
+    return [*found.get('baseline', ()), *found.get('found', ())]
+
+
+def _installed_version(package: str) -> str:
+    """Return the version of a Python package; 'none' if it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return 'none'
+
 
 # Names of metadata records; a node's full name, which starts with a slash, follows the second.
 RUN = 'run'

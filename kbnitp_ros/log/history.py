@@ -10,7 +10,6 @@ from math import isnan
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from kbnitp_ros.bag import LogError, LoggedMessage
 from kbnitp_ros.core import (
     Belief,
     Decision,
@@ -21,16 +20,15 @@ from kbnitp_ros.core import (
     Observation,
     World,
 )
-from kbnitp_ros.log.departures import Departures
-from kbnitp_ros.log.evidence import Evidence, required_belief
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import LoggedMessage
+from kbnitp_ros.log.record import Departures, Evidence, required_belief
 from kbnitp_ros.log.roles import mission_log, MissionLog, Role, TRUTH
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.decisions import read_decision
-from kbnitp_ros.messages.deployments import key_of_path, read_report
+from kbnitp_ros.messages.deployments import key_of_path, read_report, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.models import Known, ModelState, read_model_belief
-from kbnitp_ros.messages.status import read_status
+from kbnitp_ros.messages.progress import Known, ModelState, read_decision, read_model_belief
 import numpy as np
 from numpy.typing import NDArray
 

@@ -16,15 +16,20 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.bag import is_finished, LogError, LoggedMessage
 from kbnitp_ros.core import DeploymentKey, Ledger
-from kbnitp_ros.log.compare import differences
 from kbnitp_ros.log.configuration import read_changes
-from kbnitp_ros.log.evidence import begun, Evidence, GapError, required_belief
-from kbnitp_ros.log.operator_state import OperatorState
-from kbnitp_ros.log.replay_report import BeliefFinding, ReplayReport, TOLERANCE
-from kbnitp_ros.log.replayed_decisions import RecordedGoal, ReplayedDecisions
-from kbnitp_ros.log.replayed_views import ReplayedViews
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import is_finished, LoggedMessage
+from kbnitp_ros.log.record import begun, Evidence, GapError, required_belief
+from kbnitp_ros.log.replayed import (
+    BeliefFinding,
+    differences,
+    RecordedGoal,
+    ReplayedDecisions,
+    ReplayedViews,
+    ReplayReport,
+    TOLERANCE,
+)
 from kbnitp_ros.log.roles import GRID, mission_log, MissionLog, MODEL, VIEWS
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
@@ -35,12 +40,10 @@ from kbnitp_ros.messages.beliefs import (
     read_joint,
     Snapshot,
 )
-from kbnitp_ros.messages.fields import Fields
-from kbnitp_ros.messages.headers import from_stamp, read_stamp
-from kbnitp_ros.messages.missions import NO_MISSION
-from kbnitp_ros.messages.operator_action import read_operator_action
+from kbnitp_ros.messages.deployments import read_status
+from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
+from kbnitp_ros.messages.operator_actions import OperatorState, read_operator_action
 from kbnitp_ros.messages.progress import MissionState, Standing
-from kbnitp_ros.messages.status import read_status
 
 # What is computed from the evidence, and what is read besides before the beliefs.
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')

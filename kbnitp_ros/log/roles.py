@@ -12,18 +12,15 @@ import operator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kbnitp_ros.bag import LogError, LoggedMessage, read_log, read_recorded, RecordedMessage
 from kbnitp_ros.log.configuration import PARAMETERS, read_parameters, recorded_environment
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import LoggedMessage, read_log, read_recorded, RecordedMessage
 from kbnitp_ros.messages.beliefs import belief_field_names, read_belief_maps
-from kbnitp_ros.messages.decisions import check_decision
-from kbnitp_ros.messages.deployments import read_path_name, read_report
+from kbnitp_ros.messages.deployments import read_path_name, read_report, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
-from kbnitp_ros.messages.headers import read_stamp
-from kbnitp_ros.messages.missions import mission_of_path
-from kbnitp_ros.messages.models import read_model_belief
-from kbnitp_ros.messages.operator_action import read_action_name
-from kbnitp_ros.messages.progress import MissionState
-from kbnitp_ros.messages.status import read_status
+from kbnitp_ros.messages.headers import mission_of_path, read_stamp
+from kbnitp_ros.messages.operator_actions import read_action_name
+from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 DECISION = 'kbnitp_msgs/msg/Decision'
@@ -174,9 +171,9 @@ def role_called(name: str) -> Role:
 
 
 def roles_on_record(
-    log: str | Path, namespace: str | None = None, agents: Iterable[str] = ()
+    log: str | Path, namespace: str | None = None, own: Roles | None = None
 ) -> Roles:
-    """Return the roles of a mission on record, of these agents where it tells of none."""
+    """Return the roles of a mission on record, or as far as it tells none those of a reader."""
     nodes: dict[str, dict[str, str]] = {}
     topics: dict[str, str] = {}
     for item in read_recorded(log, []):
@@ -186,13 +183,13 @@ def roles_on_record(
             return Roles(item.values.pop(NAMESPACE), item.values)
         elif item.name.startswith(f'{PARAMETERS}/'):
             nodes.setdefault(item.name.removeprefix(PARAMETERS), {}).update(item.values)
-    return roles_of_old(log, namespace, agents, nodes, topics)
+    return roles_of_old(log, namespace, own, nodes, topics)
 
 
 def roles_of_old(
     log: str | Path,
     namespace: str | None,
-    agents: Iterable[str],
+    reader: Roles | None,
     nodes: Mapping[str, Mapping[str, str]],
     topics: Mapping[str, str],
 ) -> Roles:
@@ -206,7 +203,9 @@ def roles_of_old(
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
         raise SeveralError(f'{log} has missions in the namespaces {found}: name one, --namespace')
-    root = (next(iter(above), '') if namespace is None else namespace).rstrip('/')
+    # A log that was only just begun tells nothing.
+    unknown = reader.namespace if reader else ''
+    root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
     for name, own in nodes.items():
         if name.rpartition('/')[0] == root and {'agents', 'rolling'} <= own.keys():
             return Roles.of(root, json.loads(own['agents']))
@@ -216,7 +215,7 @@ def roles_of_old(
         if kind in (PATH, REPORT) and topic.startswith(f'{root}/')
     ]
     found_agents = (agent for agent, _, role in sent if role in EVIDENCE)
-    return Roles.of(root, dict.fromkeys([*agents, *found_agents]))
+    return Roles.of(root, dict.fromkeys([*(reader.agents if reader else ()), *found_agents]))
 
 
 class SeveralError(LogError):
@@ -242,10 +241,10 @@ class MissionLog:
     """A log, read by the roles of its topics: nothing else on record means anything."""
 
     def __init__(
-        self, path: str | Path, namespace: str | None = None, agents: Iterable[str] = ()
+        self, path: str | Path, namespace: str | None = None, own: Roles | None = None
     ) -> None:
         self.path = Path(path)
-        self.roles = roles_on_record(path, namespace, agents)
+        self.roles = roles_on_record(path, namespace, own)
         # Messages in roles of the mission that cannot be, by topic and number.
         self.left_out: dict[tuple[str, int], LeftOut] = {}
 
@@ -302,9 +301,9 @@ def mission_log(log: str | Path | MissionLog) -> MissionLog:
 def resumed_log(log: str, own: Roles) -> MissionLog:
     """Return the log of a mission to go on with; raise ValueError if it is not that of a node."""
     try:
-        recorded = MissionLog(log, agents=own.agents)
+        recorded = MissionLog(log, own=own)
     except SeveralError:
-        recorded = MissionLog(log, own.namespace, own.agents)
+        recorded = MissionLog(log, own.namespace, own)
     if differs := recorded.roles.difference(own.names):
         raise ValueError(
             f'{log} is of another mission: {differs} (namespace, remapped topics and the '

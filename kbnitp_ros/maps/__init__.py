@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps as map_server reads them, and the grids and prior beliefs made of them."""
 
-from kbnitp_ros.maps.datum import Datum
-from kbnitp_ros.maps.files import read_map
-from kbnitp_ros.maps.occupancy import Map, MapError
-from kbnitp_ros.maps.picture import read_site, Site
+from kbnitp_ros.maps.files import levels_of, read_map, read_site, Site, write_probabilities
+from kbnitp_ros.maps.occupancy import Datum, Map, MapError
 from kbnitp_ros.maps.prior import read_probabilities
-from kbnitp_ros.maps.writing import levels_of, write_probabilities
 
 __all__ = [
     'Datum',

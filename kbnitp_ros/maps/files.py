@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Maps in files, as Nav2's map_server reads them.
-
-A YAML file names an image and says where it lies and what its pixels mean: `image`, `resolution`,
-`origin` (x, y, yaw), `negate`, `occupied_thresh`, `free_thresh` and `mode`. The image's first row
-is the map's top.
-"""
+"""Maps in files, as Nav2 reads them: read, written, and as pictures."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
+from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.core import Belief, Grid
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.maps.occupancy import Map, MapError, OCCUPIED, UNKNOWN
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
+import yaml
 
 # Pillow's names of the formats that Nav2's map_saver writes: PGM, PNG and BMP. No decoder of
 # another is tried on a file; that of EPS starts another program.
@@ -178,3 +177,89 @@ def gray_values(image: Image.Image) -> NDArray[np.uint8]:
     if image.mode in ('P', 'LA', 'PA', 'RGBA'):
         image = image.convert('RGBA').convert('RGB')
     return np.asarray(image.convert('L'))
+
+
+WHITE = 255
+
+
+def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) -> None:
+    """Write 255 times the probability of each cell as a map in mode scale, black for 255."""
+    image = yaml_path.with_suffix('.pgm')
+    rows = (WHITE - levels).reshape(grid.height, grid.width)[::-1]
+    Image.fromarray(np.ascontiguousarray(rows)).save(image)
+    said = {
+        'image': image.name,
+        'mode': 'scale',
+        'resolution': grid.resolution,
+        'origin': [*grid.origin, grid.yaw],
+        'negate': 0,
+        'occupied_thresh': 1.0,
+        'free_thresh': 0.0,
+    }
+    yaml_path.write_text(yaml.safe_dump(said, sort_keys=False))
+
+
+def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
+    """
+    Return the maps of a belief in steps of 1/255, such that they are those of a belief again.
+
+    Each value is the one below or above that of the belief, of all that have a joint distribution
+    (kappa h <= t <= kappa h + 1 - h) those next to it.
+
+    """
+    exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE
+    best = np.rint(exact)
+    distance = np.full(belief.cells, np.inf)
+    for rounding in product((np.floor, np.ceil), repeat=3):
+        tried = np.stack([each(values) for each, values in zip(rounding, exact)])
+        off = np.where(is_belief(tried), np.abs(tried - exact).max(axis=0), np.inf)
+        best = np.where(off < distance, tried, best)
+        distance = np.minimum(off, distance)
+    return dict(zip(('hazard', 'target', 'kappa'), best.astype(np.uint8)))
+
+
+def is_belief(levels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where hazard, target and kappa, in whole steps, have a joint distribution."""
+    hazard, target, kappa = levels
+    both = kappa * hazard
+    result: NDArray[np.bool_] = (both <= WHITE * target) & (
+        WHITE * target <= both + WHITE * (WHITE - hazard)
+    )
+    return result
+
+
+# More pixels a side than that are nothing to see in a page.
+MOST_SHOWN = 1000
+
+
+@dataclass(frozen=True)
+class Site:
+    """The image of a map, and where it lies, in metres and rad."""
+
+    # A data URI with a PNG file of at most `MOST_SHOWN` pixels a side, the top row first.
+    source: str
+    # What it covers along and across the map's rows.
+    width: float
+    height: float
+    # The lower-left corner.
+    origin: tuple[float, float]
+    yaw: float
+
+
+def read_site(yaml_path: str | Path) -> Site:
+    """Return the image of a map."""
+    file = read_map_file(Path(yaml_path))
+    gray, opaque = read_image(file.image)
+    shade = np.stack([gray, np.where(opaque, 255, 0).astype(np.uint8)], axis=-1)[::-1]
+    picture = Image.fromarray(np.ascontiguousarray(shade), 'LA')
+    picture.thumbnail((MOST_SHOWN, MOST_SHOWN))
+    content = BytesIO()
+    picture.save(content, 'PNG')
+    rows, columns = gray.shape
+    return Site(
+        source=f'data:image/png;base64,{b64encode(content.getvalue()).decode()}',
+        width=columns * file.resolution,
+        height=rows * file.resolution,
+        origin=file.origin,
+        yaw=file.yaw,
+    )

@@ -9,8 +9,7 @@ from pathlib import Path
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import in_words
 from kbnitp_ros.maps.files import darkness, read_image, read_map_file, scaled
-from kbnitp_ros.maps.occupancy import MapError
-from kbnitp_ros.maps.overlap import ON_THE_EDGE, shares
+from kbnitp_ros.maps.occupancy import MapError, ON_THE_EDGE, shares
 import numpy as np
 from numpy.typing import NDArray
 

@@ -30,18 +30,19 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.messages.fields import Fields, filled
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,
+    Fields,
+    filled,
     from_stamp,
     header_fields,
+    NO_MISSION,
     read_name,
     read_stamp,
     shown,
     stamp_fields,
 )
-from kbnitp_ros.messages.missions import NO_MISSION
 import numpy as np
 
 if TYPE_CHECKING:

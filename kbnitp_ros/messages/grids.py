@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-What a grid message means, said once.
-
-Cells are in row-major order, row 0 at the bottom, as in the core. A probability is shown as whole
-percent, 0 to 100; a cell that no robot can enter is -1. The origin is the lower-left corner of
-cell 0, turned about the z axis as the rows are.
-"""
+"""What people and Nav2 see of a belief: maps as grids, and as masks of filters."""
 
 from __future__ import annotations
 
@@ -13,13 +7,20 @@ from math import atan2, cos, hypot, isfinite, pi, remainder, sin, tau
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.fields import Fields, filled
-from kbnitp_ros.messages.headers import check_frame, header_fields, stamp_fields
+from kbnitp_ros.messages.headers import (
+    check_frame,
+    Fields,
+    filled,
+    header_fields,
+    stamp_fields,
+)
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
+    from nav2_msgs.msg import CostmapFilterInfo
     from nav_msgs.msg import OccupancyGrid
+
 
 UNKNOWN = -1
 
@@ -136,3 +137,42 @@ def _data(message: Any, grid: Grid) -> NDArray[np.int8]:
         cell = illegal[0]
         raise ValueError(f'data of cell {cell} is {data[cell]}: it must be -1 or 0 to 100')
     return data.astype(np.int8)
+
+
+# The filters by the type of the message.
+KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
+
+
+def check_filter(filter_type: int, base: float, multiplier: float) -> None:
+    """Check that Nav2's filter of a type takes these numbers."""
+    given = f'filter.base is {base} and filter.multiplier {multiplier}'
+    if filter_type == KEEPOUT and (base, multiplier) != (0.0, 1.0):
+        raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')
+    if filter_type == KEEPOUT:
+        return
+    # It reads 0 percent as no limit.
+    limits = [base + multiplier * percent for percent in (1, 100)]
+    unit, most = ('%', 100.0) if filter_type == SPEED_PERCENT else ('m/s', float('inf'))
+    if not (min(limits) >= 0.0 and max(limits) <= most):
+        allowed = 'from 0 to 100 %' if filter_type == SPEED_PERCENT else 'at least 0 m/s'
+        raise ValueError(
+            f'{given}: with filter.type {filter_type} that is {limits[0]:.6g} {unit} at 1 % of '
+            f'hazard and {limits[1]:.6g} {unit} at 100 %, which must be {allowed}, or Nav2 takes '
+            'it for no limit'
+        )
+
+
+def filter_info(
+    filter_type: int, base: float, multiplier: float, mask_topic: str, stamp: int
+) -> CostmapFilterInfo:
+    """Return the message that has Nav2's filters take the map of a topic for their mask."""
+    from nav2_msgs.msg import CostmapFilterInfo
+
+    fields = Fields(
+        header=header_fields(stamp),
+        type=filter_type,
+        filter_mask_topic=mask_topic,
+        base=base,
+        multiplier=multiplier,
+    )
+    return filled(CostmapFilterInfo(), fields)

@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all messages start with: a time in whole nanoseconds and the frame of the grid."""
+"""What all messages have: a time and a frame, the mission they are of, a hash of what they say."""
 
 from __future__ import annotations
 
-from typing import Any, TYPE_CHECKING
+from array import array
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from hashlib import blake2b
+import struct
+from types import SimpleNamespace
+from typing import Any, TYPE_CHECKING, TypeVar
 
-from kbnitp_ros.messages.fields import Fields, filled
+import numpy as np
 
 if TYPE_CHECKING:
     from builtin_interfaces.msg import Time
     from std_msgs.msg import Header
+
 
 FRAME = 'map'
 SECOND = 10**9
@@ -94,3 +101,96 @@ def check_frame(name: str, frame_id: str) -> None:
         raise ValueError(
             f'{name} is {shown(frame_id)}: it must be {FRAME!r}, the frame of the grid'
         )
+
+
+M = TypeVar('M')
+
+# An object with fields, arrays of numbers as numpy's, lists of messages as lists of such objects.
+Fields = SimpleNamespace
+
+
+def filled(message: M, fields: Fields) -> M:
+    """Return a message, after its fields were set."""
+    for name, value in vars(fields).items():
+        if isinstance(value, Fields):
+            filled(getattr(message, name), value)
+        elif isinstance(value, np.ndarray):
+            # Of all that can be assigned, only this type is not checked value by value.
+            setattr(message, name, array(value.dtype.char, value.tobytes()))
+        elif not (isinstance(value, list) and value and isinstance(value[0], Fields)):
+            setattr(message, name, value)
+    return message
+
+
+# Of the hash: what a uint64 field holds.
+BYTES = 8
+
+
+def content_hash(message: Any) -> int:
+    """Return a hash of the names and the values of a message's fields."""
+    return int.from_bytes(
+        blake2b(b''.join(_encoded(message)), digest_size=BYTES).digest(), 'little'
+    )
+
+
+def _encoded(value: Any) -> Iterator[bytes]:
+    """Yield a value as bytes that no other value has: a tag, the size if that varies, the rest."""
+    if isinstance(value, bool):
+        yield b'b\1' if value else b'b\0'
+    elif isinstance(value, int):
+        # The least and the largest are those of int64 and uint64.
+        yield b'i' + value.to_bytes(9, 'little', signed=True)
+    elif isinstance(value, float):
+        yield b'f' + struct.pack('<d', value)
+    elif isinstance(value, str):
+        text = value.encode()
+        yield b's' + struct.pack('<Q', len(text)) + text
+    elif fields := _encoded_fields(value.__class__):
+        yield b'm' + struct.pack('<Q', len(fields))
+        for name, encoded_name in fields:
+            yield encoded_name
+            yield from _encoded(getattr(value, name))
+    elif isinstance(value, Iterable):
+        elements = list(value)
+        yield b'a' + struct.pack('<Q', len(elements))
+        for element in elements:
+            yield from _encoded(element)
+    else:
+        raise TypeError(f'a field is of {type(value)}: no value of a message is')
+
+
+@lru_cache
+def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
+    """Return the names of a message's fields as they are defined, and as bytes; none of others."""
+    if hasattr(kind, 'get_fields_and_field_types'):
+        names = tuple(kind.get_fields_and_field_types())
+    else:
+        names = getattr(kind, '__slots__', ())
+    return tuple((name, b''.join(_encoded(name))) for name in names)
+
+
+NO_MISSION = 0
+
+
+def mission_of_path(message: Any) -> int:
+    """Return when the mission of a nav_msgs/Path began, in nanoseconds."""
+    stated = message.poses[0].header.stamp if message.poses else message.header.stamp
+    if from_stamp(stated) == from_stamp(message.header.stamp):
+        return NO_MISSION
+    return read_stamp('poses[0].header.stamp', stated)
+
+
+def check_mission(stated: int, own: int | None) -> None:
+    """Check that a message belongs to a node's mission; None if that has not joined any."""
+    if own not in (None, stated):
+        raise ValueError(
+            f'it belongs to {named(stated)}, and not to {named(own)}: '
+            'play bags in a domain or a namespace of their own'
+        )
+
+
+def named(mission: int) -> str:
+    """Return what a mission is called."""
+    if mission == NO_MISSION:
+        return 'a mission that tells no time'
+    return f'the mission begun at {mission // SECOND}.{mission % SECOND:09d}'

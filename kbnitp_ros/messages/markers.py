@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot read on its way, for people to look at."""
+"""What people see of a robot: what it read on its way, and where a simulated one is."""
 
 from __future__ import annotations
 
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import header
 import numpy as np
 from std_msgs.msg import ColorRGBA
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
 DETECTED = ColorRGBA(r=1.0, g=0.6, b=0.0, a=1.0)
@@ -32,4 +34,19 @@ def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
         scale=Vector3(x=size, y=size, z=size),
         points=[Point(x=x, y=y) for x, y in centers.tolist()],
         colors=[DETECTED if detected else NOTHING for detected in readings[looked]],
+    )
+
+
+def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
+    """Return the transform from the grid's frame to AGENT/base_link, turned as its rows."""
+    ((x, y),) = grid.centers([cell]).tolist()
+    transform = Transform(
+        translation=Vector3(x=x, y=y), rotation=Quaternion(**vars(orientation_fields(grid.yaw)))
+    )
+    return TFMessage(
+        transforms=[
+            TransformStamped(
+                header=header(stamp), child_frame_id=f'{agent}/base_link', transform=transform
+            )
+        ]
     )

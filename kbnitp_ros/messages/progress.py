@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the message means that tells how a mission stands."""
+"""What the messages mean that tell how a mission stands: progress, model and decision."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
 from math import nan
-from typing import NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from kbnitp_ros.core import (
     Belief,
     binary_entropy,
+    Decision,
+    Grid,
     Ledger,
     log_loss,
+    ModelCheck,
     path_information,
     SensorModel,
     World,
 )
-from kbnitp_ros.messages.headers import header
+from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.headers import check_frame, Fields, filled, header, header_fields
+import numpy as np
 
 if TYPE_CHECKING:
     from kbnitp_msgs import msg
+    from kbnitp_msgs.msg import Decision as DecisionMessage
+    from kbnitp_msgs.msg import ModelBelief
 
 
 class MissionState(IntEnum):
@@ -101,3 +108,148 @@ def expected(ledger: Ledger, before: Held | None) -> float:
         return nan
     model = ledger.robot_type(ledger.newest).model(before.model)
     return path_information(before.belief, model, ledger.path(ledger.newest))
+
+
+# Per cent.
+QUANTILES = (5, 25, 50, 75, 95)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a number after some deployments."""
+
+    # Its mean and standard deviation.
+    mean: float
+    sd: float
+    # One for each of `QUANTILES`.
+    quantiles: tuple[float, ...]
+    # As many independent draws would tell the mean as well.
+    effective_samples: float
+
+
+class ModelState(NamedTuple):
+    """Learnt numbers, kinds of hazard with their probabilities, and the check of the model."""
+
+    numbers: dict[str, Known]
+    kinds: dict[str, float]
+    check: ModelCheck
+
+
+NOTHING_LEARNT = ModelState({}, {}, ModelCheck(False, {}, ''))
+
+
+def model_fields(ledger: Ledger, stamp: int) -> Fields:
+    """Return the fields of the message that goes with a belief of this stamp, in nanoseconds."""
+    estimator = ledger.estimator
+    parameters, check = estimator.parameters.values(), estimator.check
+    return Fields(
+        header=header_fields(stamp),
+        deployments=len(ledger.deployments),
+        name=list(estimator.parameters),
+        mean=np.array([each.mean for each in parameters]),
+        sd=np.array([each.sd for each in parameters]),
+        effective_sample_size=np.array([each.effective_samples for each in parameters]),
+        **{
+            f'quantile_{percent}': np.array([each.quantile(percent / 100) for each in parameters])
+            for percent in QUANTILES
+        },
+        kind=list(estimator.kinds),
+        kind_probability=np.array(list(estimator.kinds.values())),
+        alternative=list(check.alternatives),
+        alternative_ratio=np.array(list(check.alternatives.values())),
+        in_doubt=check.is_in_doubt,
+        reason=check.reason,
+    )
+
+
+def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
+    """Return the message of `model_fields`."""
+    from kbnitp_msgs.msg import ModelBelief
+
+    return filled(ModelBelief(), model_fields(ledger, stamp))
+
+
+def read_model_belief(message: Any) -> ModelState:
+    """Return the contents of a kbnitp_msgs/ModelBelief; those of 0.3.0 have numbers alone."""
+    check_frame('header.frame_id', message.header.frame_id)
+    fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
+    values = {field: list(getattr(message, field)) for field in fields}
+    for field, each in values.items():
+        if len(each) != len(message.name):
+            raise ValueError(
+                f'{field} has {len(each)} values: it must have one for each of the '
+                f'{len(message.name)} names'
+            )
+    numbers = {
+        name: Known(mean, sd, tuple(quantiles), samples)
+        for name, mean, sd, *quantiles, samples in zip(message.name, *values.values())
+    }
+    if not hasattr(message, 'kind'):
+        return NOTHING_LEARNT._replace(numbers=numbers)
+    for listed, field in (('kind', 'kind_probability'), ('alternative', 'alternative_ratio')):
+        if len(getattr(message, listed)) != len(getattr(message, field)):
+            raise ValueError(f'{field} must have one value for each {listed}')
+    kinds = dict(zip(message.kind, message.kind_probability))
+    ratios = dict(zip(message.alternative, message.alternative_ratio))
+    return ModelState(numbers, kinds, ModelCheck(message.in_doubt, ratios, message.reason))
+
+
+def decision_fields(decision: Decision, deployments: int) -> Fields:
+    """Return what the message of a decision says of the hazards, which the evidence determines."""
+    return Fields(
+        deployments=deployments,
+        goal=decision.goal,
+        probability=decision.p_free,
+        independent_draws=decision.independent_draws,
+        survival=decision.survival,
+        hazards_mean=decision.hazards_mean,
+        hazards_5=float(decision.hazards_5),
+        hazards_95=float(decision.hazards_95),
+    )
+
+
+def decision_message(
+    grid: Grid, decision: Decision, deployments: int, stamp: int, mission: int
+) -> DecisionMessage:
+    """Return the message of a decision made with a belief: its deployments, stamp and mission."""
+    from kbnitp_msgs.msg import Decision as DecisionMessage
+
+    return DecisionMessage(
+        header=header(stamp),
+        path=path_message(grid, decision.path, stamp, mission),
+        reached=decision.reached,
+        reason=decision.reason,
+        **vars(decision_fields(decision, deployments)),
+    )
+
+
+def check_decision(message: Any) -> None:
+    """Check that a message tells a decision; raises ValueError."""
+    names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
+    if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
+        raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')
+    if message.probability > 1.0:
+        raise ValueError(f'probability is {message.probability}: it must be in [0, 1]')
+    if message.path.poses and not 0.0 <= message.survival <= 1.0:
+        raise ValueError(f'survival is {message.survival}: it must be in [0, 1]')
+
+
+def read_decision(grid: Grid, message: Any) -> Decision:
+    """Return the decision that a message tells."""
+    check_decision(message)
+    at = [(each.pose.position.x, each.pose.position.y) for each in message.path.poses]
+    path = grid.cells_at(at) if at else np.empty(0, dtype=np.intp)
+    return Decision(
+        goal=message.goal,
+        p_free=message.probability,
+        # Of an area the message does not tell them.
+        cells=np.unique(path),
+        independent_draws=message.independent_draws,
+        path=path,
+        survival=message.survival,
+        hazards_mean=message.hazards_mean,
+        hazards_5=int(message.hazards_5),
+        hazards_95=int(message.hazards_95),
+        reached=message.reached,
+        reason=message.reason,
+    )

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_ros.configuration import robot_types_of
-from kbnitp_ros.log.deployments import MissionRecord
+from kbnitp_ros.log.record import MissionRecord
 from kbnitp_ros.log.roles import resumed_log
-from kbnitp_ros.nodes.hidden_field import PATIENCE
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.simulation import AgentPaths, SimulatedAgent, Simulation
+from kbnitp_ros.nodes.simulation import AgentPaths, PATIENCE, SimulatedAgent, Simulation
 
 
 class AgentNode(FieldNode):

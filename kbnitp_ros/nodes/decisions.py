@@ -8,14 +8,14 @@ from concurrent import futures
 from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.base.computation import computed
 from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
-from kbnitp_ros.log.deployments import MissionRecord
+from kbnitp_ros.log.record import MissionRecord
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.decisions import decision_message
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.progress import decision_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path

@@ -8,26 +8,23 @@ from functools import partial
 import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, LateReturns, Refusals
 from kbnitp_ros.base.knowledge import Knowledge
-from kbnitp_ros.base.late_returns import LateReturns
-from kbnitp_ros.base.refusals import Refusals
-from kbnitp_ros.base.resumption import Resumption
+from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import base_of, value_for
 from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
-from kbnitp_ros.log.departures import AtBaseError
-from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.log.record import AtBaseError
 from kbnitp_ros.messages.deployments import (
+    OrderState,
     path_message,
     read_path,
     read_report,
+    read_status,
     report_message,
     Source,
 )
-from kbnitp_ros.messages.headers import read_name
-from kbnitp_ros.messages.missions import mission_of_path
-from kbnitp_ros.messages.status import OrderState, read_status
+from kbnitp_ros.messages.headers import content_hash, mission_of_path, read_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
 from nav_msgs.msg import Path

@@ -1,28 +1,161 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives a robot: the actions of Nav2."""
+"""What drives a robot, what detects for it, and its links: Nav2, detectors, the network."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from fcntl import ioctl
 from functools import partial
 from itertools import pairwise
 from math import ceil, hypot
+import socket
+import struct
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.grids import orientation_fields
-from kbnitp_ros.messages.headers import header, shown
-from kbnitp_ros.nodes.lifecycle import Lifecycle, PERIOD
+from kbnitp_ros.messages.headers import header, read_stamp, shown
+from kbnitp_ros.nodes.heard import message_class
 from kbnitp_ros.nodes.runtime.node import MissionNode
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.task import Future
+
+PERIOD = 1.0  # seconds from one question to the next
+
+
+class Lifecycle:
+    """Asks another node, by its full name, for its lifecycle state."""
+
+    def __init__(self, node: MissionNode, name: str) -> None:
+        self._node = node
+        self._name = name
+        self._client = node.create_client(GetState, f'{name}/get_state')
+        self._state: State | None = None
+        self._asked_at = 0.0
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the node is there and has a lifecycle."""
+        return self._client.service_is_ready()
+
+    @property
+    def awaited(self) -> str:
+        """Return what the node must tell before it is active; empty if it is, or tells nothing."""
+        if not self.is_there:
+            return ''
+        now = time.monotonic()
+        if now > self._asked_at + PERIOD:
+            if now > self._asked_at + 2 * PERIOD:
+                # What it said before nobody asked for a while may hold no more.
+                self._state = None
+            self._asked_at = now
+            answer = self._client.call_async(GetState.Request())
+            answer.add_done_callback(self._node.guarded(self._on_answer))
+        if self._state is None:
+            return f'{self._name} to tell its lifecycle state'
+        if self._state.id == State.PRIMARY_STATE_ACTIVE:
+            return ''
+        return f'{self._name} to be active: its lifecycle state is {shown(self._state.label)}'
+
+    def _on_answer(self, answer: Future) -> None:
+        self._state = answer.result().current_state
+
+
+# From linux/sockios.h and linux/if.h.
+SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915
+IFF_LOOPBACK, IFF_RUNNING = 0x8, 0x40
+
+# A `struct ifreq` begins with a name; flags, or the family and port of an address, follow.
+REQUEST, FLAGS, ADDRESS = struct.Struct('16s24x'), struct.Struct('16xH'), struct.Struct('20x4s')
+
+
+def addresses() -> dict[str, str]:
+    """Return the IPv4 address of each interface that has a link, by name; that of lo is none."""
+    found = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        for _, name in socket.if_nameindex():
+            request = REQUEST.pack(name.encode())
+            try:
+                (flags,) = FLAGS.unpack_from(ioctl(asked, SIOCGIFFLAGS, request))
+                (address,) = ADDRESS.unpack_from(ioctl(asked, SIOCGIFADDR, request))
+            except OSError:
+                # It has no address, or is gone.
+                continue
+            if flags & IFF_RUNNING and not flags & IFF_LOOPBACK:
+                found[name] = socket.inet_ntoa(address)
+    return found
+
+
+class Links:
+    """What DDS knows of the links of this computer; to be made before the node."""
+
+    # A node that starts without a link listens on lo alone, and stays deaf when one comes up. One
+    # whose address changes is not found under the new one.
+
+    def __init__(self) -> None:
+        self._known = addresses()
+
+    @property
+    def are_missing(self) -> bool:
+        """Whether there was none when the node started."""
+        return not self._known
+
+    @property
+    def news(self) -> str:
+        """Return which addresses there are that DDS does not know; empty if it knows all."""
+        new = addresses().items() - self._known.items()
+        return ', '.join(f'{name} has {address}' for name, address in sorted(new))
+
+
+# What the parameter detection_type may be; not all installations have the package of the second.
+TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
+
+
+class Detection(NamedTuple):
+    """What was said at once."""
+
+    # Whether there is a target.
+    seen: bool
+    # When it was looked for, in nanoseconds; None when that is not told.
+    stamp: int | None
+
+
+def detection_class(name: str) -> type:
+    """Return the message class of a value of the parameter detection_type."""
+    try:
+        return message_class(TYPES[name])
+    except LookupError as error:
+        package = TYPES[name].partition('/')[0]
+        raise ValueError(
+            f'parameter detection_type is {name!r}: {error}; install {package}, such as by rosdep '
+            f'or as ros-jazzy-{package.replace("_", "-")}, or have the detector say std_msgs/Bool'
+        ) from error
+
+
+def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
+    """Return what a message of the detector says, by the parameters of its type."""
+    if values['detection_type'] == 'bool':
+        return Detection(bool(message.data), None)
+    wanted, least = values['detection_class'], values['detection_score']
+    seen = any(
+        result.hypothesis.class_id == (wanted or result.hypothesis.class_id)
+        and result.hypothesis.score >= least
+        for detection in message.detections
+        for result in detection.results
+    )
+    stamp = read_stamp('header.stamp', message.header.stamp)
+    # A driver that fills no header says nothing of the time.
+    return Detection(seen, stamp or None)
+
 
 # How far the poses of a path that a controller follows are apart at most, in metres.
 SPACING = 0.1

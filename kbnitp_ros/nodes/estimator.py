@@ -11,7 +11,7 @@ import sys
 import time
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
-from kbnitp_ros.base.clustered_density import density_note
+from kbnitp_ros.base.checks import density_note
 from kbnitp_ros.configuration import (
     agents_of,
     datum_of,
@@ -21,25 +21,26 @@ from kbnitp_ros.configuration import (
 )
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.departures import AtBaseError, Departures
-from kbnitp_ros.log.deployments import is_of_mission, read_mission
-from kbnitp_ros.log.evidence import check_same_field, record
+from kbnitp_ros.log.record import (
+    AtBaseError,
+    check_same_field,
+    Departures,
+    is_of_mission,
+    read_mission,
+    record,
+)
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.costmap_filters import check_filter, filter_info
-from kbnitp_ros.messages.deployments import read_path, read_report
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import check_mission, mission_of_path
-from kbnitp_ros.messages.models import model_belief
-from kbnitp_ros.messages.status import read_status
-from kbnitp_ros.nodes.assimilated import NewEvidence
+from kbnitp_ros.messages.deployments import read_path, read_report, read_status
+from kbnitp_ros.messages.grids import check_filter, filter_info
+from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
+from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.views import Views
+from kbnitp_ros.nodes.views import NewEvidence, Views
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacle_sentences import not_heard_again
+from kbnitp_ros.base.obstacles import not_heard_again
 from kbnitp_ros.configuration import base_of, check_search, value_for
 from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.files import counted

@@ -10,18 +10,17 @@ from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
 from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.rounds import describe_plan, Plans
-from kbnitp_ros.base.search import SearchRequest
+from kbnitp_ros.base.rounds import describe_plan, Plans, SearchRequest
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.files import some
-from kbnitp_ros.log.operator_state import OperatorState, Paths
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message
-from kbnitp_ros.messages.headers import header, next_name, shown
-from kbnitp_ros.messages.operator_action import (
+from kbnitp_ros.messages.headers import content_hash, header, next_name, shown
+from kbnitp_ros.messages.operator_actions import (
     Action,
     operator_action_message,
     OperatorAction,
+    OperatorState,
+    Paths,
 )
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode

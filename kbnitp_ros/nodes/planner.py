@@ -7,15 +7,23 @@ from collections.abc import Sequence
 from functools import partial
 import sys
 
-from kbnitp_ros.base.computation import computed
+from kbnitp_ros.base.checks import (
+    check_changes,
+    check_reach,
+    check_robots,
+    cut_off_note,
+    reach_note,
+)
 from kbnitp_ros.base.deployments_in_flight import check_periods
-from kbnitp_ros.base.obstacle_sentences import describe_obstacle, FullNames
-from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
-from kbnitp_ros.base.parameter_changes import check_changes, check_robots
-from kbnitp_ros.base.reachability import check_reach, cut_off_note, reach_note
-from kbnitp_ros.base.resumption import Resumption
-from kbnitp_ros.base.rounds import Plans, Rounds
-from kbnitp_ros.base.search import Search, SearchRequest
+from kbnitp_ros.base.mission_tracker import Resumption
+from kbnitp_ros.base.obstacles import (
+    AgentPresence,
+    Circumstances,
+    describe_obstacle,
+    FullNames,
+    Obstacle,
+)
+from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
 from kbnitp_ros.configuration import (
     agents_of,
     base_of,
@@ -29,14 +37,12 @@ from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import next_name
-from kbnitp_ros.messages.operator_action import Action, OperatorAction
-from kbnitp_ros.nodes.bounded_progress import BoundedProgress
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
-from kbnitp_ros.nodes.hold import Holding
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
-from kbnitp_ros.nodes.peers import Peers
+from kbnitp_ros.nodes.presence import Holding, Peers
 from kbnitp_ros.nodes.runtime.diagnostics import (
     done,
     MISSION_REASON,
@@ -45,6 +51,7 @@ from kbnitp_ros.nodes.runtime.diagnostics import (
 )
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
+from kbnitp_ros.nodes.views import BoundedProgress
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 

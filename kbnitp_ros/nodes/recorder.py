@@ -16,24 +16,33 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.bag import check_readable, LogWriter, MAX_MESSAGE, qos_profiles_yaml
 from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run_record
-from kbnitp_ros.log.departures import AtBaseError, Departures
-from kbnitp_ros.log.deployments import read_mission
-from kbnitp_ros.log.log_path import make_folder, new_log
+from kbnitp_ros.log.files import make_folder, new_log
+from kbnitp_ros.log.read import check_readable
+from kbnitp_ros.log.record import AtBaseError, Departures, read_mission
 from kbnitp_ros.log.roles import BELIEF, check_content, PATH, RECORD, resumed_log, Role
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import read_path_name, read_report
-from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.missions import check_mission, mission_of_path, NO_MISSION
-from kbnitp_ros.messages.operator_action import read_action_name
-from kbnitp_ros.messages.status import OrderState, read_status
-from kbnitp_ros.nodes.parameter_watch import ParameterWatch
-from kbnitp_ros.nodes.recorders import Recorders
-from kbnitp_ros.nodes.recorders import TOPIC as OPERATORS
+from kbnitp_ros.messages.deployments import OrderState, read_path_name, read_report, read_status
+from kbnitp_ros.messages.headers import (
+    check_mission,
+    content_hash,
+    mission_of_path,
+    NO_MISSION,
+    to_stamp,
+)
+from kbnitp_ros.messages.operator_actions import read_action_name
+from kbnitp_ros.nodes.heard import (
+    HeardTopic,
+    Message,
+    message_class,
+    ParameterWatch,
+    time_received,
+)
+from kbnitp_ros.nodes.presence import OPERATORS, Recorders
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import TOPICS
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
@@ -41,7 +50,6 @@ from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode, MOST_EARLY, PATIENCE
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.topic import HeardTopic, Message, message_class, time_received
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher

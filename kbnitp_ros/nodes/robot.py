@@ -16,17 +16,12 @@ from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import base_of, datum_of, value_for
 from kbnitp_ros.core import DeploymentKey, Grid, LONGEST_WALK
 from kbnitp_ros.files import in_words
-from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import report_message
-from kbnitp_ros.messages.headers import FRAME, SECOND
+from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
+from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
-from kbnitp_ros.messages.status import OrderState, status_message
-from kbnitp_ros.nodes.detections import detection_class, read_detection
-from kbnitp_ros.nodes.driver import Driver
-from kbnitp_ros.nodes.duplicate_names import DuplicateNames
-from kbnitp_ros.nodes.hold import Hold
-from kbnitp_ros.nodes.links import Links
-from kbnitp_ros.nodes.pending_paths import PendingPaths
+from kbnitp_ros.nodes.driver import detection_class, Driver, Links, read_detection
+from kbnitp_ros.nodes.presence import DuplicateNames, Hold
+from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -41,10 +36,8 @@ from kbnitp_ros.robot import (
     Whereabouts,
     without_loops,
 )
-from kbnitp_ros.robot.fixes import Fixes
-from kbnitp_ros.robot.transforms import Place, Transforms
-from kbnitp_ros.robot.walk import MARGIN
-from kbnitp_ros.robot.whereabouts import NONE
+from kbnitp_ros.robot.way import MARGIN
+from kbnitp_ros.robot.whereabouts import Fixes, NONE, Place, Transforms
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker

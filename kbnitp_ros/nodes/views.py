@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people look at: the maps of a belief as grids, and how the mission stands."""
+"""What people look at: the maps of a belief, how the mission stands, and what a belief names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from math import isnan, nan
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.core import Ledger, World
+from kbnitp_ros.core import deployment_order, DeploymentKey, Ledger, World
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Held, MissionState, NOT_KNOWN, progress_message, Standing
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import (
@@ -23,6 +25,72 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+
+# One of so many beliefs names all that it holds, so that a reader who lost one can go on.
+COMPLETE_EVERY = 64
+
+
+class NewEvidence:
+    """What was assimilated since the belief before."""
+
+    # A report that replaces another leaves the number of deployments as it was, so the belief
+    # after it names all that it holds.
+
+    def __init__(self) -> None:
+        self._keys: set[DeploymentKey] = set()
+        self._published = 0
+        # What the next belief adds to; 0 if it is to be complete.
+        self._since = 0
+        self._until_complete = COMPLETE_EVERY
+
+    def add(self, key: DeploymentKey) -> None:
+        """Take note of a deployment whose report was assimilated."""
+        self._keys.add(key)
+
+    def name_all(self) -> None:
+        """Have the next belief name all that it holds."""
+        self._since = 0
+
+    def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:
+        """Return what the belief of a ledger, which is published next, says of its evidence."""
+        since, held = self._since, len(ledger.deployments)
+        named = sorted(self._keys, key=deployment_order) if since else ledger.deployments
+        self._until_complete = (self._until_complete if since else COMPLETE_EVERY) - 1
+        has_grown = held > self._published
+        self._since = held if has_grown and self._until_complete else 0
+        self._published = held
+        self._keys.clear()
+        return since, named
+
+
+class BoundedProgress:
+    """Publishes the estimator's progress once more, with the bound that the plan came with."""
+
+    def __init__(self, node: FieldNode) -> None:
+        self._publisher = node.create_publisher(Progress, 'progress', qos.LATCHED)
+        self._heard: Progress | None = None
+        # The belief planned on, by its stamp, and the bound.
+        self._bound = -1, nan
+        node.hear(Progress, 'progress', self._on_progress, qos.LATCHED)
+
+    def show(self, stamp: int, upper_bound: float) -> None:
+        """Take note of the bound of paths, in nats, given the belief of a stamp."""
+        self._bound = stamp, upper_bound
+        self._publish()
+
+    def _on_progress(self, message: Progress) -> None:
+        # What this planner published itself has a bound.
+        if isnan(message.upper_bound):
+            self._heard = message
+            self._publish()
+
+    def _publish(self) -> None:
+        stamp, upper_bound = self._bound
+        if self._heard and from_stamp(self._heard.header.stamp) == stamp:
+            self._heard.upper_bound = upper_bound
+            self._publisher.publish(self._heard)
+            self._heard.upper_bound = nan
+
 
 # Seconds between two views: nobody sees more of them, and they take longer than small beliefs.
 PERIOD = 0.1

@@ -1,7 +1,202 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What there is of a kind by name: the package's own, and what others add; what others bring."""
+"""What there is of a kind by name: the own, and what other packages add."""
 
-from kbnitp_ros.plugins.extras import extra
-from kbnitp_ros.plugins.registry import name_of, PluginError, Registry, takes
+from __future__ import annotations
 
-__all__ = ['PluginError', 'Registry', 'extra', 'name_of', 'takes']
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import entry_points, EntryPoint
+from inspect import signature
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+from warnings import warn
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Name the extra that brings what is imported, where it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        words = f"No module named {error.name!r}; pip install 'kbnitp_ros[{name}]'"
+        raise ModuleNotFoundError(words, name=error.name) from None
+
+
+Entry = TypeVar('Entry')
+
+PACKAGE = 'kbnitp_ros'
+
+
+class PluginError(RuntimeError):
+    """What another package added breaks the rules of its kind while it is used."""
+
+
+class Registry(Mapping[str, Entry], Generic[Entry]):
+    """Entries of a kind by name: the package's own, and entry points of ``kbnitp_ros.<kind>s``."""
+
+    def __init__(
+        self,
+        kind: str,
+        check: Callable[[object], Entry],
+        own: Mapping[str, object],
+        gone: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.kind = kind
+        self.check = check
+        self.own: tuple[str, ...] = ()
+        self._entries: dict[str, Entry] = {}
+        self._sources: dict[str, str] = {}
+        self._refused = dict(gone)
+        self._is_searched = False
+        self.fill(own)
+
+    def fill(self, own: Mapping[str, object]) -> None:
+        """Register entries of the package's own."""
+        self.own += tuple(own)
+        self._entries |= {name: self.check(given) for name, given in own.items()}
+        self._sources |= dict.fromkeys(own, PACKAGE)
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Return the names that other packages add."""
+        return tuple(name for name in self if name not in self.own)
+
+    @property
+    def refused(self) -> Mapping[str, str]:
+        """Return why names cannot be had."""
+        self._search()
+        return self._refused
+
+    def __getitem__(self, name: str) -> Entry:
+        if name not in self._entries:
+            self._search()
+        return self._entries[name]
+
+    def __contains__(self, name: object) -> bool:
+        # YAML may say anything for a name.
+        return isinstance(name, str) and super().__contains__(name)
+
+    def __iter__(self) -> Iterator[str]:
+        self._search()
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        self._search()
+        return len(self._entries)
+
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    @contextmanager
+    def including(self, given: Mapping[str, Any]) -> Iterator[None]:
+        """Have more entries until the ``with`` statement is left."""
+        self._search()
+        before = dict(self._entries), dict(self._sources)
+        try:
+            for name, each in given.items():
+                try:
+                    self._add(name, each, str(each.__module__))
+                except (ValueError, TypeError) as error:
+                    raise type(error)(f'{self.kind} {name!r}: {error}') from error
+            yield
+        finally:
+            self._entries, self._sources = before
+
+    def find(self, given: str | Callable[..., Any]) -> Entry:
+        """Return the entry of a name, or what is given in place of one as an entry."""
+        if callable(given):
+            try:
+                return self.check(given)
+            except TypeError as error:
+                raise TypeError(f'{self.kind} {name_of(given)}: {error}') from error
+        if given not in self:
+            raise ValueError(f'{self.kind} is {given!r}: {self.why_not(given)}')
+        return self[given]
+
+    def why_not(self, name: object, *others: str) -> str:
+        """Return why there is no such name: it is refused, or only these and others are known."""
+        known = f'known are {", ".join((*self, *others))}'
+        reason = self._refused.get(name) if isinstance(name, str) else None
+        return f'{reason}; {known}' if reason else known
+
+    @contextmanager
+    def blamed(self, given: str | Callable[..., Any]) -> Iterator[None]:
+        """Raise a PluginError that names the package of an entry for any error but ValueError."""
+        try:
+            yield
+        except (ValueError, PluginError):
+            raise
+        except Exception as error:
+            if given in self.own:
+                raise
+            raise self.fault(given, f'failed: {in_words(error)}') from error
+
+    def fault(self, given: str | Callable[..., Any], words: str) -> PluginError:
+        """Return the error that says what an entry did wrong."""
+        source = given.__module__ if callable(given) else self._sources[given]
+        return PluginError(
+            f'{self.kind} {name_of(given)!r} of {source} {words}; '
+            f'kbnitp_ros.testing.check_{self.kind} finds such faults'
+        )
+
+    def _search(self) -> None:
+        """Load the entry points of other packages, once."""
+        if self._is_searched:
+            return
+        # A module that asks for names while it is imported sees those that there are by then.
+        self._is_searched = True
+        points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=source_of)
+        count = Counter(point.name for point in points)
+        for point in points:
+            source = source_of(point)
+            try:
+                if count[point.name] > 1:
+                    others = [source_of(each) for each in points if each.name == point.name]
+                    raise ValueError(f'{" and ".join(others)} have one of this name')
+                self._add(point.name, point.load(), source)
+            # A module may raise anything, and end the process, when it is imported.
+            except (Exception, SystemExit) as error:
+                reason = f'it is refused, of {source}: {in_words(error)}'
+                self._refused[point.name] = reason
+                warn(f'{self.kind} {point.name!r}: {reason}', RuntimeWarning, stacklevel=4)
+
+    def _add(self, name: str, given: object, source: str) -> None:
+        if not name.isidentifier():
+            raise ValueError('its name must be letters, digits and _, and begin with a letter')
+        if name in self._entries:
+            raise ValueError(f'{self._sources[name]} has a {self.kind} of this name')
+        self._entries[name] = self.check(given)
+        self._sources[name] = source
+
+
+def name_of(given: str | Callable[..., Any]) -> str:
+    """Return the name of an entry, or of what is given in place of one."""
+    if isinstance(given, str):
+        return given
+    return str(getattr(given, '__qualname__', type(given).__qualname__))
+
+
+def takes(given: object, arguments: Iterable[str]) -> None:
+    """Raise a TypeError if something cannot be called with so many arguments."""
+    names = tuple(arguments)
+    how = f'it must be callable with ({", ".join(names)})'
+    if not callable(given):
+        raise TypeError(f'it is {given!r}: {how}')
+    try:
+        signature(given).bind(*names)
+    # Some builtins have no signature.
+    except (TypeError, ValueError) as error:
+        raise TypeError(f'{how}: {error}') from error
+
+
+def source_of(point: EntryPoint) -> str:
+    """Return the distribution of an entry point, and what it says."""
+    whose = f'{point.dist.name} {point.dist.version}' if point.dist else 'a distribution'
+    return f'{whose} (entry point {point.name} = {point.value})'
+
+
+def in_words(error: BaseException) -> str:
+    """Return an error as one line, with its type unless checks raise it."""
+    words = ' '.join(str(error).split())
+    return words if type(error) in (ValueError, TypeError) else f'{type(error).__name__}: {words}'

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a mission's log comes to, for people and for other programs."""
 
-from kbnitp_ros.report.comparison import check_one_field, Pair
-from kbnitp_ros.report.comparison_page import comparison_of
-from kbnitp_ros.report.curves import Curves, curves_of
+from kbnitp_ros.report.comparison import check_one_field, comparison_of, Pair
 from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
 from kbnitp_ros.report.mission import DeploymentSummary, Mission, Moment, read_mission
+from kbnitp_ros.report.tables import Curves, curves_of
 
 __all__ = [
     'PARTS',

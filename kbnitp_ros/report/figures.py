@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from kbnitp_ros.figures import draw_map, draw_paths, hatch, LOST, MAPS, RETURNED, SERIES
 from kbnitp_ros.files import counted
-from kbnitp_ros.report.curves import Curves
 from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.tables import Curves
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator

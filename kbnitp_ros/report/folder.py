@@ -11,11 +11,10 @@ import shutil
 import tempfile
 
 from kbnitp_ros.figures import save
-from kbnitp_ros.report.curves import Curves
 from kbnitp_ros.report.figures import maps_figure, progress_figure
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import page_of
-from kbnitp_ros.report.tables import write_beliefs, write_tables
+from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
 
 
 def check_is_free(folder: Path) -> None:

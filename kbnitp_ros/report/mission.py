@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission as a report tells it: moments, one for each belief, and deployments."""
+"""A mission as a report tells it: moments, deployments, and where its field lies."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from math import nan
+from math import ceil, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.bag import is_finished, LogError, LoggedMessage, parts_of, read_metadata
 from kbnitp_ros.core import (
     Belief,
     Decision,
@@ -28,14 +27,55 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import RUN
-from kbnitp_ros.log.evidence import Evidence
+from kbnitp_ros.log.files import LogError, parts_of
 from kbnitp_ros.log.history import HeardBelief, History, read_history
+from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata
+from kbnitp_ros.log.record import Evidence
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.maps import Datum, Site
-from kbnitp_ros.messages.models import Known, ModelState, NOTHING_LEARNT
-from kbnitp_ros.report.place import datum_of, site_of
+from kbnitp_ros.maps import Datum, MapError, read_site, Site
+from kbnitp_ros.messages.grids import rounded_yaw
+from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT
 import numpy as np
 from numpy.typing import NDArray
+
+Parameters = Mapping[str, Mapping[str, Any]]
+
+# How much of a cell a map may end before the field does.
+PART = 1e-3
+
+
+def datum_of(parameters: Parameters) -> Datum | None:
+    """Return the datum of a mission; None if none is on record."""
+    given = {tuple(each['datum']) for each in parameters.values() if each.get('datum')}
+    if len(given) > 1:
+        raise ValueError(f'nodes had different datums: {sorted(given)}')
+    return Datum.of(*given) if given else None
+
+
+def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
+    """Return the image of the map that a mission took its field from, and why there is none."""
+    name = next((each['map'] for each in parameters.values() if each.get('map')), '')
+    if not name:
+        return None, ''
+    try:
+        site = read_site(name)
+    except MapError as error:
+        return None, f'The map is not shown: {error}.'
+    if not lies_under(site, grid):
+        return None, f'The map is not shown: {name} does not lie on the field any more.'
+    return site, ''
+
+
+def lies_under(site: Site, grid: Grid) -> bool:
+    """Say whether a grid is one of this map."""
+    columns, rows = (ceil(side / grid.resolution - PART) for side in (site.width, site.height))
+    return (site.origin, rounded_yaw(site.yaw), columns, rows) == (
+        grid.origin,
+        grid.yaw,
+        grid.width,
+        grid.height,
+    )
+
 
 # How many of the messages that nobody took are told one by one.
 REFUSALS = 5

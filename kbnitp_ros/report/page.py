@@ -17,9 +17,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from kbnitp_ros.core import Belief, Grid, Observation
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.log_path import NAME
-from kbnitp_ros.report.answers import cells_of, findings_of, losses_of, used_up_at, used_up_of
-from kbnitp_ros.report.curves import Curves, out_at
+from kbnitp_ros.log.files import NAME
+from kbnitp_ros.report.answers import (
+    cells_of,
+    findings_of,
+    losses_of,
+    tiles_of,
+    used_up_at,
+    used_up_of,
+)
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.plots import (
     as_drawn,
@@ -30,8 +36,7 @@ from kbnitp_ros.report.plots import (
     TRACES,
     WALKS,
 )
-from kbnitp_ros.report.tables import rows
-from kbnitp_ros.report.tiles import tiles_of
+from kbnitp_ros.report.tables import Curves, out_at, rows
 import numpy as np
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs

@@ -11,9 +11,9 @@ from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES
-from kbnitp_ros.report.curves import Curves
 from kbnitp_ros.report.figures import panels_of, quantiles_of
 from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 from plotly import graph_objects

@@ -1,20 +1,138 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission as tables and arrays for other programs."""
+"""A mission as numbers: curves after each moment, tables and arrays."""
 
 from __future__ import annotations
 
-from math import isnan
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import Observation
+from kbnitp_ros.core import binary_entropy, log_loss, Observation, path_information, Plan
 from kbnitp_ros.maps import levels_of, write_probabilities
-from kbnitp_ros.report.curves import Curves
 from kbnitp_ros.report.mission import Mission
 import numpy as np
 from numpy.typing import NDArray
 import pyarrow
 from pyarrow import csv, parquet
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """One value a moment, each of shape (moments,)."""
+
+    # H(Z) and H(X) summed over the cells, in nats.
+    hazard_entropy: Numbers
+    target_entropy: Numbers
+    # H(Z, X) summed over the cells, in nats.
+    joint_entropy: Numbers
+    # Log loss of the maps in nats; NaN where the truth is not on record.
+    hazard_loss: Numbers
+    target_loss: Numbers
+    # What information the deployment that was taken in was expected to bring, given the belief of
+    # the moment before: I(Z, X; Theta, Y) in nats. NaN at first, for a return that replaces a
+    # loss, and where the belief before is missing.
+    expected: Numbers
+    # By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot more
+    # or less; negative where it rose. NaN at first and where the belief before is missing.
+    gained: Numbers
+    # How much more than the path of that deployment another may have been worth, nats: the upper
+    # bound given the belief before, less what was expected and what a loss costs. NaN where there
+    # was no bound.
+    gap: Numbers
+    # How many robots were known to be lost.
+    lost: NDArray[np.intp]
+    # How many had been sent and not reported.
+    out: NDArray[np.intp]
+
+    @property
+    def entropy(self) -> Numbers:
+        """Return H(Z) + H(X), nats, shape (moments,)."""
+        return self.hazard_entropy + self.target_entropy
+
+    @property
+    def log_loss(self) -> Numbers:
+        """Return the log loss of both maps, nats, shape (moments,); NaN if it is not known."""
+        return self.hazard_loss + self.target_loss
+
+
+def curves_of(
+    mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
+) -> Curves:
+    """Return how a mission went; `progress` passes the numbers of the moments on."""
+    moments, world = mission.moments, mission.world
+    beliefs = [each.belief for each in moments]
+    joint_entropy = np.array([each.joint_entropy() for each in beliefs])
+    gaps = np.array([each.is_after_gap for each in moments])
+    gained = np.concatenate([[nan], -np.diff(joint_entropy)])
+    gained[gaps] = nan
+    expected = np.array([expected_at(mission, place) for place in progress(range(len(moments)))])
+    unknown = np.full(len(moments), nan)
+    return Curves(
+        hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),
+        target_entropy=np.array([binary_entropy(each.target).sum() for each in beliefs]),
+        joint_entropy=joint_entropy,
+        hazard_loss=np.array([log_loss(each.hazard, world.hazard) for each in beliefs])
+        if world
+        else unknown,
+        target_loss=np.array([log_loss(each.target, world.target) for each in beliefs])
+        if world
+        else unknown,
+        expected=expected,
+        gained=gained,
+        gap=np.array([gap_at(mission, place, worth) for place, worth in enumerate(expected)]),
+        lost=lost_by(mission),
+        out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
+    )
+
+
+def expected_at(mission: Mission, place: int) -> float:
+    """Return the information that the deployment of a moment was expected to bring, in nats."""
+    moment = mission.moments[place]
+    if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
+        return nan
+    before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
+    return path_information(before.belief, before.model_of(deployment.key.agent), deployment.path)
+
+
+def gap_at(mission: Mission, place: int, expected: float) -> float:
+    """Return how much more another path than that of a moment may have been worth, in nats."""
+    moment = mission.moments[place]
+    before = mission.moments[place - 1]
+    if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
+        return nan
+    deployment = mission.deployments[moment.deployment]
+    plan = Plan.along(deployment.path, before.belief, before.model_of(deployment.key.agent))
+    cost = mission.loss_cost(deployment.key.agent) * (1.0 - plan.survival)
+    return max(0.0, before.upper_bound - expected + cost)
+
+
+def lost_by(mission: Mission) -> NDArray[np.intp]:
+    """Return how many robots were known to be lost at each moment; late returns count no more."""
+    is_lost: dict[int, bool] = {}
+    counts = []
+    for moment in mission.moments:
+        if moment.is_after_gap:
+            for place, each in enumerate(mission.deployments):
+                if each.outcome and each.reported is not None and each.reported <= moment.time:
+                    is_lost.setdefault(place, not each.outcome.survived)
+        if moment.deployment is not None and moment.outcome is not None:
+            is_lost[moment.deployment] = not moment.outcome.survived
+        counts.append(sum(is_lost.values()))
+    return np.array(counts, dtype=np.intp)
+
+
+def out_at(mission: Mission) -> list[NDArray[np.intp]]:
+    """Return who was out at each moment, by their places among the deployments."""
+    never = np.iinfo(np.int64).max
+    sent = np.array([each.sent or 0 for each in mission.deployments])
+    reported = [each.reported for each in mission.deployments]
+    home = np.array([never if time is None else time for time in reported])
+    return [np.flatnonzero((sent <= each.time) & (home > each.time)) for each in mission.moments]
+
 
 # One row a deployment. Cells and readings are texts of numbers between blanks, so that both files
 # hold the same.

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways through the grid: paths in legs that can be driven, and ways that nobody planned."""
+"""From the cells of an order to legs that can be driven, and from positions to cells."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from math import hypot
 
 from kbnitp_ros.core import Grid
+import numpy as np
 
 # The cells of one goal, the one that the robot starts in first. A stay is its cell twice.
 Leg = tuple[int, ...]
@@ -82,3 +84,153 @@ def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
     while way[-1] != start:
         way.append(came_from[way[-1]])
     return way[::-1]
+
+
+class Itinerary:
+    """The legs of a deployment, one after another, and the way home when they cannot be made."""
+
+    # After too many tries without a new cell the robot goes home the way it came, without loops,
+    # and then by the shortest way and the way it came in turns.
+
+    def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
+        self._grid = grid
+        self._legs = legs_of(path) if path else []
+        self._attempts = attempts
+        # How often the leg was tried without progress, and how many of its cells were entered.
+        self._tried = 0
+        self._entered = 1
+        self.heads_home = not self._legs
+
+    @property
+    def is_stay(self) -> bool:
+        """Whether the robot is to wait where it is."""
+        return not self.heads_home and self._legs[0][0] == self._legs[0][-1]
+
+    @property
+    def destination(self) -> int:
+        """Return the cell where the next goal ends."""
+        return self._grid.base if self.heads_home else self._legs[0][-1]
+
+    def next_leg(self, walk: Sequence[int]) -> Leg:
+        """Return the cells of the next goal; the first of them is the last of the walk so far."""
+        if self.heads_home:
+            is_turn_of_shortest = self._tried // self._attempts % 2 == 1
+            if is_turn_of_shortest:
+                return tuple(shortest_way(self._grid, walk[-1], self._grid.base))
+            return tuple(without_loops(reversed(walk)))
+        first = self._entered
+        return (walk[-1], *self._legs[0][first:])
+
+    def enter(self, cell: int) -> None:
+        """Take note that the robot has come to a cell."""
+        if self.heads_home:
+            self._tried = 0
+        elif self._entered < len(self._legs[0]) and cell == self._legs[0][self._entered]:
+            self._entered += 1
+            self._tried = 0
+
+    def succeed(self) -> None:
+        """Take note that the robot is where the leg ends."""
+        if self._legs:
+            self._legs.pop(0)
+        self._begin_leg()
+
+    def fail(self) -> None:
+        """Take note that the leg was not made."""
+        self._tried += 1
+        if not self.heads_home and self._tried >= self._attempts:
+            self.go_home()
+
+    def go_home(self) -> None:
+        """Leave out what is left of the path."""
+        self._legs.clear()
+        self._begin_leg()
+
+    def _begin_leg(self) -> None:
+        self._tried, self._entered = 0, 1
+        self.heads_home = not self._legs
+
+
+# How far beyond the edge of its cell a robot must be to have left it, in sides of a cell: one that
+# drives along the edge does not go back and forth between the two, and one that passes a corner on
+# its diagonal is not in the cells beside it.
+MARGIN = 0.2
+
+
+class Walk:
+    """The cell that a robot is in, and the steps that take it to the next."""
+
+    def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
+        self.grid = grid
+        self.cell = cell
+        # Why the cells of this walk may be others: the last jump that counts and that the robot
+        # cannot have made; empty without any.
+        self.doubt = ''
+        self._patience = patience
+        self._max_speed = max_speed
+        # Where and when it was last seen where it can be: x, y and time.
+        self._seen: tuple[float, float, float] | None = None
+        # Since when the robot seems to have jumped.
+        self._away_since: float | None = None
+
+    def follow(self, x: float, y: float, time: float) -> list[int]:
+        """Return the cells that a robot entered up to a position, in metres, at a time."""
+        if self._off_middle(x, y) <= 0.5 + MARGIN:
+            return self._come_to(self.cell, x, y, time)
+        cell = self.cell_at(x, y)
+        row, col = divmod(self.cell, self.grid.width)
+        to_row, to_col = divmod(cell, self.grid.width)
+        if max(abs(to_row - row), abs(to_col - col)) > 1:
+            if self._away_since is None:
+                self._away_since = time
+            if time - self._away_since < self._patience:
+                raise ValueError(
+                    f'the robot seems to have jumped from cell {self.cell} to cell {cell}, '
+                    f'({x:.2f}, {y:.2f}): that counts if it lasts for {self._patience} s'
+                )
+            self.doubt = self._doubt_of(x, y, time) or self.doubt
+        return self._come_to(cell, x, y, time)
+
+    def _come_to(self, cell: int, x: float, y: float, time: float) -> list[int]:
+        """Have the robot be in a cell; return those that it has entered on a shortest way."""
+        way = shortest_way(self.grid, self.cell, cell)[1:]
+        self.cell, self._seen, self._away_since = cell, (x, y, time), None
+        return way
+
+    def _doubt_of(self, x: float, y: float, time: float) -> str:
+        """Return that a robot cannot have come to a position by now; empty if it can."""
+        if self._seen is None or not self._max_speed:
+            return ''
+        from_x, from_y, since = self._seen
+        distance, seconds = hypot(x - from_x, y - from_y), time - since
+        # Localisation that corrects itself by less than a cell is as good as that.
+        if distance <= self._max_speed * seconds + self.grid.resolution:
+            return ''
+        return (
+            f'a jump from ({from_x:.2f}, {from_y:.2f}) to ({x:.2f}, {y:.2f}), {distance:.1f} m in '
+            f'{seconds:.2f} s, and the robot makes {self._max_speed} m/s (parameter max_speed)'
+        )
+
+    def _off_middle(self, x: float, y: float) -> float:
+        """Return how far a position is from the middle of the cell, along x or y, in its sides."""
+        row, col = divmod(self.cell, self.grid.width)
+        place = self.grid.in_cells([x, y]) - (col, row)
+        return float(np.abs(place - 0.5).max())
+
+    def sees_its_cell(self, x: float, y: float) -> bool:
+        """Return whether a robot is so far within its cell that what it sees is there."""
+        return self._off_middle(x, y) <= 0.5 - MARGIN
+
+    def settle(self, x: float, y: float) -> list[int]:
+        """Return the cells entered by a robot that has come to rest: then no margin counts."""
+        cell = self.cell_at(x, y)
+        way = shortest_way(self.grid, self.cell, cell)[1:]
+        self.cell = cell
+        return way
+
+    def cell_at(self, x: float, y: float) -> int:
+        """Return the cell at a position."""
+        cell = int(self.grid.cells_at([[x, y]])[0])
+        if cell in self.grid.blocked:
+            raise ValueError(f'point ({x}, {y}) is in cell {cell}, which is blocked')
+        return cell

@@ -7,6 +7,6 @@ with extra('study'):
     from kbnitp_ros.study.comparing import compare
     from kbnitp_ros.study.report import figures_of, tables_of
     from kbnitp_ros.study.results import Results
-    from kbnitp_ros.study.table import Table
+    from kbnitp_ros.study.summary import Table
 
 __all__ = ['Results', 'Table', 'compare', 'figures_of', 'tables_of']

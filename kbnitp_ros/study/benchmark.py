@@ -26,8 +26,7 @@ from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import read_scenario, Scenario, scenario_file
-from kbnitp_ros.study.summary import as_json, LOG_LOSS, Mean, mean_of, shown
-from kbnitp_ros.study.table import Cell, Table
+from kbnitp_ros.study.summary import as_json, Cell, LOG_LOSS, Mean, mean_of, shown, Table
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -12,17 +12,24 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-from kbnitp_ros.study.decisions import (
+from kbnitp_ros.study.goals import DECLARED
+from kbnitp_ros.study.questions import (
     area_rows,
     asks_for,
+    at_equal_log_loss_more,
+    base_rows,
     certificate_rows,
     certifies,
+    common_rounds,
+    cost_of_learning,
+    differ_in_size,
+    equal_rows,
     lane_rows,
     MOST_CELLS,
+    number_rows,
+    ROBOTS,
+    team_rows,
 )
-from kbnitp_ros.study.goals import DECLARED
-from kbnitp_ros.study.learning import cost_of_learning, number_rows, ROBOTS
-from kbnitp_ros.study.loss_cost import at_equal_log_loss_more, base_rows, equal_rows
 from kbnitp_ros.study.results import Results, Series
 from kbnitp_ros.study.scenario import (
     differ_only_in,
@@ -33,6 +40,7 @@ from kbnitp_ros.study.scenario import (
 )
 from kbnitp_ros.study.summary import (
     after_robots,
+    Cell,
     json_row,
     lethality_cell,
     LOG_LOSS,
@@ -41,9 +49,8 @@ from kbnitp_ros.study.summary import (
     means_after,
     Row,
     shown,
+    Table,
 )
-from kbnitp_ros.study.table import Cell, Table
-from kbnitp_ros.study.teams import common_rounds, differ_in_size, team_rows
 
 Stated = Callable[[Strategy, Scenario], Any]
 Measured = Callable[[Series, Strategy, Strategy], Mean]

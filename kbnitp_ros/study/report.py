@@ -11,14 +11,16 @@ from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming
 from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
 from kbnitp_ros.study.comparison import COMPARISONS, differ_in_objective, learns
-from kbnitp_ros.study.decisions import decision_chart
-from kbnitp_ros.study.learning import numbers_chart
-from kbnitp_ros.study.loss_cost import loss_cost_chart
+from kbnitp_ros.study.questions import (
+    decision_chart,
+    differ_in_size,
+    loss_cost_chart,
+    numbers_chart,
+    teams_chart,
+)
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in
-from kbnitp_ros.study.summary import Row, summarise, table_of
-from kbnitp_ros.study.table import Table
-from kbnitp_ros.study.teams import differ_in_size, teams_chart
+from kbnitp_ros.study.summary import Row, summarise, Table, table_of
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from pyarrow import parquet

@@ -8,13 +8,13 @@ import subprocess
 import sys
 
 from bags import write_bag
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log
-from kbnitp_ros.bag.repair import repair
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.demo import main as demo_command
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.cli.report import main as report_command
+from kbnitp_ros.log.mcap_file import repair
+from kbnitp_ros.log.read import is_finished, LogError, read_log
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.write import LogWriter
 from laws import for_each
 from mission_log import record, record_to
 import pytest

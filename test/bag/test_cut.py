@@ -4,10 +4,10 @@
 from collections import Counter
 
 from extent import FULL
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.log.read import is_finished, LogError, read_log
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.write import LogWriter
 from mcap.reader import make_reader
 from mission_log import record_to
 import numpy as np

@@ -8,8 +8,10 @@ from pathlib import Path
 import subprocess
 import sys
 
-from kbnitp_ros.bag import LogError, LogWriter, parts_of, read_log
 from kbnitp_ros.cli.replay import main
+from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.read import read_log
+from kbnitp_ros.log.write import LogWriter
 from laws import for_each
 from mission_log import record, record_to
 import pytest
@@ -19,7 +21,7 @@ HELD = 'mission.mcap is being written by another recorder: end that one before'
 WRITE_UNTIL_KILLED = """
 import sys
 from mission_log import mission, record_to
-from kbnitp_ros.bag import LogWriter
+from kbnitp_ros.log.write import LogWriter
 
 log = LogWriter(sys.argv[1], resume=len(sys.argv) > 2, max_file_size=1)
 record_to(log, mission(robots=1).sent[:3], synced=True)

@@ -6,11 +6,11 @@ import shutil
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose
-from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.reader import read_log, read_recorded
-from kbnitp_ros.bag.repair import repair
-from kbnitp_ros.bag.schema import qos_profiles_yaml
-from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.mcap_file import repair
+from kbnitp_ros.log.read import read_log, read_recorded
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.write import LogWriter
 from laws import for_each
 from mcap.reader import make_reader
 from mission_log import mission, record, record_to, same, START

@@ -6,9 +6,9 @@ import struct
 from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_metadata, read_recorded
-from kbnitp_ros.bag.schema import qos_profiles_yaml
-from kbnitp_ros.bag.writer import LogWriter, MAX_MESSAGE
+from kbnitp_ros.log.read import is_finished, LogError, read_log, read_metadata, read_recorded
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from laws import for_each
 from mcap.writer import Writer
 from mission_log import on, QOS, record, record_to, same

@@ -2,12 +2,12 @@
 """What is intact of a log becomes a finished file."""
 
 from disk import room_for
-from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.metadata import BagFile, write_metadata
-from kbnitp_ros.bag.reader import is_finished, read_metadata, read_part, RecordedMessage
-from kbnitp_ros.bag.repair import repair
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.replay import main
+from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.mcap_file import repair
+from kbnitp_ros.log.read import is_finished, read_metadata, read_part, RecordedMessage
+from kbnitp_ros.log.schema import BagFile, write_metadata
+from kbnitp_ros.log.write import LogWriter
 from laws import for_each
 from mission_log import record, record_to
 from other_readers import check_all_read

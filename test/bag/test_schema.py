@@ -6,7 +6,7 @@ import shutil
 
 from ament_index_python import packages
 from ament_index_python.packages import get_package_share_directory
-from kbnitp_ros.bag.schema import describe, qos_profiles_yaml
+from kbnitp_ros.log.schema import describe, qos_profiles_yaml
 from laws import for_each
 import pytest
 from rclpy.duration import Duration

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from disk import room_for
 from extent import FULL
-from kbnitp_ros.bag.file_writer import MESSAGE_HEAD
-from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.reader import (
+from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.mcap_file import MESSAGE_HEAD
+from kbnitp_ros.log.read import (
     is_finished,
     LogError,
     read_log,
@@ -18,7 +18,7 @@ from kbnitp_ros.bag.reader import (
     read_recorded,
     RecordedMessage,
 )
-from kbnitp_ros.bag.writer import LogWriter, MAX_MESSAGE
+from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from laws import for_each
 from mcap.reader import make_reader
 from mission_log import QOS, record, record_to

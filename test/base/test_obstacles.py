@@ -7,12 +7,16 @@ from dataclasses import replace
 from itertools import combinations
 
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.obstacle_sentences import describe_obstacle, FullNames
-from kbnitp_ros.base.obstacles import AgentPresence, Circumstances, Obstacle
-from kbnitp_ros.log.operator_state import OperatorState
-from kbnitp_ros.messages.operator_action import Action, OperatorAction
+from kbnitp_ros.base.obstacles import (
+    AgentPresence,
+    Circumstances,
+    describe_obstacle,
+    FullNames,
+    Obstacle,
+)
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
 from kbnitp_ros.messages.progress import MissionState
-from kbnitp_ros.messages.status import AgentStatus, OrderState
 from laws import for_each
 from samples import HOME, key
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.base.parameter_changes import check_changes, check_robots
+from kbnitp_ros.base.checks import check_changes, check_robots
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.core import Grid
 from laws import for_each

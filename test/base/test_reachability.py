@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.base.reachability import cut_off_note, reach_note
+from kbnitp_ros.base.checks import cut_off_note, reach_note
 from kbnitp_ros.core import Grid
 from laws import for_each
 

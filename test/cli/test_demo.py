@@ -14,9 +14,6 @@ import time
 
 from demo_mission import demo_mission
 from kbnitp_msgs.msg import BeliefMaps, Progress
-from kbnitp_ros.bag.reader import is_finished, LogError, read_log, read_recorded, RecordedMetadata
-from kbnitp_ros.bag.repair import copy
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.cli.demo import (
     chosen_parameters,
     main,
@@ -28,7 +25,7 @@ from kbnitp_ros.cli.demo import (
 )
 from kbnitp_ros.cli.processes import free_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
-from kbnitp_ros.configuration.world_file import read_world
+from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (
     Belief,
     Beta,
@@ -44,10 +41,13 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.log.evidence import last_belief
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.mcap_file import copy
+from kbnitp_ros.log.read import is_finished, LogError, read_log, read_recorded, RecordedMetadata
+from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog, PROGRESS, REPORT
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos

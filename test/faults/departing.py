@@ -10,8 +10,8 @@ import sys
 import time
 
 from fickle_robot import CRASHED, UNPLUGGED, WITHOUT_LINK
-from kbnitp_ros.bag.reader import LogError
 from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.nodes.robot import NEW_LINKS
 from mission import Mission, NAMESPACE, StuckError

@@ -19,11 +19,9 @@ import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
-from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import read_path, report_message
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.status import OrderState, status_message
-from kbnitp_ros.nodes.links import Links
+from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
+from kbnitp_ros.messages.headers import content_hash, from_stamp
+from kbnitp_ros.nodes.driver import Links
 from kbnitp_ros.nodes.robot import NEW_LINKS
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import os
 
 from forger import Forger
-from kbnitp_ros.bag import read_log
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import BELIEF
 from mission import full_name, Mission, NAMESPACE, StuckError

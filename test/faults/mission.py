@@ -10,9 +10,9 @@ from pathlib import Path
 import signal
 import time
 
-from kbnitp_ros.bag.reader import LogError
 from kbnitp_ros.cli.processes import Processes
 from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
+from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import key_of_path

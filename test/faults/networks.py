@@ -11,7 +11,7 @@ import subprocess
 import time
 
 from kbnitp_ros.files import share
-from kbnitp_ros.nodes.runtime.transport import udp_only
+from kbnitp_ros.nodes.runtime.graph import udp_only
 
 SUBNET = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 from extent import some
-from kbnitp_ros.bag import LogError
-from kbnitp_ros.base.resumption import Resumption
+from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.configuration import grid_of
-from kbnitp_ros.configuration.prior import earlier_belief
+from kbnitp_ros.configuration.mission import earlier_belief
 from kbnitp_ros.core import Grid
-from kbnitp_ros.log.evidence import Evidence
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.record import Evidence
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map

@@ -13,7 +13,7 @@ import sys
 import time
 
 from fleet import FIELD, GRID, SIMULATOR, TARGETS
-from kbnitp_ros.bag.reader import LogError, read_log
+from kbnitp_ros.log.read import LogError, read_log
 from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.robot import NEW_LINKS

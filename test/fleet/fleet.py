@@ -17,9 +17,8 @@ from action_msgs.srv import CancelGoal
 from forked import ForkedProcess, run_simulator
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.headers import content_hash, from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Bool, String

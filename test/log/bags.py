@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags in rosbag2's own form, made by rosbags."""
 
-from kbnitp_ros.bag.schema import describe
+from kbnitp_ros.log.schema import describe
 from rosbags.interfaces import (
     Qos,
     QosDurability,

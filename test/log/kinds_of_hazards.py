@@ -4,9 +4,9 @@
 from pathlib import Path
 import sys
 
-from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.core import Clustering, Dynamics, Execution, Unknowns
 from kbnitp_ros.log.configuration import RUN, run_record
+from kbnitp_ros.log.write import LogWriter
 from mission_log import GRID, mission, record_to
 
 # How often each step survived is heard of.

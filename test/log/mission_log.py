@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from kbnitp_ros.bag.schema import qos_profiles_yaml
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import (
     AS_ORDERED,
     Belief,
@@ -25,14 +23,14 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.missions import NO_MISSION
-from kbnitp_ros.messages.models import model_belief
-from kbnitp_ros.nodes.assimilated import NewEvidence
+from kbnitp_ros.messages.headers import content_hash, from_stamp, NO_MISSION
+from kbnitp_ros.messages.progress import model_belief
+from kbnitp_ros.nodes.views import NewEvidence
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message

@@ -9,9 +9,9 @@ import subprocess
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.reader import read_part, read_recorded, RecordedMessage
-from kbnitp_ros.bag.schema import describe
+from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.read import read_part, read_recorded, RecordedMessage
+from kbnitp_ros.log.schema import describe
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mission_log import same

@@ -10,17 +10,17 @@ import re
 import subprocess
 import sys
 
-from kbnitp_ros.bag.errors import LogError
-from kbnitp_ros.bag.reader import read_metadata
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.log.configuration import (
+    numerical_environment,
     PARAMETERS,
     parameters_record,
     read_parameters,
     RUN,
     run_record,
 )
-from kbnitp_ros.log.environment import numerical_environment
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import read_metadata
+from kbnitp_ros.log.write import LogWriter
 from mcap.reader import make_reader
 import numpy as np
 import pytest

@@ -8,9 +8,9 @@ from itertools import permutations
 
 from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.log.departures import Departures
+from kbnitp_ros.log.record import Departures
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_status, status_message
 from kbnitp_ros.messages.headers import to_stamp
-from kbnitp_ros.messages.status import AgentStatus, OrderState, read_status, status_message
 from laws import for_each
 import numpy as np
 import pytest

@@ -5,8 +5,8 @@ from dataclasses import replace
 from itertools import product
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
-from kbnitp_ros.log.deployments import MissionRecord
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.record import MissionRecord
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import path_message, report_message

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission of a log is the one that its beliefs state, whatever paths came before."""
 
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Ledger, SensorModel
-from kbnitp_ros.log.deployments import MissionRecord, read_mission
+from kbnitp_ros.log.record import MissionRecord, read_mission
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message
 from laws import for_each

@@ -17,10 +17,10 @@ import subprocess
 import sys
 
 from kbnitp_ros.core import METHODS
-from kbnitp_ros.log.deployments import MissionRecord
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.record import MissionRecord
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
 from kinds_of_hazards import KINDS
 from laws import for_each

@@ -13,9 +13,6 @@ from extent import FULL
 from hypothesis import assume, given, Phase, settings
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import UnknownNumber
-from kbnitp_ros.bag import writer
-from kbnitp_ros.bag.reader import LogError
-from kbnitp_ros.bag.schema import describe
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import (
     AS_ORDERED,
@@ -28,14 +25,17 @@ from kbnitp_ros.core import (
     Report,
     Unknowns,
 )
-from kbnitp_ros.log.deployments import MissionRecord, read_newest_round
+from kbnitp_ros.log import write as writer
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.read import LogError
+from kbnitp_ros.log.record import MissionRecord, read_newest_round
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replay_report import Grade
+from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import BELIEF, MissionLog, PATH, REPORT
+from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.nodes.assimilated import COMPLETE_EVERY
+from kbnitp_ros.nodes.views import COMPLETE_EVERY
 from laws import for_each
 from mcap_ros2 import writer as ros2
 from mission_log import (

@@ -5,10 +5,9 @@ from copy import deepcopy
 
 from kbnitp_ros.core import Area, HazardDraws, Lane
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replay_report import Grade
-from kbnitp_ros.log.replayed_decisions import RecordedGoal
-from kbnitp_ros.messages.decisions import decision_message
+from kbnitp_ros.log.replayed import Grade, RecordedGoal
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.progress import decision_message
 from laws import for_each
 from mission_log import GRID, instead, MAX_STEPS, Mission, observations, on, record, without
 import pytest

@@ -14,20 +14,24 @@ from kbnitp_msgs.msg import (
     OperatorAction,
     Progress,
 )
-from kbnitp_ros.bag import LogError, LogWriter
 from kbnitp_ros.cli.replay import main as replay_main
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
-from kbnitp_ros.log.deployments import MissionRecord
+from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.record import MissionRecord, read_ledger
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.resumed import read_ledger
 from kbnitp_ros.log.roles import MissionLog, RECORD, resumed_log, Roles
-from kbnitp_ros.messages.deployments import path_message, report_message
+from kbnitp_ros.log.write import LogWriter
+from kbnitp_ros.messages.deployments import (
+    OrderState,
+    path_message,
+    report_message,
+    status_message,
+)
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import header
-from kbnitp_ros.messages.operator_action import Action, operator_action_message
-from kbnitp_ros.messages.operator_action import OperatorAction as Decided
-from kbnitp_ros.messages.status import OrderState, status_message
+from kbnitp_ros.messages.operator_actions import Action, operator_action_message
+from kbnitp_ros.messages.operator_actions import OperatorAction as Decided
 from kbnitp_ros.report import read_mission
 from laws import for_each
 from mission_log import GRID, MAX_STEPS, Mission, mission, QOS, record_to

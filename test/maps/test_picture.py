@@ -5,7 +5,7 @@ from base64 import b64decode
 from io import BytesIO
 
 from kbnitp_ros.maps import read_site
-from kbnitp_ros.maps.picture import MOST_SHOWN
+from kbnitp_ros.maps.files import MOST_SHOWN
 import numpy as np
 from PIL import Image
 import pytest

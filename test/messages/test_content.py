@@ -4,10 +4,10 @@
 from copy import deepcopy
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
-from kbnitp_ros.bag.schema import describe, ENCODING
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.content import content_hash
+from kbnitp_ros.log.schema import describe, ENCODING
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.headers import content_hash
 from laws import for_each
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory

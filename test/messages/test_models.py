@@ -14,7 +14,7 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.messages.models import model_belief, QUANTILES, read_model_belief
+from kbnitp_ros.messages.progress import model_belief, QUANTILES, read_model_belief
 from laws import for_each
 import pytest
 from samples import over_the_wire

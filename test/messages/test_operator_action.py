@@ -2,7 +2,7 @@
 """What the operator decides of paths from several bases."""
 
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.messages.operator_action import (
+from kbnitp_ros.messages.operator_actions import (
     Action,
     operator_action_message,
     OperatorAction,

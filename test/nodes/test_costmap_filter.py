@@ -9,7 +9,7 @@ import sys
 
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.configuration import parameters_of
-from kbnitp_ros.messages.costmap_filters import (
+from kbnitp_ros.messages.grids import (
     check_filter,
     KEEPOUT,
     SPEED_ABSOLUTE,

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import Decision
-from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import read_path

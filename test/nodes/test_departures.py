@@ -9,12 +9,10 @@ import time
 from bare_dds import BareParticipant, not_utf8
 from base import Base, GRID
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
-from kbnitp_ros.bag.writer import LogWriter
 from kbnitp_ros.core import DeploymentKey, Observation
-from kbnitp_ros.messages.content import content_hash
-from kbnitp_ros.messages.deployments import read_path, report_message
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.status import OrderState, status_message
+from kbnitp_ros.log.write import LogWriter
+from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
+from kbnitp_ros.messages.headers import content_hash, from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 import pytest

@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 from ament_index_python.packages import get_package_share_directory
-from kbnitp_ros.nodes.detections import detection_class, read_detection
+from kbnitp_ros.nodes.driver import detection_class, read_detection
 from laws import for_each
 import pytest
 from vision_msgs.msg import (

@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 
-from kbnitp_ros.nodes.topic import message_class
+from kbnitp_ros.nodes.heard import message_class
 import pytest
 
 pytestmark = pytest.mark.processes

@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 
 from bare_dds import BareParticipant, HOSTILE, not_utf8
-from kbnitp_ros.bag import is_finished, read_log
+from kbnitp_ros.log.read import is_finished, read_log
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.nodes.heard import message_class
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.topic import message_class
 import pytest
 import samples
 from std_msgs.msg import String

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.bag import read_log
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import PATH
-from kbnitp_ros.messages.content import content_hash
 from kbnitp_ros.messages.deployments import path_message, read_report
-from kbnitp_ros.messages.headers import from_stamp, SECOND, to_stamp
+from kbnitp_ros.messages.headers import content_hash, from_stamp, SECOND, to_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 from samples import changed, FIELD, GRID, HOME, key, on_disk, path, prior

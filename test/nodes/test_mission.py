@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, Progress
-from kbnitp_ros.bag.reader import read_log
 from kbnitp_ros.core import Report
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.models import read_model_belief
+from kbnitp_ros.messages.progress import read_model_belief
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest

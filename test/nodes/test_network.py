@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.bag import read_log
 from kbnitp_ros.core import Observation
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.messages.deployments import path_message, read_path, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp

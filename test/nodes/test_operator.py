@@ -14,8 +14,7 @@ from documented import ROOT
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.log.operator_state import MOST_TIMES
-from kbnitp_ros.messages.operator_action import Action
+from kbnitp_ros.messages.operator_actions import Action, MOST_TIMES
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.runtime.node import MissionNode
 import pytest

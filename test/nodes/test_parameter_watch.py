@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.bag.reader import read_metadata
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.log.configuration import read_parameters, RUN
+from kbnitp_ros.log.read import read_metadata
 import pytest
 import rclpy
 from rclpy.parameter import Parameter

@@ -13,9 +13,9 @@ import signal
 from ament_index_python.packages import get_package_share_directory
 from disk import mounted
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.bag.reader import is_finished, read_log
-from kbnitp_ros.bag.schema import qos_profiles_yaml
-from kbnitp_ros.bag.writer import LogWriter
+from kbnitp_ros.log.read import is_finished, read_log
+from kbnitp_ros.log.schema import qos_profiles_yaml
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos

@@ -13,8 +13,8 @@ import time
 
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.bag.log_files import parts_of
-from kbnitp_ros.bag.reader import is_finished, read_log
+from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.read import is_finished, read_log
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos

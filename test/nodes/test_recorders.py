@@ -7,8 +7,8 @@ from signal import SIGSTOP
 from types import SimpleNamespace
 
 from base import Base
-from kbnitp_ros.nodes import recorder, recorders
-from kbnitp_ros.nodes.instances import SILENT
+from kbnitp_ros.nodes import presence, recorder
+from kbnitp_ros.nodes.presence import SILENT
 import numpy as np
 import pytest
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.processes
 def start(field, log, **parameters):
     """Start a recorder, and return its process once it has opened its log."""
     process = field.start('recorder', {'file': str(log), **parameters}, '/m')
-    field.until(lambda: field.told('/m/recorder', recorders.LOG), f'recorder of {log}')
+    field.until(lambda: field.told('/m/recorder', presence.LOG), f'recorder of {log}')
     return process
 
 
@@ -60,7 +60,7 @@ def test_recorders_of_other_namespaces_do_not_matter(field):
         log = field.folder / f'{number}.mcap'
         field.start('recorder', {'file': str(log)}, namespace)
     for name in ('/recorder', '/m/deeper/recorder', '/mm/recorder'):
-        field.until(lambda name=name: field.told(name, recorders.LOG), name)
+        field.until(lambda name=name: field.told(name, presence.LOG), name)
 
 
 def test_a_recorder_with_much_to_write_is_heard(monkeypatch):

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.configuration import MOST_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
-from kbnitp_ros.log.evidence import record
+from kbnitp_ros.log.record import record
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp

@@ -9,7 +9,7 @@ from operator import itemgetter
 from extent import FULL
 from fleet import FIELD, Fleet
 from kbnitp_msgs.msg import BeliefMaps
-from kbnitp_ros.bag.reader import read_log
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.deployments import read_report

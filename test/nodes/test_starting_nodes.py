@@ -11,11 +11,11 @@ import subprocess
 
 from extent import some
 from forked import ForkedProcess, run_node
-from kbnitp_ros.bag.reader import is_finished
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given
 from kbnitp_ros.core import Belief, Grid, plan, SensorModel
-from kbnitp_ros.nodes.recorders import LOG
+from kbnitp_ros.log.read import is_finished
+from kbnitp_ros.nodes.presence import LOG
 from kbnitp_ros.nodes.runtime import signals
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from laws import for_each

@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.nodes.runtime.transport import deaf_to_server, PROFILES, udp_only
+from kbnitp_ros.nodes.runtime.graph import deaf_to_server, PROFILES, udp_only
 import pytest
 
 CONFIG = Path(__file__).parents[2] / 'config'

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.configuration.world_file import read_world
+from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import Grid
 from laws import for_each
 import pytest

@@ -5,7 +5,7 @@ from itertools import product
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, update
-from kbnitp_ros.messages.decisions import decision_message, read_decision
+from kbnitp_ros.messages.progress import decision_message, read_decision
 from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.answers import (
     advice,
@@ -13,11 +13,11 @@ from kbnitp_ros.report.answers import (
     findings_of,
     losses_of,
     shares,
+    tiles_of,
     undecided,
     used_up_at,
     used_up_of,
 )
-from kbnitp_ros.report.tiles import tiles_of
 from laws import for_each
 from mission_log import GRID, MODEL, record
 from missions import sent_by_single, Shown

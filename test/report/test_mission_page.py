@@ -11,9 +11,9 @@ import subprocess
 import sys
 
 from extent import FULL
-from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.report import comparison_of, curves_of, Pair, read_mission
 from kbnitp_ros.report.answers import cells_of, findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.page import page_of

@@ -11,12 +11,12 @@ import sys
 
 from bags import write_bag
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.bag import LogWriter
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import estimator_of, parameters_of
 from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information, Plan
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.roles import BELIEF
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.maps import levels_of, read_probabilities
 from kbnitp_ros.report import curves_of, page, read_mission
 from kbnitp_ros.report.tables import rows

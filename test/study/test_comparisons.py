@@ -14,10 +14,10 @@ from kbnitp_ros.study.comparison import (
     CONTACT,
     differ_in_objective,
 )
-from kbnitp_ros.study.folder import Folder
-from kbnitp_ros.study.loss_cost import compare, trade
+from kbnitp_ros.study.questions import compare, trade
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
+from kbnitp_ros.study.workers import Folder
 from laws import for_each
 import pytest
 from small_study import compared_by, written

@@ -5,9 +5,9 @@ from dataclasses import replace
 import os
 
 from disk import mounted, room_for
-from kbnitp_ros.study.folder import Folder
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import Trial
+from kbnitp_ros.study.workers import Folder
 import numpy as np
 import pytest
 

@@ -7,10 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from kbnitp_ros.core.decision.decision import check_confidence, Decision
+from kbnitp_ros.core.decision.decision import check_confidence, DECIMALS, Decision
 from kbnitp_ros.core.decision.flights import Flight, flights_over, Situation
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
-from kbnitp_ros.core.decision.lanes import DECIMALS
 from kbnitp_ros.core.field import binary_entropy, each_of, Grid, SensorModel, whole_number
 from kbnitp_ros.core.planning import Camera, positives
 import numpy as np

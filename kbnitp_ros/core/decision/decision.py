@@ -1,16 +1,174 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be relied on by now: the answer to the goal of a mission."""
+"""What may be relied on by now, and the safest ways from one cell to another."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 
-from kbnitp_ros.core.decision.hazard_draws import HazardDraws, Path, quantile
-from kbnitp_ros.core.decision.lanes import SafestPath
-from kbnitp_ros.core.field import frozen
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path, quantile
+from kbnitp_ros.core.field import frozen, Grid, SensorModel, whole_number
 import numpy as np
 from numpy.typing import ArrayLike
+
+# How many lanes are compared, besides the one of least cost by the cells' own probabilities.
+LANES = 48
+# The spread of the logarithms of the scales of their costs.
+SCALE = 0.7
+# Draws that a lane is sought in together, so that it knows which hazards go together.
+TOGETHER = 16
+# What a step costs besides its hazards: of lanes as free the shortest is taken.
+STEP_COST = 1e-4
+# The logarithm of the least probability that a cell is free counts as no less than this.
+LEAST = -30.0
+# The most costs of ways to cells that are held together.
+MOST_TOGETHER = 1 << 25
+# Values closer than this many decimals are ties, so rounding never decides.
+DECIMALS = 9
+
+
+@dataclass(frozen=True, eq=False)
+class SafestPath:
+    """
+    The safest path found.
+
+    Attributes
+    ----------
+    path : ndarray of int, shape (steps + 1,)
+        From the one cell to the other.
+    p_free : float
+        Probability that no cell of it has a hazard, in [0, 1].
+    survival : float
+        Probability that a traveller survives it, in [0, 1].
+
+    """
+
+    path: Path
+    p_free: float
+    survival: float
+
+
+def cheapest_lanes(
+    grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
+) -> list[list[Path]]:
+    """Return a cheapest way for each of several costs, within each of several limits."""
+    goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
+    most = min(max(limits), grid.cells - 1)
+    together = max(1, MOST_TOGETHER // ((most + 1) * (grid.cells + 1)))
+    within: list[list[Path]] = [[] for _ in limits]
+    for first in range(0, len(costs), together):
+        some = slice(first, first + together)
+        cost = cheapest_costs(from_cells, costs[some].T, start, most)
+        for found, limit in zip(within, limits):
+            found += ways_back(from_cells, cost[: limit + 1], goal[some])
+    return within
+
+
+def cheapest_costs(from_cells: Path, entered: Floats, start: int, most: int) -> Floats:
+    """Return the costs of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes)."""
+    cells, lanes = entered.shape
+    cost = np.full((most + 1, cells + 1, lanes), np.inf)
+    cost[0, start] = 0.0
+    for step in range(most):
+        cost[step + 1, :-1] = cost[step][from_cells].min(axis=0) + entered
+    return cost
+
+
+def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
+    """Return a cheapest way to the goal of each lane, by `cheapest_costs`."""
+    lanes = np.arange(goal.size)
+    steps = np.argmin(cost[:, goal, lanes], axis=0)
+    last = int(steps.max(initial=0))
+    path = np.tile(goal[:, None], last + 1)
+    for step in range(last - 1, -1, -1):
+        came_from = from_cells[:, path[:, step + 1]]
+        by = cost[step][came_from, lanes].argmin(axis=0)
+        on_the_way = step < steps
+        path[on_the_way, step] = came_from[by, lanes][on_the_way]
+    return [way[: end + 1].copy() for way, end in zip(path, steps.tolist())]
+
+
+def lanes_within(
+    grid: Grid,
+    draws: HazardDraws,
+    start: int,
+    to: int,
+    limits: Sequence[int],
+    count: int = LANES,
+) -> list[list[Path]]:
+    """Return different ways that may be the safest, the same again for the same draws."""
+    free = 1.0 - draws.p_hazard()
+    rng = np.random.default_rng(len(draws.hazardous))
+    some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
+    free_in_some = 1.0 - draws.hazardous[some].mean(axis=1)
+    probability = np.concatenate(
+        [
+            np.tile(free, (1 + count - count // 2, 1)),
+            (TOGETHER * free_in_some + free) / (TOGETHER + 1.0),
+        ]
+    )
+    with np.errstate(divide='ignore'):
+        cost = -np.log(probability).clip(min=LEAST) + STEP_COST
+    cost[1:] *= np.exp(SCALE * rng.standard_normal(cost[1:].shape))
+    return [
+        list({path.tobytes(): path for path in paths}.values())
+        for paths in cheapest_lanes(grid, cost, start, to, limits)
+    ]
+
+
+def there_and_back(out: Path, back: Path) -> Path:
+    """Return the path to the end of one lane, and from there along another one in reverse."""
+    return np.concatenate([out, back[-2::-1]])
+
+
+def safest_path(
+    grid: Grid, draws: HazardDraws, model: SensorModel, start: int, to: int, max_steps: int
+) -> SafestPath:
+    """
+    Return the way that is most probably free of hazards.
+
+    It is the best that was found; its probabilities are exact over the draws.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    draws : HazardDraws
+        What is known of the hazards.
+    model : SensorModel
+        What the traveller is believed to be like.
+    start, to : int
+        The first and the last cell.
+    max_steps : int
+        The most steps of a path, at least 1.
+
+    Raises
+    ------
+    ValueError
+        If a cell is off the map or on an obstacle, or there is no such path.
+
+    """
+    check_way(grid, start, to, max_steps)
+    [paths] = lanes_within(grid, draws, start, to, [max_steps])
+    best = int(np.argmax(np.round(draws.are_free(paths) @ draws.weight, DECIMALS)))
+    return SafestPath(paths[best], draws.p_free(paths[best]), draws.survival(paths[best], model))
+
+
+def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
+    """Check that a cell can be reached from another one."""
+    cells_on(grid, [start], 'start')
+    cells_on(grid, [to], 'goal')
+    whole_number('max_steps', max_steps, 1)
+    least = int(grid.steps_from(start, grid.free)[to])
+    if least >= grid.cells:
+        raise ValueError(f'goal is cell {to}, to which no way leads from cell {start}')
+    if least > max_steps:
+        raise ValueError(
+            f'goal is cell {to}, {least} steps from cell {start}: at most max_steps = '
+            f'{max_steps} may be; raise max_steps or choose a nearer cell'
+        )
+
 
 # A confidence must leave out this many of the independent draws at least: what is told by fewer
 # is chance.

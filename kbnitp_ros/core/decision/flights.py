@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from kbnitp_ros.core.decision.decision import cheapest_lanes, LEAST, STEP_COST, there_and_back
 from kbnitp_ros.core.decision.hazard_draws import Bools, Floats, HazardDraws, Path
-from kbnitp_ros.core.decision.lanes import cheapest_lanes, LEAST, STEP_COST, there_and_back
 from kbnitp_ros.core.field import Belief, binary_entropy, Grid, SensorModel
 from kbnitp_ros.core.planning import Objective, PathFinder, SearchOptions
 import numpy as np

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
-from kbnitp_ros.core.decision.decision import check_confidence, Decision
-from kbnitp_ros.core.decision.flights import Flight, flights_over, information, Situation
-from kbnitp_ros.core.decision.hazard_draws import Floats, HazardDraws, Path
-from kbnitp_ros.core.decision.lanes import (
+from kbnitp_ros.core.decision.decision import (
+    check_confidence,
     check_way,
     DECIMALS,
+    Decision,
     lanes_within,
     safest_path,
     there_and_back,
 )
+from kbnitp_ros.core.decision.flights import Flight, flights_over, information, Situation
+from kbnitp_ros.core.decision.hazard_draws import Floats, HazardDraws, Path
 from kbnitp_ros.core.field import Grid, SensorModel, whole_number
 import numpy as np
 

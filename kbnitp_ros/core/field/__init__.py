@@ -11,6 +11,7 @@ from kbnitp_ros.core.field.check import (
     probability,
     typed,
     typed_fields,
+    Value,
     whole_number,
     yes_or_no,
 )
@@ -36,11 +37,16 @@ from kbnitp_ros.core.field.observation import (
     Observation,
     Visits,
 )
-from kbnitp_ros.core.field.robot_type import of_each, ORDINARY, RobotType
-from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.field.survival import log_predicted_survival, sum_of_others, times_log
+from kbnitp_ros.core.field.sensor import (
+    log_predicted_survival,
+    of_each,
+    ORDINARY,
+    RobotType,
+    SensorModel,
+    sum_of_others,
+    times_log,
+)
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Beta, Bins, Learnt, Unknowns
-from kbnitp_ros.core.field.value import Value
 from kbnitp_ros.core.field.world import World
 
 __all__ = [

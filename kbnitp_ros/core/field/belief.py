@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from kbnitp_ros.core.field.check import frozen, probability_map, typed
+from kbnitp_ros.core.field.check import frozen, probability_map, typed, Value
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.metrics import binary_entropy, surprisal
-from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

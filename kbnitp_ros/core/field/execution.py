@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import probabilities
+from kbnitp_ros.core.field.check import probabilities, Value
 from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import lost_after_contact, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.field.value import Value
 from kbnitp_ros.core.field.world import World
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -9,12 +9,12 @@ from kbnitp_ros.core.field.check import (
     frozen,
     in_short,
     probability,
+    Value,
     weights,
     whole_number,
     yes_no_or_unseen,
     yes_or_no,
 )
-from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor model: what a hazard does to a robot and what the target sensor reads."""
+"""The sensor model of a robot, its type, and its survival of the cells it visits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Any
 
-from kbnitp_ros.core.field.check import frozen, probabilities
+from kbnitp_ros.core.field.check import cost, frozen, probabilities, probability, whole_number
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -112,3 +114,115 @@ def _log_reading(true_positive: float, false_positive: float) -> NDArray[np.floa
         log_reading: NDArray[np.float64] = np.log(np.stack([1.0 - positive, positive]))
     frozen(log_reading)
     return log_reading
+
+
+def times_log(count: ArrayLike, log: ArrayLike) -> NDArray[np.float64]:
+    """Return ``count * log``, broadcast, with 0 * -inf = 0: the log of a power."""
+    with np.errstate(invalid='ignore'):
+        return np.where(np.equal(count, 0), 0.0, np.multiply(count, log))
+
+
+def log_predicted_survival(
+    hazard: NDArray[np.float64],
+    counts: NDArray[np.intp],
+    log_survival: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """
+    Return log S, where S = (1 - z) s0^n + z s1^n is the chance to survive n visits to a cell.
+
+    Equation :eq:`predicted-survival`.
+    """
+    log_power = times_log(np.asarray(counts)[..., None], log_survival)
+    weight = np.stack([1.0 - hazard, hazard], axis=-1)
+    loss = np.sum(weight * -np.expm1(log_power), axis=-1)
+    with np.errstate(divide='ignore'):
+        # 1 - loss cancels where nearly nobody survives, the plain sum where nearly everybody does.
+        return np.where(
+            loss < 0.5, np.log1p(-loss), np.log(np.sum(weight * np.exp(log_power), axis=-1))
+        )
+
+
+def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return for each value the sum of all the others, shape (..., n); -inf is allowed."""
+    none = np.zeros((*values.shape[:-1], 1))
+    before = np.concatenate([none, np.cumsum(values[..., :-1], axis=-1)], axis=-1)
+    after = np.cumsum(values[..., :0:-1], axis=-1)[..., ::-1]
+    sums: NDArray[np.float64] = before + np.concatenate([after, none], axis=-1)
+    return sums
+
+
+SENSORS = tuple(field.name for field in fields(SensorModel))
+
+# The whole numbers, and the least that each may be.
+LEAST = {'max_steps': 1, 'base': 0}
+
+
+@dataclass(frozen=True)
+class RobotType:
+    """
+    What robots of one type have of their own; None where they are like all others.
+
+    Parameters
+    ----------
+    lethality, malfunction, false_negative, true_positive, false_positive : float, optional
+        As of a `SensorModel`. A number of their own is known, whatever is learnt of the others.
+    max_steps : int, optional
+        The most steps of their paths, at least 1.
+    max_distance : float, optional
+        How long their paths may be, metres, at least 0; 0 for no limit.
+    loss_cost : float, optional
+        What a lost one is worth, nats, at least 0.
+    base : int, optional
+        The cell that they leave from and return to, one of the grid's bases.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range; it is named.
+
+    """
+
+    lethality: float | None = None
+    malfunction: float | None = None
+    false_negative: float | None = None
+    true_positive: float | None = None
+    false_positive: float | None = None
+    max_steps: int | None = None
+    max_distance: float | None = None
+    loss_cost: float | None = None
+    base: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.own.items():
+            checked: float
+            if name in LEAST:
+                checked = whole_number(name, value, LEAST[name])
+            else:
+                checked = (probability if name in SENSORS else cost)(name, value)
+            object.__setattr__(self, name, checked)
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """Return what they have of their own, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    @property
+    def sensors(self) -> dict[str, Any]:
+        """Return what of that are numbers of the sensor model."""
+        return {name: value for name, value in self.own.items() if name in SENSORS}
+
+    def model(self, common: SensorModel) -> SensorModel:
+        """Return their sensor model, from that of all others."""
+        return replace(common, **self.sensors)
+
+
+ORDINARY = RobotType()
+
+
+def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, ...]:
+    """Return the type of each of so many robots."""
+    if robot_types and len(robot_types) != robots:
+        raise ValueError(
+            f'robot_types has {len(robot_types)} values: it must have one for each of {robots}'
+        )
+    return tuple(robot_types) or (ORDINARY,) * robots

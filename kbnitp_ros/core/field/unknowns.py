@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TypeAlias
 
-from kbnitp_ros.core.field.check import frozen, probability
-from kbnitp_ros.core.field.value import Value
+from kbnitp_ros.core.field.check import frozen, probability, Value
 import numpy as np
 from numpy.typing import NDArray
 

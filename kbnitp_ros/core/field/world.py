@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kbnitp_ros.core.field.check import frozen, generator, probability, typed, yes_or_no
+from kbnitp_ros.core.field.check import frozen, generator, probability, typed, Value, yes_or_no
 from kbnitp_ros.core.field.dynamics import Dynamics, STATIC
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.field.value import Value
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

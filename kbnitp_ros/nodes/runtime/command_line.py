@@ -66,7 +66,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Have a command choose between the missions of a log."""
     parser.add_argument(
         '--namespace',
-        help='whose mission it is, of a log of several that does not tell',
+        help='whose mission it is, of a log of several that does not tell; default the only one',
     )
 
 

@@ -21,9 +21,8 @@ from kbnitp_ros.messages.headers import LATEST
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
-from kbnitp_ros.nodes.runtime.graph import GraphNode, Listeners
+from kbnitp_ros.nodes.runtime.graph import deaf_to_server, GraphNode, Listeners
 from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
-from kbnitp_ros.nodes.runtime.transport import deaf_to_server
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType

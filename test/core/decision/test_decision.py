@@ -28,7 +28,7 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.decision import lanes
+from kbnitp_ros.core.decision import decision as lanes
 from kbnitp_ros.core.decision.area import expected_certainty, expected_from_readings
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.flights import information, Situation

@@ -4,8 +4,8 @@
 from itertools import product
 
 from kbnitp_ros.core import Clustering, Grid
-from kbnitp_ros.core.field import partition
-from kbnitp_ros.core.field.partition import log_partition
+from kbnitp_ros.core.field import clustering as partition
+from kbnitp_ros.core.field.clustering import log_partition
 from laws import for_each
 import numpy as np
 import pytest

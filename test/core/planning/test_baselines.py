@@ -4,8 +4,8 @@
 from itertools import pairwise, product
 
 from kbnitp_ros.core import Belief, count_visits, Grid, plan, SearchOptions, SensorModel
+from kbnitp_ros.core.planning.search.gains import reach_of
 from kbnitp_ros.core.planning.search.random_walk import random_walk
-from kbnitp_ros.core.planning.search.reach import reach_of
 from laws import for_each
 import numpy as np
 import pytest

@@ -18,9 +18,9 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning.objective import options
-from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
 from kbnitp_ros.core.planning.objective.information import added_information
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
+from kbnitp_ros.core.planning.objective.objective import behavioral_entropy
 from laws import for_each
 import numpy as np
 import pytest

@@ -18,8 +18,8 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
-from kbnitp_ros.core.planning.objective.moments import ERROR, EXPONENTS, WEIGHTS
 from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.readings import ERROR, EXPONENTS, WEIGHTS
 from kbnitp_ros.core.planning.search import labels, planners
 from kbnitp_ros.core.planning.search.label_kernels import hoped_value, label_value, new_products
 from kbnitp_ros.core.planning.search.local_search_kernels import improve, take

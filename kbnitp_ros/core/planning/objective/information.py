@@ -15,13 +15,13 @@ from kbnitp_ros.core.field import (
     typed,
     Visits,
 )
-from kbnitp_ros.core.planning.objective.behavioral import behavioral_entropy
 from kbnitp_ros.core.planning.objective.information_kernels import left_open, outcome_left_open
 from kbnitp_ros.core.planning.objective.joint_outcomes import (
     after_deployment,
     JointOutcomes,
     nobody_deployed,
 )
+from kbnitp_ros.core.planning.objective.objective import behavioral_entropy
 from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
 from kbnitp_ros.core.planning.objective.prediction import predict
 from kbnitp_ros.core.planning.objective.readings import new_information

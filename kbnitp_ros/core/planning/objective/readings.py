@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the readings of a cell may be, by one camera or by several that differ."""
+"""What readings are expected to tell: moments, predictions and their information."""
 
 from __future__ import annotations
 
@@ -12,6 +12,25 @@ from kbnitp_ros.core.planning.objective.information_kernels import new_readings,
 from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
 import numpy as np
 from numpy.typing import NDArray
+
+# The first is 1: its moment is the predicted survival itself.
+EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
+WEIGHTS = np.array(
+    [
+        1.000314622,
+        -0.547169326,
+        -0.271418285,
+        -0.119928225,
+        -0.043547782,
+        -0.013911176,
+        -0.003654438,
+        -0.000665898,
+    ]
+)
+
+# The most that the sum of powers is off, nats.
+ERROR = 1.95e-5
+
 
 # How many different cameras robots may have that are planned for together, and in how many ways
 # readings may then be shared out among them: where cameras differ, more readings of a cell by one

@@ -26,9 +26,9 @@ from kbnitp_ros.core.planning.search.bound_kernels import (
     Region,
     Walks,
 )
+from kbnitp_ros.core.planning.search.gains import reach_of
 from kbnitp_ros.core.planning.search.label_kernels import Floats, Places, Reach
 from kbnitp_ros.core.planning.search.labels import MAX_MEMORY
-from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 
 # Cuts beyond one for each number of steps, and in a row that gain less than the tolerance.

@@ -1,25 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the next visit to a cell does to a path."""
+"""How far robots can go, and what each step gains."""
 
 from __future__ import annotations
 
-from kbnitp_ros.core.field import log_predicted_survival, SensorModel, times_log
-from kbnitp_ros.core.planning.objective import behavioral
+from kbnitp_ros.core.field import Grid, log_predicted_survival, longest, SensorModel, times_log
+from kbnitp_ros.core.planning.objective import SearchOptions
 from kbnitp_ros.core.planning.objective.information_kernels import Readings
-from kbnitp_ros.core.planning.objective.moments import EXPONENTS
-from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.objective import BEHAVIORAL_EXPONENTS, Objective
 from kbnitp_ros.core.planning.objective.options import SHANNON
-from kbnitp_ros.core.planning.objective.readings import new_information, readings_of
-from kbnitp_ros.core.planning.search.label_kernels import Gains
+from kbnitp_ros.core.planning.objective.readings import EXPONENTS, new_information, readings_of
+from kbnitp_ros.core.planning.search.label_kernels import Gains, Reach
 import numpy as np
 from numpy.typing import NDArray
+
+
+def reach_of(grid: Grid, options: SearchOptions) -> Reach:
+    """Return the reach of paths within `max_steps` and `max_distance`."""
+    max_steps, max_distance = options.max_steps, options.max_distance
+    cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
+    distance = grid.steps_to_base[cells]
+    order = np.argsort(distance, kind='stable')
+    cells = cells[order]
+    rank = np.full(grid.cells + 1, -1)
+    rank[cells] = np.arange(cells.size)
+    step = np.arange(max_steps + 1)
+    within = np.searchsorted(distance[order], np.minimum(step, max_steps - step), 'right')
+    start = np.append(0, np.cumsum(within))
+    neighbors = rank[grid.neighbor_table[cells]]
+    if not max_distance:
+        # Where no length is allowed for, none is counted.
+        lengths, home = np.zeros(9), np.zeros(cells.size)
+        return Reach(cells, neighbors, within, start, lengths, home, 0.0)
+    return Reach(
+        cells,
+        neighbors,
+        within,
+        start,
+        grid.step_lengths.copy(),
+        grid.distance_to_base[cells],
+        longest(max_distance),
+    )
 
 
 def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
     """
     Return the gains of visits in `cells`, shape (n,).
 
-    The moments are of `EXPONENTS`. With behavioral entropies the powers are those of `behavioral`,
+    The moments are of `EXPONENTS`. With behavioral entropies `BEHAVIORAL_EXPONENTS` are powers,
     first of p and then of the survival in each outcome, and all but what is read is in them.
     """
     model, outcomes = objective.model, objective.outcomes
@@ -56,9 +83,9 @@ def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> 
         moment, spread = _moments(hazard, model, visits, EXPONENTS)
         factor = [moment, survival]
     else:
-        moment, spread = _moments(hazard, model, visits, behavioral.EXPONENTS)
+        moment, spread = _moments(hazard, model, visits, BEHAVIORAL_EXPONENTS)
         spread = np.zeros_like(spread)
-        powers = survival[..., None] ** behavioral.EXPONENTS
+        powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
         factor = [moment, powers.reshape(*survival.shape[:2], -1), survival]
     term = [spread[..., None], np.moveaxis(added, 0, -1)]
     return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))

@@ -6,11 +6,10 @@ from __future__ import annotations
 from math import inf
 
 from kbnitp_ros.core.field import Grid
-from kbnitp_ros.core.planning.objective.behavioral import powers_weights
 from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
-from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.objective import Objective, powers_weights
 from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
-from kbnitp_ros.core.planning.search.gains import gains_of
+from kbnitp_ros.core.planning.search.gains import gains_of, reach_of
 from kbnitp_ros.core.planning.search.label_kernels import (
     Floats,
     Gains,
@@ -21,7 +20,6 @@ from kbnitp_ros.core.planning.search.label_kernels import (
     trace_closed,
 )
 from kbnitp_ros.core.planning.search.local_search_kernels import exact_values, improve_all
-from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 from numpy.typing import NDArray
 

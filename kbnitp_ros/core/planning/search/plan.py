@@ -12,8 +12,8 @@ from kbnitp_ros.core.planning.objective.information import path_information, pat
 from kbnitp_ros.core.planning.objective.objective import Objective
 from kbnitp_ros.core.planning.objective.options import SearchOptions
 from kbnitp_ros.core.planning.search.bound import check_bound, upper_bound
+from kbnitp_ros.core.planning.search.gains import reach_of
 from kbnitp_ros.core.planning.search.planners import BASELINES, check_distance, PathFinder
-from kbnitp_ros.core.planning.search.reach import reach_of
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -14,19 +14,18 @@ from dataclasses import dataclass, field, replace
 from math import ceil
 
 from kbnitp_ros.core.field import Grid, in_short, typed_fields, Value
-from kbnitp_ros.core.planning.objective.behavioral import powers_of
 from kbnitp_ros.core.planning.objective.candidate import Candidate
 from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
-from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.objective.objective import Objective, powers_of
 from kbnitp_ros.core.planning.objective.options import PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
+from kbnitp_ros.core.planning.search.gains import reach_of
 from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
 from kbnitp_ros.core.planning.search.random_walk import (
     check_walk_memory,
     generator_of,
     random_walk,
 )
-from kbnitp_ros.core.planning.search.reach import reach_of
 from kbnitp_ros.core.planning.search.tour import boustrophedon, nearest, Order, tour
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

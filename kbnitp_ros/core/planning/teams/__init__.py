@@ -2,8 +2,7 @@
 """How robots that leave together share the work."""
 
 from kbnitp_ros.core.planning.teams.allocations import ALLOCATIONS
-from kbnitp_ros.core.planning.teams.keepout import keepout_cells, without
-from kbnitp_ros.core.planning.teams.regions import Regions
+from kbnitp_ros.core.planning.teams.regions import keepout_cells, Regions, without
 from kbnitp_ros.core.planning.teams.team import check_team, plan_team, Team, team_size, TeamPlan
 from kbnitp_ros.core.planning.teams.team_member import TeamMember
 

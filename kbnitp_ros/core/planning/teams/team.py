@@ -28,8 +28,7 @@ from kbnitp_ros.core.planning.search import (
     plan_alone,
 )
 from kbnitp_ros.core.planning.teams.allocations import allocated, ALLOCATIONS
-from kbnitp_ros.core.planning.teams.keepout import without
-from kbnitp_ros.core.planning.teams.regions import Regions
+from kbnitp_ros.core.planning.teams.regions import Regions, without
 from kbnitp_ros.core.planning.teams.team_member import TeamMember
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a base checks and tells before and during a mission: reach, density, parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import ceil
+from typing import Any
+
+from kbnitp_ros.configuration import base_of, check_search, parameter_of, value_for
+from kbnitp_ros.core import Grid, Ledger, RobotType
+import numpy as np
+
+
+def reach_note(
+    grid: Grid,
+    max_steps: int,
+    enough: float = 1.0,
+    bases: Sequence[int | None] = (None,),
+    max_distance: float = 0.0,
+) -> str:
+    """Return how much of a field paths within these limits reach; empty if it is enough."""
+    fields = [grid.at(base) for base in dict.fromkeys(bases)]
+    steps = np.min([field.steps_to_base for field in fields], axis=0)
+    reached, joined = (
+        np.any([field.in_reach(max_steps, max_distance) for field in fields], axis=0),
+        steps < grid.cells,
+    )
+    if reached.sum() >= enough * joined.sum():
+        return ''
+    rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
+    extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'
+    most = 2 * int(steps[joined].max())
+    limits, needed = f'{max_steps} steps reach', f'max_steps {most} reaches'
+    if max_distance:
+        distance = np.min([field.distance_to_base for field in fields], axis=0)
+        metres = ceil(20.0 * distance[joined].max()) / 10.0
+        limits = f'{max_steps} steps and {max_distance:.6g} m reach'
+        needed = f'max_steps {most} and max_distance {metres} reach'
+    return f'{limits} {extent}, {reached.sum()} of {joined.sum()}: {needed} them all'
+
+
+def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
+    """Check that the robots of each agent can leave their base."""
+    for agent in values['agents']:
+        field = grid.at(base_of(values, agent, grid))
+        why = ''
+        if not (field.steps_to_base == 1).any():
+            why = 'no other cell can be entered from it (map, grid.blocked and grid.corners)'
+        elif value_for(values, 'max_steps', agent) < 2:
+            why = 'max_steps is 1, and 2 lead to another cell and back'
+        if why:
+            raise ValueError(
+                f'robots of {agent} cannot leave their base, cell {field.base}: {why}'
+            )
+
+
+def cut_off_note(grid: Grid) -> str:
+    """Return how many free cells no path reaches, however long; empty if there is none."""
+    free = int(grid.free.sum())
+    cut_off = free - int((grid.steps_to_base < grid.cells).sum())
+    return f'{cut_off} of {free} free cells are cut off from the base' if cut_off else ''
+
+
+# A density is weakly known from this standard deviation on, as a part of its mean.
+WEAK = 0.25
+
+
+def density_note(ledger: Ledger) -> str:
+    """Return how weakly the density of clustered hazards is known; empty if that does no harm."""
+    estimator, grid = ledger.estimator, ledger.grid
+    density = estimator.parameters.get('hazard_density')
+    is_clustered = estimator.clustering is not None and estimator.clustering.coupling != 0.0
+    if not is_clustered or density is None or density.sd < WEAK * density.mean:
+        return ''
+    unvisited = grid.may_be_hazardous.copy()
+    for key in ledger.deployments:
+        unvisited[ledger.path(key)] = False
+    cells = int(grid.may_be_hazardous.sum())
+    if 2 * unvisited.sum() <= cells:
+        return ''
+    return (
+        f'hazards cluster and their density is only known as {density.mean:.2g} ± '
+        f'{density.sd:.2g}, on which the belief about the {unvisited.sum()} of {cells} cells '
+        'not visited rests: state it in prior.hazard or narrow learn.hazard_density'
+    )
+
+
+def check_changes(
+    changes: Mapping[str, Any],
+    values: Mapping[str, Any],
+    grid: Grid,
+    believed: Mapping[str, RobotType],
+    sent: int,
+) -> None:
+    """Check new values of parameters of this package."""
+    given = {
+        name: parameter.check(value)
+        for name, value in changes.items()
+        if (parameter := parameter_of('planner', name))
+    }
+    check_search({**values, **given}, grid, believed)
+    check_robots(given.get('robots', sent), sent)
+
+
+def check_robots(robots: int, sent: int) -> None:
+    """Check how many robots a mission is to have in which some were sent."""
+    if robots < sent:
+        raise ValueError(
+            f'parameter robots is {robots}: {sent} robots were sent, and it must be at '
+            f'least that; {sent} ends the mission'
+        )

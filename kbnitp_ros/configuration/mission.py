@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The goal, the search, the prior and the estimator that the parameters describe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+from math import isclose
+from typing import Any
+
+from kbnitp_ros.configuration.agents import (
+    agents_of,
+    clustering_of,
+    dynamics_of,
+    robot_type_of,
+    robot_types_of,
+    sensor_model_of,
+    unknowns_of,
+)
+from kbnitp_ros.core import (
+    Belief,
+    check_bounded,
+    check_sought,
+    check_team,
+    Estimator,
+    Goal,
+    GOALS,
+    Grid,
+    ORDINARY,
+    PathFinder,
+    RobotType,
+    SearchOptions,
+    SensorModel,
+    Stop,
+)
+from kbnitp_ros.log.record import last_belief
+from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.maps import read_map, read_probabilities
+import numpy as np
+
+# From which value on a pixel of a mask belongs to the area, out of 100.
+MARKED = 50
+
+
+def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
+    """Return the goal that these parameters describe; None to map the field."""
+    make = GOALS.find(values['goal.kind'])
+    confidence = values['stop.confidence'] or None
+    with GOALS.blamed(values['goal.kind']):
+        return make(goal_cells(values, grid), confidence)
+
+
+def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
+    """Return the cells that the goal names, by number, by position or by a mask."""
+    cells, position, mask = (values[f'goal.{name}'] for name in ('cells', 'position', 'mask'))
+    if sum(map(bool, (cells, position, mask))) > 1:
+        raise ValueError(
+            'parameters goal.cells, goal.position and goal.mask name the same: give one of them'
+        )
+    if position:
+        if len(position) != 2:
+            raise ValueError(
+                f'parameter goal.position is {list(position)}: it must be x and y, or empty'
+            )
+        return [int(grid.cells_at([position])[0])]
+    return marked_cells(mask, grid) if mask else list(cells)
+
+
+def marked_cells(mask: str, grid: Grid) -> list[int]:
+    """Return the cells of the field that are marked in a map_server map, and are no obstacles."""
+    marked = read_map(mask)
+    rows, columns = marked.data.shape
+    if (columns, rows) != (grid.width, grid.height) or not isclose(
+        marked.resolution, grid.resolution, rel_tol=1e-6
+    ):
+        raise ValueError(
+            f'parameter goal.mask: {mask} has {columns} x {rows} pixels of {marked.resolution} m, '
+            f'and the field {grid.width} x {grid.height} cells of {grid.resolution} m: draw a '
+            'pixel for each cell'
+        )
+    is_marked = (marked.data.ravel() >= MARKED) & grid.free
+    return [int(cell) for cell in np.flatnonzero(is_marked)]
+
+
+def stop_of(values: Mapping[str, Any]) -> Stop:
+    """Return when a mission with these parameters is over before its last robot has left."""
+    return Stop(values['stop.gain'], values['stop.losses'])
+
+
+def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
+    """Check that the goal can be reached and that the mission can end by its stops."""
+    goal = goal_of(values, grid)
+    stop_of(values).check(goal, values['robots'])
+    for each in options:
+        check_sought(goal, each, values['bound'])
+    if goal is not None:
+        goal.check(grid, values['max_steps'])
+
+
+def search_options(values: Mapping[str, Any]) -> SearchOptions:
+    """Return the options that these parameters describe."""
+    names = {field.name: field.name for field in fields(SearchOptions)} | {'width': 'beam_width'}
+    return SearchOptions(**{option: values[name] for option, name in names.items()})
+
+
+def type_to_plan(
+    values: Mapping[str, Any], agent: str, grid: Grid, believed: Mapping[str, RobotType]
+) -> RobotType:
+    """Return the type of an agent's robots: sensors as believed, the rest as parameters say."""
+    sensors = believed.get(agent, ORDINARY)
+    as_believed = {each.name: getattr(sensors, each.name) for each in fields(SensorModel)}
+    return replace(robot_type_of(values, agent, grid), **as_believed)
+
+
+def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
+    """Check that the planner can search with these parameters in the memory there is."""
+    types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
+    options = search_options(values)
+    check_goal(values, grid, [options.of_type(each) for each in types])
+    check_team(PathFinder(grid, options), types)
+    if values['bound']:
+        for each in types:
+            check_bounded(grid.at(each.base), options.of_type(each), len(types))
+
+
+MAPS = ('hazard', 'target', 'kappa')
+
+# In what fields must be the same for what is believed of one to be believed of the other.
+SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
+
+
+def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
+    """Return the prior that the parameters of an estimator describe."""
+    files = {name: values[f'prior.{name}_map'] for name in MAPS}
+    log = values['prior.log']
+    if log:
+        if any(files.values()):
+            raise ValueError(
+                'parameter prior.log is given with a map of the prior: it says all of it'
+            )
+        return earlier_belief(log, grid)
+    numbers = {name: values[f'prior.{name}'] for name in MAPS}
+    maps = {
+        name: read_probabilities(file, grid, numbers[name], values['prior.resample'])
+        for name, file in files.items()
+        if file
+    }
+    prior = numbers | maps
+    if 'hazard' in maps and 'target' not in maps and numbers['hazard'] < 1.0:
+        # The numbers say how likely a target is without a hazard, which the map leaves as it is.
+        background = numbers['target'] - numbers['kappa'] * numbers['hazard']
+        background = min(max(background / (1.0 - numbers['hazard']), 0.0), 1.0)
+        prior['target'] = prior['kappa'] * maps['hazard'] + background * (1.0 - maps['hazard'])
+    return Belief.prior(grid, **prior)
+
+
+def earlier_belief(log: str, grid: Grid) -> Belief:
+    """Return what a mission came to believe, of the same field."""
+    known = last_belief(MissionLog(log))
+    if known is None:
+        raise ValueError(f'{log} has no belief on record')
+    for name in SAME:
+        if getattr(known.grid, name) != getattr(grid, name):
+            raise ValueError(f'{log} is of a mission on {known.grid}: the parameters say {grid}')
+    return known.belief.on(grid)
+
+
+def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
+    """Return the estimator of these parameters on this grid, before the first deployment."""
+    unknowns = unknowns_of(values)
+    for name in unknowns.priors:
+        if all(
+            getattr(robot_type, name, None) is not None
+            for robot_type in robot_types_of(values, grid).values()
+        ):
+            raise ValueError(
+                f'parameter learn.numbers has {name}: the robots of every agent have one of their '
+                'own, which tell nothing of another'
+            )
+    return Estimator(
+        prior_of(values, grid),
+        sensor_model_of(values),
+        values['method'],
+        unknowns,
+        values['seed'],
+        dynamics=dynamics_of(values),
+        clustering=clustering_of(values, grid),
+    )

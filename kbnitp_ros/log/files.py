@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a log, what goes wrong with them, and the lock that keeps a second writer away."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+import fcntl
+import os
+from pathlib import Path, PurePath
+import re
+from typing import Any, IO
+
+from kbnitp_ros.files import NotYamlError, read_yaml
+
+
+class LogError(ValueError):
+    """A file that is no mission log, a corrupt one, or parts that do not make one."""
+
+
+SUFFIXES = ('.mcap', '.db3')
+METADATA = 'metadata.yaml'
+INFORMATION = 'rosbag2_bagfile_information'
+
+# What later parts have after the name of the log; a date has more digits.
+NUMBER = r'_([1-9]\d{0,4})'
+
+
+def parts_of(path: str | Path) -> list[Path]:
+    """Return the files of a log, by its first file or folder, in order."""
+    path = Path(path)
+    try:
+        if not path.is_dir():
+            return [path] if is_later_part(path) else with_later_parts(path)
+        files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+        listed = [path / name for name in listed_parts(path)]
+        if listed and not listed[0].exists():
+            raise LogError(
+                f'{listed[0]}, which {METADATA} lists, is missing: put it back, or name the other '
+                'parts singly'
+            )
+        firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
+        if not firsts:
+            raise LogError(f'{path} holds no log: there is no file *.mcap or *.db3 in it')
+        parts = with_later_parts(firsts[0])
+        if others := [file.name for file in files if file not in parts]:
+            raise LogError(
+                f'{path} holds {parts[0].name} and {others[0]}, which are of different logs: '
+                'name the first file of one'
+            )
+    except OSError as error:
+        raise LogError(f'{path} cannot be read: {error.strerror}') from error
+    return parts
+
+
+def with_later_parts(first: Path) -> list[Path]:
+    """Return the first file of a log and later parts."""
+    listed = listed_parts(first.parent)
+    names = listed if first.name in listed[:1] else [first.name]
+    numbers = [number for number, file in numbered(first).items() if file.name not in names]
+    names += [part_path(first, number).name for number in range(1, max(numbers, default=0) + 1)]
+    parts = [first.with_name(name) for name in dict.fromkeys(names)]
+    if missing := [part.name for part in parts[1:] if not part.exists()]:
+        raise LogError(
+            f'{missing[0]} of the log {first} is missing: put it back, or name the parts singly'
+        )
+    return parts
+
+
+def numbered(first: Path) -> dict[int, Path]:
+    """Return the later parts of a log by number, by their names."""
+    pattern = re.compile(re.escape(base(first)) + NUMBER + re.escape(first.suffix))
+    matches = ((file, pattern.fullmatch(file.name)) for file in first.parent.iterdir())
+    return {int(match[1]): file for file, match in matches if match}
+
+
+def part_path(first: Path, number: int) -> Path:
+    """Return the path of a later part, from number 1."""
+    return first.with_name(f'{base(first)}_{number}{first.suffix}')
+
+
+def base(first: Path) -> str:
+    """Return the common start of the names of all parts."""
+    return first.stem.removesuffix('_0')
+
+
+def is_later_part(path: Path) -> bool:
+    """Return whether the file is a later part of a log beside it."""
+    match = re.fullmatch(f'(.+){NUMBER}', path.stem)
+    return match is not None and any(
+        path.with_name(f'{match[1]}{zero}{path.suffix}').exists() for zero in ('', '_0')
+    )
+
+
+def listed_parts(folder: Path) -> list[str]:
+    """Return the names of the files that metadata.yaml lists; none if all were renamed."""
+    information = read_information(folder)
+    mode = str(information.get('compression_mode') or 'none')
+    if mode.lower() != 'none':
+        raise LogError(f'{folder} is compressed, mode {mode}: decompress it with ros2 bag convert')
+    listed = information.get('relative_file_paths')
+    names = [PurePath(str(name)).name for name in listed] if isinstance(listed, list) else []
+    return names if any((folder / name).exists() for name in names) else []
+
+
+def read_information(folder: Path) -> Mapping[str, Any]:
+    """Return the description of a bag in metadata.yaml; {} if it is missing or cut."""
+    path = folder / METADATA
+    try:
+        content = read_yaml(path)
+    except (FileNotFoundError, NotYamlError):
+        return {}
+    except ValueError as error:
+        raise LogError(f'{path}: {error}; without it the log can be read, too') from error
+    information = content.get(INFORMATION) if isinstance(content, dict) else None
+    return information if isinstance(information, dict) else {}
+
+
+def check_is_new(first: Path) -> None:
+    """Check that the name of a new log cannot be taken for another one or a part of one."""
+    if first.suffix != '.mcap':
+        raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
+    try:
+        str(first).encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f'{str(first)!r} is no name for a log: it must be UTF-8') from error
+    if first.exists():
+        raise FileExistsError(f'{first} exists, and no log is written over: name another file')
+    if is_later_part(first):
+        raise FileExistsError(
+            f'{first} would be taken for a part of the log beside it: give it another name'
+        )
+    if first.parent.is_dir() and (later := numbered(first)):
+        raise FileExistsError(
+            f'{next(iter(later.values()))} would be taken for a part of {first}: '
+            'give that another name'
+        )
+
+
+class LogLock:
+    """Keeps all other processes from writing a log."""
+
+    def __init__(self, first: Path) -> None:
+        self.path = first
+        self._file = locked(first)
+        try:
+            # Who held the lock until now may have put another file in its place.
+            check_in_place(self._file, first)
+        except OSError as error:
+            self.release()
+            raise LogError(f'{first} was replaced just now: try again') from error
+
+    def put_in_place(self, new: Path, part: Path) -> None:
+        """Give a new file the name of a part; if that is the first, it is locked before."""
+        if part != self.path:
+            new.replace(part)
+            return
+        file = locked(new)
+        new.replace(part)
+        self._file.close()
+        self._file = file
+
+    def check_in_place(self) -> None:
+        """Check that the locked file is there; raises FileNotFoundError."""
+        check_in_place(self._file, self.path)
+
+    def release(self) -> None:
+        """Let others write the log."""
+        self._file.close()
+
+
+def locked(path: Path) -> IO[bytes]:
+    """Return a file opened for reading and writing that no other process can lock."""
+    try:
+        # Of a network file system only what is open for writing can be locked.
+        file = path.open('r+b')
+    except OSError as error:
+        raise LogError(f'{path} cannot be gone on with: {error.strerror}') from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        file.close()
+        raise LogError(
+            f'{path} is being written by another recorder: end that one before going on with it'
+        ) from error
+    except OSError as error:
+        file.close()
+        raise LogError(
+            f'{path} cannot be locked against a second recorder: {error.strerror}; '
+            'name a file on another file system'
+        ) from error
+    return file
+
+
+def check_in_place(file: IO[bytes], path: Path) -> None:
+    """Check that an open file is still the one that goes by its name."""
+    try:
+        is_in_place = os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        is_in_place = False
+    if not is_in_place:
+        raise FileNotFoundError(f'{path} is gone: it was removed or replaced while in use')
+
+
+NAME = 'mission.mcap'
+
+
+def new_log(folder: Path | None = None) -> Path:
+    """Return the path of a new log, in a folder of its own: runs/TIME."""
+    folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
+    make_folder(folder)
+    return folder / NAME
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a log; raises OSError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f'folder {folder} cannot be made ({error.strerror}): name another'
+        ) from error

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One file of a log: written, and finished where it was cut or damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from kbnitp_ros.files import naming, parse_yaml
+from kbnitp_ros.log.files import check_in_place, check_is_new, LogError, LogLock, parts_of
+from kbnitp_ros.log.read import (
+    is_finished_part,
+    read_part,
+    read_recorded,
+    Recorded,
+    RecordedMessage,
+    RecordedMetadata,
+)
+from kbnitp_ros.log.schema import (
+    BagFile,
+    BagTopic,
+    file_of,
+    information,
+    QOS,
+    sync_folder,
+    TYPE_HASH,
+    write_metadata,
+)
+from mcap.well_known import Profile
+from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
+import yaml
+
+COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
+
+# Bytes of messages that are collected before they are written, if no sync comes first.
+CHUNK = 2**20
+
+# Bytes that a message takes beside its own.
+MESSAGE_HEAD = 31
+
+BAG_RECORD = 'rosbag2'
+BAG_FIELD = 'serialized_metadata'
+
+
+class Definition(NamedTuple):
+    """A message type: its name, the language it is defined in and the text in that language."""
+
+    name: str
+    encoding: str
+    text: bytes
+
+
+class FileWriter:
+    """An MCAP file being written, to be abandoned after an OSError."""
+
+    def __init__(self, path: Path, compression: str) -> None:
+        self.path = path
+        # What has been written.
+        self.contents = BagFile(path.name)
+        self._file = path.open('xb')
+        # How many bytes come before the first message: the types and channels known by then, and
+        # records of named values.
+        self.preamble = 0
+        self._written = 0
+        self._pending = 0
+        self._schemas: dict[Definition, int] = {}
+        self._channels: dict[tuple[str, str, int, frozenset[tuple[str, str]]], int] = {}
+        self._topics: dict[int, BagTopic] = {}
+        try:
+            self._writer = Writer(
+                self._file,
+                # Chunks end where this class ends them.
+                chunk_size=2**62,
+                compression=COMPRESSIONS[compression],
+                enable_data_crcs=True,
+            )
+            with naming(path):
+                self._writer.start(Profile.ROS2, f'kbnitp_ros, {LIBRARY_IDENTIFIER}')
+            self.sync()
+            sync_folder(path.parent)
+        except OSError:
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size(self) -> int:
+        """How many bytes it has, what is not written yet counted as it is before compression."""
+        return self._written + self._pending
+
+    def add_channel(
+        self,
+        topic: str,
+        message_encoding: str,
+        definition: Definition,
+        metadata: Mapping[str, str],
+    ) -> int:
+        """Return the channel for a topic's messages; the same one for the same arguments."""
+        if definition not in self._schemas:
+            self._schemas[definition] = self._writer.register_schema(*definition)
+            self._pending += len(definition.text)
+        schema = self._schemas[definition]
+        key = topic, message_encoding, schema, frozenset(metadata.items())
+        if key not in self._channels:
+            channel = self._writer.register_channel(
+                topic, message_encoding, schema, dict(metadata)
+            )
+            self._channels[key] = channel
+            described = {
+                'name': topic,
+                'type': definition.name,
+                'serialization_format': message_encoding,
+                'offered_qos_profiles': parsed_qos(metadata.get(QOS, '')),
+                'type_description_hash': metadata.get(TYPE_HASH, ''),
+            }
+            self._topics[channel] = BagTopic(described)
+            self.contents.topics.append(self._topics[channel])
+        return self._channels[key]
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Put a record of named values into the file."""
+        with naming(self.path):
+            self._writer.add_metadata(name, dict(values))
+        self._pending += sum(len(key) + len(value) for key, value in values.items())
+
+    def write(
+        self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int
+    ) -> None:
+        """Write a message of a channel that was added; times are in nanoseconds."""
+        topic, contents = self._topics[channel], self.contents
+        if contents.last < contents.first:
+            self.preamble = self.size
+        if len(data) > CHUNK:
+            # In a chunk with others it might become too large to be read.
+            self.flush()
+        self._writer.add_message(channel, log_time, data, publish_time, sequence)
+        topic.messages += 1
+        if log_time > contents.last:
+            contents.last = log_time
+        if log_time < contents.first:
+            contents.first = log_time
+        self._pending += len(data) + MESSAGE_HEAD
+        if self._pending > CHUNK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything written so far to the system, which a killed process leaves intact."""
+        with naming(self.path):
+            self._writer.flush()
+        self._written = self._file.tell()
+        self._pending = 0
+
+    def sync(self) -> None:
+        """Put everything written so far onto the disk; raise an OSError if it is not all there."""
+        # What is written after a cut fills it with zeros.
+        self._check_size()
+        self.flush()
+        # It leaves out the times of the file, and not how long it is.
+        with naming(self.path):
+            os.fdatasync(self._file.fileno())
+        self.check_in_place()
+
+    def check_in_place(self) -> None:
+        """Check that the file has not been removed, replaced or cut; raises an OSError."""
+        check_in_place(self._file, self.path)
+        self._check_size()
+
+    def _check_size(self) -> None:
+        size = os.fstat(self._file.fileno()).st_size
+        if size < self._written:
+            raise OSError(
+                f'{self.path} was cut to {size} bytes, of the {self._written} that were written: '
+                'what rotates logs must leave it alone'
+            )
+
+    def finish(self) -> None:
+        """Finish the file, with indexes, and put it onto the disk."""
+        self.flush()
+        described = yaml.safe_dump(information([self.contents]), sort_keys=False)
+        self.add_metadata(BAG_RECORD, {BAG_FIELD: described})
+        with naming(self.path):
+            self._writer.finish()
+        self.sync()
+        with naming(self.path):
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Leave the file as it was after the last flush, unfinished; nothing is raised."""
+        if self._file.closed:
+            return
+        with suppress(OSError):
+            os.ftruncate(self._file.fileno(), self._written)
+        with suppress(OSError):
+            # Not the buffer over it, which would try again to write what could not be written.
+            self._file.raw.close()
+
+
+def parsed_qos(text: str) -> object:
+    """Return the QoS that a channel was offered; none if it does not say, or in no YAML."""
+    try:
+        return parse_yaml(text) or []
+    except ValueError:
+        return []
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What was saved of a log."""
+
+    messages: int
+    # Unfinished files, and where files are corrupt.
+    lost: list[str]
+
+
+def repair(
+    path: str | Path,
+    target: Path,
+    progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
+) -> Repaired:
+    """Write what can be read of a log to one new finished file; there is none after an error."""
+    check_is_new(target)
+    lost = [f'{part} is unfinished' for part in parts_of(path) if not is_finished_part(part)]
+    corrupt: list[LogError] = []
+    contents = copy(progress(read_recorded(path, corrupt)), target, target.name, 'none')
+    try:
+        if not contents.messages:
+            raise LogError(f'{path} has no message that could be saved')
+        write_metadata(target.parent, [contents])
+    except (LogError, OSError):
+        target.unlink()
+        raise
+    return Repaired(contents.messages, lost + [str(each) for each in corrupt])
+
+
+def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
+    """Describe a part of a log; if it was cut, replace it by a finished file before."""
+    if is_finished_part(part):
+        return described(part)
+    new = part.with_name(f'{part.name}.new')
+    new.unlink(missing_ok=True)
+    contents = copy(read_part(part), new, part.name, compression)
+    lock.put_in_place(new, part)
+    sync_folder(part.parent)
+    return contents
+
+
+def described(part: Path) -> BagFile:
+    """Return what a finished file says is in it; raise a LogError if it is corrupt anywhere."""
+    records = {
+        each.name: each.values for each in read_part(part) if isinstance(each, RecordedMetadata)
+    }
+    try:
+        contents = file_of(yaml.safe_load(records[BAG_RECORD][BAG_FIELD]))
+    except Exception as error:
+        raise LogError(
+            f'{part} does not say what is in it ({error!r}): replay --repair makes a log that does'
+        ) from error
+    contents.name = part.name
+    return contents
+
+
+def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str) -> BagFile:
+    """Write what was read from one file or several to a new finished one."""
+    part = FileWriter(target, compression)
+    part.contents.name = name
+    metadata: dict[str, dict[str, str]] = {}
+    try:
+        for each in recorded:
+            if isinstance(each, RecordedMessage):
+                schema = each.schema
+                channel = part.add_channel(
+                    each.channel.topic,
+                    each.channel.message_encoding,
+                    Definition(schema.name, schema.encoding, schema.data),
+                    each.channel.metadata,
+                )
+                part.write(channel, each.data, each.log_time, each.publish_time, each.sequence)
+            elif each.name != BAG_RECORD and metadata.get(each.name) != each.values:
+                # Each part has all of them.
+                metadata[each.name] = each.values
+                part.add_metadata(each.name, each.values)
+        part.finish()
+    except BaseException:
+        part.abandon()
+        target.unlink(missing_ok=True)
+        raise
+    return part.contents

@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a mission log, or an MCAP bag of rosbag2 with the same topics."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from itertools import accumulate, count
+import os
+from pathlib import Path
+import struct
+from typing import Any, BinaryIO, NamedTuple
+
+from kbnitp_ros.files import in_words
+from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.schema import describe, ENCODING
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import breakup_chunk, StreamReader
+from mcap.writer import MCAP0_MAGIC
+from mcap_ros2.decoder import DecoderFactory
+
+# Bytes of a record.
+MAX_RECORD = 2**30
+
+# What other files than MCAP start with, and what to do with them.
+SQLITE_MAGIC = b'SQLite format 3\0'
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+REMEDIES = {
+    SQLITE_MAGIC: 'is a SQLite bag: convert it to MCAP with ros2 bag convert, or with '
+    'rosbags-convert --dst-storage mcap',
+    ZSTD_MAGIC: 'is compressed: decompress it with zstd -d',
+}
+
+# Kind and length of a record.
+HEAD = struct.Struct('<BQ')
+
+# Bytes of a chunk before the name of its compression.
+CHUNK_HEAD = 28
+
+KINDS = {value for name, value in vars(Opcode).items() if name.isupper()}
+
+NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
+
+
+class RecordedMessage(NamedTuple):
+    """A message with its channel and schema."""
+
+    channel: Channel
+    schema: Schema
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+    # Where its record ends, bytes.
+    position: int
+
+
+class RecordedMetadata(NamedTuple):
+    """A record of named values."""
+
+    name: str
+    values: dict[str, str]
+    position: int
+
+
+Recorded = RecordedMessage | RecordedMetadata
+
+
+@dataclass(frozen=True)
+class LoggedMessage:
+    """A decoded message; times in nanoseconds."""
+
+    # Full name.
+    topic: str
+    # Which of the topic's messages it is, from 0.
+    index: int
+    # As 'nav_msgs/msg/Path'.
+    type_name: str
+    # Times of receiving and sending.
+    log_time: int
+    publish_time: int
+    # Where its record ends in the log, bytes, earlier parts counted.
+    position: int
+    # The CDR bytes.
+    data: bytes
+    # Has the fields of its type, as the file defines it.
+    message: Any
+
+
+def read_log(
+    path: str | Path,
+    types: Collection[str] | None = None,
+    corrupt: list[LogError] | None = None,
+    topics: Collection[str] | None = None,
+) -> Iterator[LoggedMessage]:
+    """
+    Yield the messages of these types and topics in the order in which they were written.
+
+    A cut part yields what is before the cut, a corrupt one what is before its first error. That is
+    raised as a LogError, or added to `corrupt` if that is given.
+    """
+    decode, indices = Decoders(path), defaultdict[str, Iterator[int]](count)
+    for item in read_recorded(path, corrupt):
+        if not isinstance(item, RecordedMessage):
+            continue
+        topic, type_name = item.channel.topic, item.schema.name
+        if (types is None or type_name in types) and (topics is None or topic in topics):
+            yield LoggedMessage(
+                topic,
+                next(indices[topic]),
+                type_name,
+                item.log_time,
+                item.publish_time,
+                item.position,
+                item.data,
+                decode(item),
+            )
+
+
+def read_metadata(
+    path: str | Path, corrupt: list[LogError] | None = None
+) -> dict[str, dict[str, str]]:
+    """Return the values of metadata records by name; later files replace, later records add."""
+    records: dict[str, dict[str, str]] = {}
+    for part in parts_of(path):
+        own: dict[str, dict[str, str]] = {}
+        for item in metadata_of_part(part, corrupt):
+            own[item.name] = {**own.get(item.name, {}), **item.values}
+        records |= own
+    return records
+
+
+def metadata_of_part(
+    part: Path, corrupt: list[LogError] | None = None
+) -> Iterator[RecordedMetadata]:
+    """Return the metadata records of a file; `corrupt` as for `read_log`."""
+    return (item for item in read_part(part, corrupt) if isinstance(item, RecordedMetadata))
+
+
+def is_finished(path: str | Path) -> bool:
+    """Return whether each part of a log ends as its writer ends it."""
+    return all(map(is_finished_part, parts_of(path)))
+
+
+def is_finished_part(part: Path) -> bool:
+    """Return whether a file ends as its writer ends it."""
+    with readable(part), part.open('rb') as file:
+        return ends_finished(file, check_start(file, part))
+
+
+def ends_finished(file: BinaryIO, size: int) -> bool:
+    """Return whether an open file of this size ends as its writer ends it."""
+    file.seek(max(len(MCAP0_MAGIC), size - len(MCAP0_MAGIC)))
+    return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+
+
+def log_size(path: str | Path) -> int:
+    """Return the bytes of all parts of a log."""
+    return sum(map(size_of, parts_of(path)))
+
+
+def size_of(part: Path) -> int:
+    """Return the bytes of a file."""
+    with readable(part):
+        return part.stat().st_size
+
+
+def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+    """Return the messages, not decoded, and metadata of all parts, with positions in the log."""
+    parts = parts_of(path)
+    starts = accumulate(map(size_of, parts), initial=0)
+    return (
+        item._replace(position=start + item.position)
+        for part, start in zip(parts, starts)
+        for item in read_part(part, corrupt)
+    )
+
+
+def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+    """Yield the messages and metadata of a file as `read_log` does."""
+    schemas = {0: NO_SCHEMA}
+    channels: dict[int, Channel] = {}
+    messages = 0
+    position = 0
+    with readable(part), part.open('rb') as file:
+        size = check_start(file, part)
+        try:
+            for record, position in read_records(file, size):
+                if isinstance(record, Message):
+                    messages += 1
+                    channel = channels[record.channel_id]
+                    yield RecordedMessage(
+                        channel,
+                        schemas[channel.schema_id],
+                        record.sequence,
+                        record.log_time,
+                        record.publish_time,
+                        record.data,
+                        position,
+                    )
+                elif isinstance(record, Metadata):
+                    yield RecordedMetadata(record.name, record.metadata, position)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Statistics) and record.message_count != messages:
+                    raise ValueError(f'{messages} of {record.message_count} messages are there')
+        except Exception as error:
+            # The parser raises many types of them.
+            found = LogError(
+                f'{part} is corrupt after byte {position} ({in_words(error)}): replay --repair '
+                'saves what is before, mcap recover may save more'
+            )
+            if corrupt is None:
+                raise found from error
+            corrupt.append(found)
+
+
+def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
+    """Yield the records of the first bytes of a file, and where they end; raise any Exception."""
+    ends = list(record_ends(file, size))
+    file.seek(0)
+    records = StreamReader(
+        file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD
+    ).records
+    for end in ends:
+        record = next(records)
+        if file.tell() != end:
+            raise ValueError(f'a record ends at byte {file.tell()}, not at {end}')
+        if isinstance(record, Chunk):
+            yield from ((each, end) for each in breakup_chunk(record, validate_crc=True))
+        else:
+            yield record, end
+    check_cut(file, ends[-1] if ends else len(MCAP0_MAGIC), size)
+
+
+def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
+    """Yield where each whole record of a file ends, by kinds and lengths."""
+    end = len(MCAP0_MAGIC)
+    while end + HEAD.size <= size:
+        file.seek(end)
+        kind, length = HEAD.unpack(file.read(HEAD.size))
+        end += HEAD.size + length
+        if kind not in KINDS or end > size:
+            return
+        yield end
+
+
+def check_cut(file: BinaryIO, end: int, size: int) -> None:
+    """Check that no record follows the last whole one: the file ends there or was cut."""
+    ends_well = ends_finished(file, size)
+    if ends_well and size <= end + len(MCAP0_MAGIC):
+        return
+    file.seek(end)
+    rest = ReadDataStream(file)
+    with suppress(EndOfFile, struct.error):
+        kind, length = rest.read1(), rest.read8()
+        if kind == 0:
+            # Space that the file system reserved.
+            while block := file.read(2**20):
+                if block.strip(b'\0'):
+                    raise ValueError('a record has no kind')
+            return
+        if kind not in KINDS or ends_well:
+            raise ValueError(f'a record has kind {kind} and {length} bytes')
+        if kind == Opcode.CHUNK:
+            rest.read(CHUNK_HEAD)
+            rest.read_prefixed_string()
+            left = rest.read8()
+        elif kind == Opcode.MESSAGE_INDEX:
+            rest.read2()
+            left = rest.read4()
+        else:
+            return
+        if rest.count + left != HEAD.size + length:
+            raise ValueError(f'a record of {length} bytes has another length')
+
+
+def check_start(file: BinaryIO, part: Path) -> int:
+    """Return the size of an open file; raise a LogError if it is no MCAP file."""
+    start = file.read(len(SQLITE_MAGIC))
+    for magic, remedy in REMEDIES.items():
+        if start.startswith(magic):
+            raise LogError(f'{part} {remedy}')
+    # A killed writer may have left a part of them.
+    if not MCAP0_MAGIC.startswith(start[: len(MCAP0_MAGIC)]):
+        raise LogError(f'{part} is no MCAP file')
+    return os.fstat(file.fileno()).st_size
+
+
+@contextmanager
+def readable(part: Path) -> Iterator[None]:
+    """Raise a LogError where a file cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f'{part} cannot be read: {error.strerror}') from error
+
+
+class Decoders:
+    """Decoders of messages, by type as the file defines it."""
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+        self._decoders: dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None] = {}
+
+    def __call__(self, recorded: RecordedMessage) -> Any:
+        """Return a message's fields."""
+        channel, schema = recorded.channel, recorded.schema
+        encoding = channel.message_encoding
+        key = encoding, schema.encoding, schema.name, schema.data
+        try:
+            if key not in self._decoders:
+                self._decoders[key] = DecoderFactory().decoder_for(encoding, schema)
+            decoder = self._decoders[key]
+            if decoder is not None:
+                return decoder(recorded.data)
+        except Exception as error:
+            raise LogError(
+                f'{self._path}: a message of topic {channel.topic} is no {schema.name}: {error!r}'
+            ) from error
+        raise LogError(
+            f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
+            f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
+        )
+
+
+@cache
+def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
+    """Return the decoder of an installed message type."""
+    schema = Schema(1, describe(type_name).definition.encode(), ENCODING, type_name)
+    decoder = DecoderFactory().decoder_for('cdr', schema)
+    assert decoder is not None
+    return decoder
+
+
+def check_readable(type_name: str, data: bytes) -> None:
+    """Raise a ValueError if readers of a log cannot decode a message that rclpy can."""
+    # rclpy replaces what is no UTF-8, and fills in what is missing at the end.
+    try:
+        installed_decoder(type_name)(data)
+    except (UnicodeDecodeError, struct.error) as error:
+        raise ValueError(f'readers of logs cannot decode it: {error}') from error

@@ -1,0 +1,452 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a log has of a mission: its paths, departures and reports, in one pass."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+from kbnitp_ros.core import (
+    deployment_order,
+    DeploymentKey,
+    Deployments,
+    Grid,
+    Ledger,
+    Observation,
+    Report,
+    RobotType,
+)
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import LoggedMessage
+from kbnitp_ros.log.roles import BELIEF, LONGEST, MissionLog, Role
+from kbnitp_ros.messages.beliefs import (
+    Assimilated,
+    read_belief_maps,
+    read_robot_types,
+    Snapshot,
+)
+from kbnitp_ros.messages.deployments import (
+    AgentStatus,
+    key_of_path,
+    OrderState,
+    read_path,
+    read_report,
+    read_status,
+)
+from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, read_stamp
+from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class AtBaseError(ValueError):
+    """A robot is reported lost that is at the base, or was when word of it came last."""
+
+
+class Departures:
+    """What became of orders: a fold of the statuses and the reports of all agents."""
+
+    def __init__(self) -> None:
+        # The robots that have departed and were not reported.
+        self.out: set[DeploymentKey] = set()
+        self._statuses: dict[DeploymentKey, AgentStatus] = {}
+        # When the agent made its report, by its own clock; None if another one did.
+        self._reported: dict[DeploymentKey, int | None] = {}
+
+    def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
+        """Record a status; return whether it is news. Raise ValueError for a contradiction."""
+        known = self._statuses.get(key)
+        if known is not None and not self._follows(key, status, known):
+            return False
+        if key in self._reported:
+            reported = self._reported[key]
+            is_late = reported is not None and status.stamp > reported
+            if status.state is OrderState.REFUSED or is_late:
+                raise ValueError(
+                    f'deployment {key} is {status.state.name} after it was reported: the report '
+                    'holds'
+                )
+        elif status.state is OrderState.DEPARTED:
+            self.out.add(key)
+        self._statuses[key] = status
+        return True
+
+    @staticmethod
+    def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
+        """Return whether a status follows the one known; raises ValueError if it cannot."""
+        if status == known or status.state is known.state is OrderState.ACCEPTED:
+            return False
+        if known.state is OrderState.ACCEPTED:
+            return True
+        if status.state is OrderState.ACCEPTED and status.stamp <= known.stamp:
+            # It was said before, and heard again by one that was restarted.
+            return False
+        raise ValueError(
+            f'deployment {key} is {status.state.name}, and was {known.state.name} before: the '
+            f'first counts (do two robots have the name {key.agent}?)'
+        )
+
+    def end(self, key: DeploymentKey, reported: int | None) -> None:
+        """Take note of a report that its agent made at a time, or others who gave it up (None)."""
+        self._reported[key] = self._reported.get(key) if reported is None else reported
+        self.out.discard(key)
+        if self.is_refused(key):
+            # Whoever comes back has been away.
+            del self._statuses[key]
+
+    def status(self, key: DeploymentKey) -> AgentStatus | None:
+        """Return what was said last of an order; None if nothing was."""
+        return self._statuses.get(key)
+
+    def is_refused(self, key: DeploymentKey) -> bool:
+        """Return whether the robot stays at the base."""
+        status = self._statuses.get(key)
+        return status is not None and status.state is OrderState.REFUSED
+
+    def is_at_base(self, key: DeploymentKey) -> bool:
+        """Return whether the agent said something of an order, and not that the robot departs."""
+        status = self._statuses.get(key)
+        return status is not None and status.state is not OrderState.DEPARTED
+
+    def check_loss(self, key: DeploymentKey) -> None:
+        """Check that a robot can have been lost; raises `AtBaseError` if it is not known to be."""
+        if self.is_refused(key):
+            raise ValueError(
+                f'deployment {key} is reported lost, and its robot stays at the base: '
+                f'{self._statuses[key].reason}'
+            )
+        if self.is_at_base(key) and key not in self._reported:
+            raise AtBaseError(
+                f'deployment {key} is reported lost, and its agent has not said that its robot '
+                'departs'
+            )
+
+
+def record(deployments: Deployments, role: Role, message: Any) -> bool:
+    """Record a path or report as an estimator does; return whether an outcome changed."""
+    content = content_hash(message)
+    if role.name == 'report':
+        key, report = read_report(message, role.agent)
+        return deployments.record_report(key, replace(report, content=content))
+    return deployments.record_path(*read_path(deployments.grid, role.agent, message), content)
+
+
+def first_belief(log: MissionLog) -> Snapshot | None:
+    """Return the first belief on record; None if there is none that can be read."""
+    return next((read_belief_maps(each.message) for _, each in log.read('belief')), None)
+
+
+def required_belief(log: MissionLog) -> Snapshot:
+    """Return the first belief on record; raise a LogError if none can be read."""
+    if belief := first_belief(log):
+        return belief
+    raise LogError(
+        f'{log.path} has no beliefs on record that can be read: it must have messages of type '
+        f'{BELIEF} on {log.roles.names["belief"]}'
+    )
+
+
+def begun(prior: Snapshot) -> Ledger:
+    """Return the ledger of a mission on record before its first deployment."""
+    try:
+        ledger = prior.ledger()
+    except ValueError as error:
+        raise LogError(f'the beliefs on record cannot be computed: {error}') from error
+    if prior.version != ledger.estimator.version:
+        raise LogError(
+            f'beliefs are on record by version {prior.version} of {prior.method}: this '
+            f'kbnitp_ros computes version {ledger.estimator.version}; replay it with one that '
+            'computes that'
+        )
+    return ledger
+
+
+def last_belief(log: MissionLog) -> Snapshot | None:
+    """Return the last of the recorded beliefs that hold the most deployments."""
+    last, most = None, -1
+    for _, logged in log.read('belief'):
+        if logged.message.deployments >= most:
+            last, most = logged.message, logged.message.deployments
+    return None if last is None else read_belief_maps(last)
+
+
+def check_same_field(
+    log: MissionLog, grid: Grid, robot_types: Mapping[str, RobotType]
+) -> Snapshot | None:
+    """Return the first recorded belief; raise ValueError if its grid or bases are others."""
+    belief = first_belief(log)
+    if belief and belief.grid != grid:
+        raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters say {grid}')
+    for agent, robot_type in robot_types.items():
+        before = belief.base_of(agent) if belief else grid.at(robot_type.base).base
+        if before != (now := grid.at(robot_type.base).base):
+            raise ValueError(
+                f'{log.path} is of a mission in which the base of {agent} is {before}, and by the '
+                f'parameters it is {now}: a base is fixed for a mission; begin another one, with '
+                'prior.log'
+            )
+    return belief
+
+
+class GapError(ValueError):
+    """A belief on record that nothing can be compared with, since the log lacks something."""
+
+
+class Evidence(Deployments):
+    """The deployments of a log, judged as the estimator judges them."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        max_steps: int,
+        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(grid, max_steps, robot_types)
+        # The most steps of all robots, and of those that have a number of their own.
+        self._rules = [(max_steps, own_steps(robot_types))]
+        # By deployment, in the order in which they were reported: the reports that count.
+        self.reports: dict[DeploymentKey, Report] = {}
+        # What no estimator takes, and why.
+        self.refused: list[str] = []
+        # All that was read, by the hashes of the messages; by their times, the reports that fit.
+        self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
+        self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
+        self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
+
+    def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
+        """Take paths that are as long as the estimator of some belief takes them."""
+        if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
+            self._rules.append(rules)
+        self.max_steps = max(self.max_steps, max_steps)
+
+    def pass_belief(self, belief: Any) -> None:
+        """Go past a kbnitp_msgs/BeliefMaps; if it is none that is said when it is read."""
+        with suppress(ValueError):
+            self.allow(belief.max_steps, read_robot_types(belief.own))
+
+    def most_steps(self, key: DeploymentKey) -> int:
+        """Return the most steps that the path of a deployment may have."""
+        return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
+
+    def take(self, role: Role, logged: LoggedMessage) -> None:
+        """Take note of a path or a report, or of why it is refused."""
+        with self.refusals(logged.topic):
+            record(self, role, logged.message)
+
+    @contextmanager
+    def refusals(self, topic: str) -> Iterator[None]:
+        """Take note of why a message is refused."""
+        try:
+            yield
+        except ValueError as error:
+            self.refused.append(f'{topic}: {error}'[:LONGEST])
+
+    def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
+        """Take note of a path, also of one that is not the first of its deployment."""
+        self._paths_read.setdefault((key, content), path)
+        return super().record_path(key, path, content)
+
+    def record_report(self, key: DeploymentKey, report: Report) -> bool:
+        """Take note of a report, also of one that does not count."""
+        self._reports_read.setdefault((key, report.content), report)
+        return super().record_report(key, report)
+
+    def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
+        outcome = super()._outcome(key, report)
+        self._by_stamp[key].setdefault(report.stamp, report)
+        return outcome
+
+    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
+        self.reports[key] = report
+        if key in self.contradicted:
+            self.refused.append(self.contradicted[key][:LONGEST])
+
+    def report_of(self, key: DeploymentKey, stamp: int) -> Report:
+        """Return the first report of a deployment of this time, or else the one that counts."""
+        return self._by_stamp[key].get(stamp, self.reports[key])
+
+    def named(self, evidence: Assimilated, stamp: int) -> tuple[ArrayLike, Report]:
+        """Return the path and the report of a deployment that a belief of a time names."""
+        key = evidence.key
+        if (key, evidence.path) not in self._paths_read:
+            raise ValueError(f'path of deployment {key} is not on record')
+        if found := self._reports_read.get((key, evidence.report)):
+            return self._paths_read[key, evidence.path], found
+        missing = f'report of deployment {key} is not on record'
+        if min(self._by_stamp[key], default=stamp) > stamp:
+            raise GapError(f'{missing}, but a later one')
+        raise ValueError(missing)
+
+    @property
+    def survived(self) -> int:
+        """How many of the deployments reported came back."""
+        return sum(report.survived for report in self.reports.values())
+
+    @property
+    def without_report(self) -> list[DeploymentKey]:
+        """Deployments whose end is not on record: the robot was still out."""
+        return [key for key in self.paths if key not in self.reports]
+
+    @property
+    def without_path(self) -> list[DeploymentKey]:
+        """Deployments whose end is on record but not their path."""
+        return list(self._pending)
+
+
+def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
+    """Return the most steps of the robots of agents that have such a number of their own."""
+    return {
+        agent: robot_type.max_steps
+        for agent, robot_type in robot_types.items()
+        if robot_type.max_steps is not None
+    }
+
+
+@dataclass(frozen=True)
+class RecordedDeployment:
+    """What a log has of a deployment."""
+
+    # Its cells. Shape (steps + 1,).
+    path: NDArray[np.intp]
+    # The nav_msgs/Path, as it came off the wire.
+    message: bytes
+    # Hash of what it says.
+    content: int
+    # What came of it; None if the robot was still out.
+    observation: Observation | None = None
+    # When the base learnt that, in nanoseconds.
+    reported: int = 0
+    # What its agent said last of it; None if nothing.
+    status: AgentStatus | None = None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether its robot stays at the base."""
+        return self.status is not None and self.status.state is OrderState.REFUSED
+
+    @property
+    def has_departed(self) -> bool:
+        """Whether its robot is known to have left the base."""
+        says_so = self.status is not None and self.status.state is OrderState.DEPARTED
+        return says_so or self.observation is not None
+
+
+class MissionRecord:
+    """What a log has of a mission, to go on with: one pass over it."""
+
+    def __init__(
+        self,
+        log: MissionLog,
+        grid: Grid,
+        max_steps: int,
+        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+    ) -> None:
+        self.log = log
+        self.prior = check_same_field(log, grid, robot_types)
+        # When it began, in nanoseconds; None as long as no belief is on record.
+        self.mission = read_mission(log)
+        self.evidence = Evidence(grid, max_steps, robot_types)
+        if self.prior:
+            self.evidence.allow(self.prior.max_steps, self.prior.robot_types)
+        self._departures = Departures()
+        # The actions of the operator, each with its message as it came off the wire.
+        self.actions: list[tuple[OperatorAction, bytes]] = []
+        # The path of each deployment as it came, and the hash of what it says.
+        self._sent: dict[DeploymentKey, tuple[bytes, int]] = {}
+        for role, logged in log.read('path', 'report', 'status', 'operator'):
+            with log.leaving_out(role, logged):
+                self._take(role, logged)
+
+    def _take(self, role: Role, logged: LoggedMessage) -> None:
+        message = logged.message
+        if role.name == 'operator':
+            self.actions.append((read_operator_action(self.evidence.grid, message), logged.data))
+        elif role.name == 'status':
+            self._departures.take(*read_status(message, role.agent))
+        elif is_of_mission(role, message, self.mission):
+            self.evidence.take(role, logged)
+            key = key_of_path(role.agent, message) if role.name == 'path' else None
+            if key in self.evidence.paths:
+                self._sent.setdefault(key, (logged.data, content_hash(message)))
+
+    @property
+    def deployments(self) -> dict[DeploymentKey, RecordedDeployment]:
+        """Return those that the estimator takes, in the order they were made."""
+        return {key: self._deployment(key) for key in sorted(self._sent, key=deployment_order)}
+
+    def _deployment(self, key: DeploymentKey) -> RecordedDeployment:
+        evidence, status = self.evidence, self._departures.status(key)
+        report, path = evidence.reports.get(key), evidence.path(key)
+        if report and report.survived and self._departures.is_refused(key):
+            # Whoever comes back has been away.
+            status = None
+        if report is None or (status is not None and status.state is OrderState.REFUSED):
+            return RecordedDeployment(path, *self._sent[key], status=status)
+        seen = evidence.observation(key)
+        return RecordedDeployment(path, *self._sent[key], seen, report.stamp, status)
+
+
+def read_newest_round(
+    log: MissionLog, deployments: dict[DeploymentKey, RecordedDeployment]
+) -> tuple[Snapshot, list[DeploymentKey]] | None:
+    """Return the recorded belief that the newest deployments were planned on, and their keys."""
+    # Nobody waits for an order that was refused: no belief holds it.
+    keys = [key for key, each in deployments.items() if not each.is_refused]
+    planned_on = None
+    for _, logged in log.read('belief'):
+        held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
+        if held < len(keys) and stamp <= keys[held].stamp:
+            planned_on = logged.message
+    if planned_on is None:
+        return None
+    snapshot = read_belief_maps(planned_on)
+    first = snapshot.deployments
+    newest = {*keys[first:]}
+    return snapshot, [
+        key
+        for key, each in deployments.items()
+        if key in newest or (each.is_refused and key.stamp >= snapshot.stamp)
+    ]
+
+
+def read_mission(log: MissionLog) -> int | None:
+    """Return when the mission of a log began, in nanoseconds; None if no belief is on record."""
+    stated: dict[int, None] = {}
+    sent: dict[int, None] = {}
+    for role, logged in log.read('belief', 'path'):
+        if role.name == 'belief':
+            mission = read_stamp('mission', logged.message.mission)
+            stated.pop(mission, None)
+            stated[mission] = None
+        else:
+            sent.setdefault(mission_of_path(logged.message))
+        for mission in sent:
+            if mission in stated:
+                return mission
+    return next(reversed(stated), None)
+
+
+def is_of_mission(role: Role, message: Any, mission: int | None) -> bool:
+    """Return whether a path or report on record can be of the mission begun at a time."""
+    return mission is None or role.name != 'path' or mission_of_path(message) == mission
+
+
+def read_ledger(log: MissionLog) -> Ledger:
+    """Return the ledger of a mission on record, with all its evidence."""
+    prior = required_belief(log)
+    if prior.deployments:
+        raise LogError(
+            f'{log.path} begins with a belief in {prior.deployments} deployments: the prior is '
+            'not on record'
+        )
+    ledger, mission = begun(prior), read_mission(log)
+    for role, logged in log.read('path', 'report'):
+        if is_of_mission(role, logged.message, mission):
+            # The estimator refused it as well.
+            with suppress(ValueError):
+                record(ledger, role, logged.message)
+    return ledger

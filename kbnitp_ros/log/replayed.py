@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay finds in a log: the views, models and decisions on record, compared."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from hashlib import blake2b
+from math import isnan, nan
+from typing import Any
+
+from kbnitp_ros.core import DeploymentKey, Goal, Grid, HazardDraws, Ledger, ModelCheck
+from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.read import LoggedMessage
+from kbnitp_ros.log.record import Departures, Evidence
+from kbnitp_ros.log.roles import Role, VIEWS
+from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.grids import occupancy_fields
+from kbnitp_ros.messages.headers import Fields, from_stamp
+from kbnitp_ros.messages.operator_actions import OperatorAction
+from kbnitp_ros.messages.progress import decision_fields, model_fields, NOT_KNOWN, Standing
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# The array fields that are maps, and how many values they have for each cell.
+VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A field that is not as computed."""
+
+    # Which one, such as 'info.width'.
+    field: str
+    # How it differs.
+    text: str
+    # Largest absolute difference of its numbers; NaN if there is none to be taken.
+    largest: float = nan
+    # Whether it is not larger than another processor's rounding makes it.
+    is_rounding: bool = False
+    # Where in a map that is.
+    cell: int | None = None
+
+    def __str__(self) -> str:
+        return f'{self.field} {self.text}'
+
+
+def differences(
+    recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
+) -> Iterator[Difference]:
+    """Yield where a recorded message differs in the fields that were computed."""
+    for name, ours in vars(computed).items():
+        # Logs of earlier versions lack fields that were added.
+        if not hasattr(recorded, name):
+            continue
+        theirs = getattr(recorded, name)
+        # A number that is learnt; kappa is the name of a map as well.
+        if name in rounded and np.ndim(ours) == 0:
+            yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
+        else:
+            yield from _differences_of_field(name, theirs, ours, tolerance)
+
+
+def content_digest(message: Any, like: Fields) -> bytes:
+    """Return a digest of the fields of a message that `like` has, arrays with the types there."""
+    return blake2b(repr(list(_leaves(message, like))).encode(), digest_size=16).digest()
+
+
+def _leaves(value: Any, like: Any) -> Iterator[Any]:
+    if isinstance(like, Fields):
+        for name, each in vars(like).items():
+            if hasattr(value, name):
+                yield from _leaves(getattr(value, name), each)
+    elif isinstance(like, np.ndarray):
+        yield np.asarray(value, like.dtype).tobytes()
+    else:
+        yield value
+
+
+def _differences_of_field(
+    name: str, theirs: Any, ours: Any, tolerance: float
+) -> Iterator[Difference]:
+    if isinstance(ours, Fields):
+        for difference in differences(theirs, ours, tolerance):
+            yield replace(difference, field=f'{name}.{difference.field}')
+    elif isinstance(ours, np.ndarray):
+        yield from _array_differences(name, theirs, ours, tolerance)
+    elif isinstance(ours, list) and len(theirs) != len(ours):
+        yield Difference(name, f'has {len(theirs)} values, computed are {len(ours)}')
+    elif isinstance(ours, list):
+        for index, elements in enumerate(zip(theirs, ours)):
+            yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
+    # NaN differs from itself.
+    elif theirs != ours and (theirs == theirs or ours == ours):
+        yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
+
+
+def _array_differences(
+    name: str, theirs: ArrayLike, ours: NDArray[Any], tolerance: float
+) -> Iterator[Difference]:
+    """Yield the worst difference of two arrays, if there is any."""
+    recorded = np.asarray(theirs, dtype=ours.dtype)
+    if recorded.size != ours.size:
+        yield Difference(name, f'has {recorded.size} values, computed are {ours.size}')
+        return
+    differ = recorded.view(np.uint8) != ours.view(np.uint8)
+    differ = differ.reshape(ours.size, ours.itemsize).any(axis=1)
+    if not differ.any():
+        return
+    gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
+    is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
+    # A difference that is no number is the worst.
+    worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
+    cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
+    place = f'value {worst}' if cell is None else f'cell {cell}'
+    yield Difference(
+        name,
+        f'differs in {differ.sum()} values, by up to {gap[worst]:.3g} in {place} '
+        f'({recorded[worst]}, computed is {ours[worst]})',
+        float(gap[worst]),
+        tolerance > 0.0 and bool(is_rounded[differ].all()),
+        cell,
+    )
+
+
+# How far numbers may be from those computed by another processor or another version of numpy,
+# which round otherwise; of numbers above 1, relative to them.
+TOLERANCE = 1e-9
+
+
+class Grade(IntEnum):
+    """How well the beliefs of a log are reproduced."""
+
+    IDENTICAL = 0
+    EQUAL = 1
+    DIFFERENT = 2
+
+
+@dataclass(frozen=True)
+class BeliefFinding:
+    """What is to be said of a recorded belief, or of a view of one."""
+
+    # Where it was published.
+    topic: str
+    # Which of the topic's messages it is, from 0.
+    index: int
+    # The one that it assimilated last; None for a prior.
+    deployment: DeploymentKey | None
+    # How it differs from what was computed.
+    differences: tuple[Difference, ...] = ()
+    # Why nothing could be compared, if so.
+    reason: str = ''
+
+    def __str__(self) -> str:
+        held = 'the prior' if self.deployment is None else f'after {self.deployment}'
+        why = self.reason or '; '.join(map(str, self.differences))
+        return f'{self.topic} message {self.index} ({held}): {why}'
+
+
+@dataclass
+class ReplayReport:
+    """What a replay found."""
+
+    # The deployments on record.
+    evidence: Evidence
+    # What agents said of their orders.
+    departures: Departures = field(default_factory=Departures)
+    # What the operator did, in the order on record.
+    actions: list[OperatorAction] = field(default_factory=list)
+    # How the mission stood last, as far as that is on record.
+    standing: Standing = NOT_KNOWN
+    # Which parameters of nodes changed, in words.
+    changes: list[str] = field(default_factory=list)
+    # The last prior on record.
+    prior: Snapshot | None = None
+    # Probability of each kind of hazard in the end, and the check of the model.
+    kinds: Mapping[str, float] = field(default_factory=dict)
+    check: ModelCheck | None = None
+    # How many messages were compared, by topic: the beliefs and their views.
+    compared: Counter[str] = field(default_factory=Counter)
+    # Those that are different, and those that are equal to `TOLERANCE` but not identical.
+    mismatches: list[BeliefFinding] = field(default_factory=list)
+    roundings: list[BeliefFinding] = field(default_factory=list)
+    # Beliefs that the log lacks something for, and those that are on record twice.
+    not_compared: list[BeliefFinding] = field(default_factory=list)
+    repeated: list[BeliefFinding] = field(default_factory=list)
+    # Deployments that no belief holds, though later ones are held: lost evidence.
+    passed_over: list[DeploymentKey] = field(default_factory=list)
+    # Deployments after the last one that is known to be held.
+    not_yet_held: list[DeploymentKey] = field(default_factory=list)
+    # Whether the log ends as its writer ends it.
+    finished: bool = False
+    # Where files are corrupt: what comes after is not read.
+    corrupt: list[LogError] = field(default_factory=list)
+
+    def add(self, finding: BeliefFinding) -> None:
+        """Note a message that is not identical."""
+        is_equal = all(each.is_rounding for each in finding.differences)
+        (self.roundings if is_equal else self.mismatches).append(finding)
+
+    @property
+    def method(self) -> str:
+        """Return the method of the estimator; empty if no prior is on record."""
+        return '' if self.prior is None else self.prior.method
+
+    @property
+    def grade(self) -> Grade:
+        """How well the deployments on record give the beliefs on record that were compared."""
+        if self.mismatches or self.passed_over:
+            return Grade.DIFFERENT
+        return Grade.EQUAL if self.roundings else Grade.IDENTICAL
+
+    @property
+    def reproduced(self) -> bool:
+        """Whether they give them bit for bit."""
+        return self.grade == Grade.IDENTICAL
+
+    @property
+    def largest_rounding(self) -> float:
+        """Return the largest difference of numbers that are equal to `TOLERANCE`."""
+        gaps = (each.largest for found in self.roundings for each in found.differences)
+        return max((gap for gap in gaps if not isnan(gap)), default=0.0)
+
+
+# Which fields a grid has.
+ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
+
+# The belief that a view is of, and the fields of a model or the digest of a grid.
+Expected = tuple['DeploymentKey | None', Any]
+
+
+class ReplayedViews:
+    """The views on record, and those of the beliefs that were computed."""
+
+    def __init__(self) -> None:
+        # The index, stamp and content of each, by its role and topic.
+        self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
+        # By role and stamp; beliefs may share one.
+        self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
+        # How many beliefs of a stamp are on record and were not computed.
+        self._unknown: Counter[int] = Counter()
+
+    def note(self, role: Role, logged: LoggedMessage) -> None:
+        """Keep a view until all beliefs are computed; of a grid what identifies its content."""
+        message = logged.message
+        kept = message if role.name == 'model' else grid_digest(message)
+        view = logged.index, from_stamp(message.header.stamp), kept
+        self._recorded[role.name, logged.topic].append(view)
+
+    def expect(self, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int) -> None:
+        """Take note of the views of a ledger's belief, whose maps are those of `seen`."""
+        for name in VIEWS:
+            grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
+            self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
+        if ledger.estimator.parameters or ledger.estimator.check.alternatives:
+            fields = model_fields(ledger, stamp)
+            # A sentence that rounds numbers, which another processor may round otherwise.
+            del fields.reason
+            self._expected['model', stamp].append((newest, fields))
+
+    def pass_over(self, stamp: int) -> None:
+        """Take note of a belief on record that was not computed: its views are not known."""
+        self._unknown[stamp] += 1
+
+    def compare(self, report: ReplayReport) -> None:
+        """Compare each view with those of the beliefs of its time; some may be missing."""
+        for (role, topic), views in self._recorded.items():
+            by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
+            for index, stamp, view in views:
+                by_stamp[stamp].append((index, view))
+            for stamp, indexed in by_stamp.items():
+                expected = self._expected.get((role, stamp), [])
+                unseen, others = [*expected], []
+                for index, view in indexed:
+                    alike = [n for n, each in enumerate(unseen) if not differs(view, each[1])]
+                    if alike:
+                        del unseen[alike[0]]
+                    elif all(differs(view, computed) for _, computed in expected):
+                        others.append((index, view))
+                        continue
+                    report.compared[topic] += 1
+                del others[: self._unknown[stamp]]
+                for (index, view), (newest, computed) in zip(others, unseen):
+                    report.compared[topic] += 1
+                    report.add(BeliefFinding(topic, index, newest, differs(view, computed)))
+
+
+def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
+    """Return how a view differs from that of a belief; of grids only the digests are known."""
+    if not isinstance(view, bytes):
+        return tuple(differences(view, computed, TOLERANCE))
+    return () if view == computed else (Difference('data', 'is not that of the belief'),)
+
+
+def grid_digest(view: Any) -> bytes:
+    """Return a digest of a nav_msgs/OccupancyGrid or its fields."""
+    return content_digest(view, ANY_GRID)
+
+
+# Numbers that another processor may round otherwise.
+ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
+
+
+@dataclass(frozen=True)
+class RecordedGoal:
+    """What a mission was to make sure of."""
+
+    goal: Goal
+    # The most steps of a lane.
+    max_steps: int
+
+
+class ReplayedDecisions:
+    """The decisions on record that were not compared yet."""
+
+    def __init__(self, asked: RecordedGoal | None) -> None:
+        self._asked = asked
+        # The index and the message of each, by its topic, the stamp of its belief and the
+        # deployments in that.
+        self._recorded: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
+
+    def note(self, logged: LoggedMessage) -> None:
+        """Keep a decision until the belief that it is made with is computed."""
+        message = logged.message
+        key = from_stamp(message.header.stamp), message.deployments
+        self._recorded[key].append((logged.topic, logged.index, message))
+
+    def compare(self, ledger: Ledger, stamp: int, report: ReplayReport) -> None:
+        """Compare the decisions that were made with the belief of a ledger, of this stamp."""
+        key = stamp, len(ledger.deployments)
+        if self._asked is None or key not in self._recorded:
+            return
+        draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
+        decision = self._asked.goal.decide(
+            ledger.grid, draws, ledger.estimator.model, self._asked.max_steps
+        )
+        computed = decision_fields(decision, len(ledger.deployments))
+        computed.path = Fields(
+            poses=[
+                Fields(pose=Fields(position=Fields(x=x, y=y)))
+                for x, y in ledger.grid.centers(decision.path).tolist()
+            ]
+        )
+        for topic, index, message in self._recorded.pop(key):
+            report.compared[topic] += 1
+            if found := tuple(differences(message, computed, TOLERANCE, ROUNDED)):
+                report.add(BeliefFinding(topic, index, ledger.newest, found))
+
+    def finish(self, report: ReplayReport) -> None:
+        """Take note of the decisions that are left."""
+        reason = (
+            'the goal is not on record'
+            if self._asked is None
+            else 'the belief that it is made with is not reproduced or not on record'
+        )
+        for left in self._recorded.values():
+            for topic, index, _ in left:
+                report.not_compared.append(BeliefFinding(topic, index, None, reason=reason))

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a file says of its messages: their types, and what rosbag2 wants to know of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from kbnitp_ros.files import naming
+from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
+import yaml
+
+ENCODING = 'ros2msg'
+
+# Metadata of a channel.
+QOS = 'offered_qos_profiles'
+TYPE_HASH = 'topic_type_hash'
+
+SEPARATOR = '=' * 80
+
+# The resource of the ament index in which a package lists its interfaces, one a line.
+INTERFACES = 'rosidl_interfaces'
+
+
+@dataclass(frozen=True)
+class TypeDescription:
+    """What a reader needs to know of a message type."""
+
+    # The type's definition, then that of every type it refers to, directly or not.
+    definition: str
+    # REP-2011 hash, 'RIHS01_' and 64 hex digits.
+    type_hash: str
+
+
+def check_installed(type_name: str) -> None:
+    """Check that the ament index lists a message type."""
+    package, _, interface = type_name.partition('/')
+    # Only who writes a log needs to know what is installed.
+    from ament_index_python.resources import get_resource, get_resources
+
+    listed: list[str] = []
+    if interface.startswith('msg/') and package in get_resources(INTERFACES):
+        listed = get_resource(INTERFACES, package)[0].splitlines()
+    if f'{interface}.msg' not in listed:
+        raise LookupError(
+            f'type {type_name!r} is not installed: no package of the ament index lists it '
+            'among its messages'
+        )
+
+
+def describe(type_name: str) -> TypeDescription:
+    """Return the description of an installed message type."""
+    check_installed(type_name)
+    description = json.loads(installed_text(type_name, 'json'))
+    hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
+    message = description['type_description_msg']
+    sections = [installed_text(type_name, 'msg')]
+    for referenced in message['referenced_type_descriptions']:
+        text = installed_text(referenced['type_name'], 'msg')
+        short_name = referenced['type_name'].replace('/msg/', '/')
+        sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
+    return TypeDescription('\n'.join(sections), hashes[type_name])
+
+
+def installed_text(type_name: str, suffix: str) -> str:
+    """Return what is installed of a message type, as 'msg' or as 'json'."""
+    from ament_index_python.packages import get_package_share_directory
+
+    package, kind, name = type_name.split('/')
+    try:
+        return Path(get_package_share_directory(package), kind, f'{name}.{suffix}').read_text()
+    except OSError as error:
+        raise LookupError(f'type {type_name} is not installed: {error}') from error
+
+
+def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
+    """Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic."""
+
+    def duration(value: Any) -> dict[str, int]:
+        seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
+        return {'sec': seconds, 'nsec': nanoseconds}
+
+    text: str = yaml.safe_dump(
+        [
+            {
+                'history': profile.history.name.lower(),
+                'depth': profile.depth,
+                'reliability': profile.reliability.name.lower(),
+                'durability': profile.durability.name.lower(),
+                'deadline': duration(profile.deadline),
+                'lifespan': duration(profile.lifespan),
+                'liveliness': profile.liveliness.name.lower(),
+                'liveliness_lease_duration': duration(profile.liveliness_lease_duration),
+                'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+            }
+            for profile in profiles
+        ],
+        sort_keys=False,
+    )
+    return text
+
+
+# rosbag2's metadata version of ROS 2 Jazzy, where a topic's QoS is a list and policies have names.
+VERSION = 9
+
+
+@dataclass
+class BagTopic:
+    """A topic with one QoS and how many messages it has."""
+
+    # As rosbag2 writes it: name, type, serialization_format, offered_qos_profiles,
+    # type_description_hash.
+    metadata: dict[str, Any]
+    messages: int = 0
+
+
+@dataclass
+class BagFile:
+    """What is in a file of a bag."""
+
+    name: str
+    topics: list[BagTopic] = field(default_factory=list)
+    # Times of its earliest and its latest message, in nanoseconds. Without messages first is the
+    # greatest time there is and last is 0.
+    first: int = 2**63 - 1
+    last: int = 0
+
+    @property
+    def messages(self) -> int:
+        """How many it has."""
+        return sum(topic.messages for topic in self.topics)
+
+
+def information(files: Sequence[BagFile]) -> dict[str, Any]:
+    """Return the description of a bag that consists of these files."""
+    first, last = min(file.first for file in files), max(file.last for file in files)
+    return {
+        'version': VERSION,
+        'storage_identifier': 'mcap',
+        **span(first, last, sum(file.messages for file in files)),
+        'topics_with_message_count': [
+            {'topic_metadata': topic.metadata, 'message_count': topic.messages}
+            for topic in merged(files)
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [
+            {'path': file.name, **span(file.first, file.last, file.messages)} for file in files
+        ],
+        'custom_data': {},
+        'ros_distro': os.environ.get('ROS_DISTRO', 'jazzy'),
+    }
+
+
+def span(first: int, last: int, messages: int) -> dict[str, Any]:
+    """Return when a bag or a file of it starts, how long it lasts and how many messages it has."""
+    start = min(first, last)
+    return {
+        'duration': {'nanoseconds': last - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': messages,
+    }
+
+
+def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
+    """Yield the topics of all files, those of one name twice if they differ, as in their QoS."""
+    topics: dict[str, BagTopic] = {}
+    for topic in (topic for file in files for topic in file.topics):
+        same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
+        same.messages += topic.messages
+    yield from topics.values()
+
+
+def file_of(bag: Mapping[str, Any]) -> BagFile:
+    """Return what is in the one file of a bag, from its description."""
+    file = BagFile(
+        bag['relative_file_paths'][0],
+        [
+            BagTopic(entry['topic_metadata'], entry['message_count'])
+            for entry in bag['topics_with_message_count']
+        ],
+    )
+    if file.messages:
+        file.first = bag['starting_time']['nanoseconds_since_epoch']
+        file.last = file.first + bag['duration']['nanoseconds']
+    return file
+
+
+def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
+    """Replace metadata.yaml, and return True, unless it is that of another bag."""
+    if is_of_another_bag(folder, files[0].name):
+        return False
+    target = folder / METADATA
+    # Another log in the folder may be finished at the same time.
+    new = target.with_name(f'{files[0].name}.{METADATA}.new')
+    try:
+        with naming(new), new.open('w') as file:
+            yaml.safe_dump({INFORMATION: information(files)}, file, sort_keys=False)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(target)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+    sync_folder(folder)
+    return True
+
+
+def is_of_another_bag(folder: Path, first: str) -> bool:
+    """Return whether the folder's metadata.yaml, if any, is of a bag with another first file."""
+    listed = read_information(folder).get('relative_file_paths')
+    if not isinstance(listed, list) or listed[:1] == [first]:
+        return False
+    # One that lists no file that is there is of a log that was renamed.
+    return any((folder / str(name)).exists() for name in listed)
+
+
+def sync_folder(folder: Path) -> None:
+    """Put onto the disk which files the folder has."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with naming(folder):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write a mission log as MCAP files, safe on the disk when they are said to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from kbnitp_ros.log.files import (
+    check_is_new,
+    is_later_part,
+    LogError,
+    LogLock,
+    part_path,
+    parts_of,
+)
+from kbnitp_ros.log.mcap_file import COMPRESSIONS, Definition, FileWriter, finished
+from kbnitp_ros.log.schema import (
+    BagFile,
+    describe,
+    is_of_another_bag,
+    QOS,
+    TYPE_HASH,
+    write_metadata,
+)
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+# Bytes of a message. A belief over 1000x1000 cells has 56 million.
+MAX_MESSAGE = 63 * 2**20
+
+
+@dataclass
+class Topic:
+    """A topic on record."""
+
+    definition: Definition
+    # What its channel says of it.
+    metadata: dict[str, str]
+    # How many were written, to all parts.
+    messages: int = 0
+    # Its number in the part being written.
+    channel: int = 0
+
+
+class LogWriter:
+    """
+    Writer of CDR messages to a new log, or with `resume` to a new file of an old one.
+
+    What was written is on the disk after `sync`. After an OSError the log is closed as it was last
+    written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        resume: bool = False,
+        compression: str = 'none',
+        max_file_size: int = 0,
+        max_file_duration: float = 0.0,
+    ) -> None:
+        if compression not in COMPRESSIONS:
+            raise ValueError(f'compression is {compression!r}: it must be none or zstd')
+        self._compression = compression
+        self._max_size = max_file_size or 2**63
+        self._max_duration = round(max_file_duration * 1e9) or 2**63
+        self._topics: dict[str, Topic] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._finished: list[BagFile] = []
+        self._number = 0
+        if resume:
+            parts = parts_of(path)
+            self.path = parts[0]
+            check_goes_on(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
+            self._lock = LogLock(self.path)
+            try:
+                # There may have been one more since, by a writer that has just ended.
+                parts = parts_of(path)
+                self._finished = [finished(part, compression, self._lock) for part in parts]
+                self._number = len(parts)
+                self.current_path = part_path(self.path, self._number)
+                part = FileWriter(self.current_path, compression)
+            except BaseException:
+                self._lock.release()
+                raise
+        else:
+            self.path = self.current_path = Path(path)
+            check_is_new(self.path)
+            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
+            part = FileWriter(self.path, compression)
+            try:
+                self._lock = LogLock(self.path)
+            except BaseException:
+                part.abandon()
+                raise
+        self._part: FileWriter | None = part
+
+    def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
+        """Put a topic on record: before its first message, and again whenever its QoS changes."""
+        description = describe(type_name)
+        definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
+        metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
+        known = self._topics.get(topic)
+        self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)
+        self._add_channel(topic)
+
+    def _add_channel(self, topic: str) -> None:
+        """Have the part that is being written know a topic."""
+        added = self._topics[topic]
+        added.channel = self._open_part().add_channel(
+            topic, MessageEncoding.CDR, added.definition, added.metadata
+        )
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Put a record of named values into this file and all later ones, or change it there."""
+        known = self._metadata.get(name, {})
+        new = {key: value for key, value in values.items() if known.get(key) != value}
+        if name in self._metadata and not new:
+            return
+        self._metadata[name] = {**known, **values}
+        try:
+            self._open_part().add_metadata(name, new)
+        except OSError:
+            self._abandon()
+            raise
+
+    def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
+        """Write a message."""
+        if len(data) > MAX_MESSAGE:
+            raise ValueError(
+                f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
+                'written'
+            )
+        part = self._open_part()
+        contents = part.contents
+        entry = self._topics[topic]
+        entry.messages += 1
+        try:
+            if contents.last and (
+                part.size - part.preamble >= self._max_size
+                or log_time - contents.first >= self._max_duration
+            ):
+                part = self._next_part()
+            part.write(entry.channel, data, max(log_time, 0), max(publish_time, 0), entry.messages)
+        except OSError:
+            self._abandon()
+            raise
+
+    def sync(self) -> None:
+        """Put everything written so far onto the disk."""
+        try:
+            self._open_part().sync()
+            self._lock.check_in_place()
+        except OSError:
+            self._abandon()
+            raise
+
+    def check_in_place(self) -> None:
+        """Check that the log has not been removed or replaced; raises FileNotFoundError."""
+        self._open_part().check_in_place()
+        self._lock.check_in_place()
+
+    def close(self) -> None:
+        """Finish the log and put it onto the disk; nothing is done if it is closed already."""
+        if self._part is None:
+            return
+        try:
+            self._finish_part()
+        except OSError:
+            self._abandon()
+            raise
+        self._part = None
+        self._lock.release()
+
+    def __enter__(self) -> LogWriter:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the log, also after an error: what was written is worth having."""
+        self.close()
+
+    def _open_part(self) -> FileWriter:
+        if self._part is None:
+            raise ValueError(f'{self.path} is closed')
+        return self._part
+
+    def _next_part(self) -> FileWriter:
+        """Go on in another file, which can be read without those before."""
+        self._finish_part()
+        self._number += 1
+        self.current_path = part_path(self.path, self._number)
+        self._part = FileWriter(self.current_path, self._compression)
+        for name, values in self._metadata.items():
+            self._part.add_metadata(name, values)
+        for topic in self._topics:
+            self._add_channel(topic)
+        return self._part
+
+    def _finish_part(self) -> None:
+        part = self._open_part()
+        part.finish()
+        self._finished.append(part.contents)
+        self.shares_folder = not write_metadata(self.path.parent, self._finished)
+
+    def _abandon(self) -> None:
+        """Give up after an error: what reached the disk stays as it is."""
+        if self._part is not None:
+            self._part.abandon()
+            self._part = None
+            self._lock.release()
+
+
+def check_goes_on(first: Path) -> None:
+    """Check that a log can be gone on with under the name of this file."""
+    if is_later_part(first):
+        raise LogError(f'{first} is a part of the log beside it: name the first file of that')
+    if first.suffix != '.mcap':
+        raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be gone on with')

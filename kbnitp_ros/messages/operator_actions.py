@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the operator decides, and what holds by it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, TYPE_CHECKING
+
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.messages.deployments import path_message, read_path
+from kbnitp_ros.messages.headers import check_frame, header, read_name, SECOND, shown
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from kbnitp_msgs import msg
+
+
+class Action(IntEnum):
+    """What an operator can do, as in kbnitp_msgs/OperatorAction."""
+
+    PAUSE = 1
+    RESUME = 2
+    APPROVE = 3
+    REFUSE = 4
+    GIVE_UP = 5
+    END = 6
+
+
+# What is done, and whether it is done to robots.
+WORDS = {
+    Action.PAUSE: 'paused the mission',
+    Action.RESUME: 'ended the pause',
+    Action.APPROVE: 'approved of the paths of',
+    Action.REFUSE: 'refused the paths of',
+    Action.GIVE_UP: 'gave up',
+    Action.END: 'ended the mission',
+}
+OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
+
+
+@dataclass(frozen=True, eq=False)
+class OperatorAction:
+    """An action of the operator."""
+
+    # When, nanoseconds of ROS time; never twice the same.
+    stamp: int
+    action: Action
+    # How many robots had left by then.
+    robots_left: int
+    # Of the robots that it is about.
+    paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
+    # Of a robot that is given up: how many of its steps it is known to have survived.
+    steps_survived: int = 0
+
+    def __str__(self) -> str:
+        """Return what was done, in words."""
+        robots = ', '.join(map(str, self.paths))
+        contact = f', heard of last after step {self.steps_survived}'
+        return ' '.join(filter(None, [WORDS[self.action], robots])) + (
+            contact if self.steps_survived else ''
+        )
+
+    @property
+    def when(self) -> str:
+        """Return its time as names of deployments show it."""
+        return f'{self.stamp // SECOND}.{self.stamp % SECOND:09d}'
+
+
+def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorAction:
+    """Return the message of an action on this grid."""
+    from kbnitp_msgs import msg
+
+    return msg.OperatorAction(
+        header=header(action.stamp),
+        action=action.action,
+        robots_left=action.robots_left,
+        agents=[key.agent for key in action.paths],
+        paths=[path_message(grid, path, key.stamp) for key, path in action.paths.items()],
+        steps_survived=action.steps_survived,
+    )
+
+
+def read_action_name(message: Any) -> int:
+    """Return the time that names an action, in nanoseconds."""
+    check_frame('header.frame_id', message.header.frame_id)
+    return read_name('header.stamp', message.header.stamp)
+
+
+def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
+    """Return the action that a kbnitp_msgs/OperatorAction states."""
+    stamp = read_action_name(message)
+    if message.action not in list(Action):
+        raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
+    action = Action(message.action)
+    if len(message.agents) != len(message.paths):
+        raise ValueError(f'agents has {len(message.agents)} names: paths has {len(message.paths)}')
+    if bool(message.agents) != (action in OF_ROBOTS):
+        raise ValueError(f'agents is {shown(", ".join(message.agents))}: action is {action.name}')
+    paths = dict(
+        read_path(grid, agent, path) for agent, path in zip(message.agents, message.paths)
+    )
+    for path in paths.values():
+        grid.check_any_path(path)
+    return OperatorAction(
+        stamp, action, int(message.robots_left), paths, int(message.steps_survived)
+    )
+
+
+# How often a mission goes on after a pause, and how often proposals are refused, at the most:
+# whoever calls these services for ever fills neither the memory of the planner nor the disk.
+MOST_TIMES = 1000
+REPEATED = (Action.RESUME, Action.REFUSE)
+
+Paths = Mapping[DeploymentKey, NDArray[np.intp]]
+
+
+class OperatorState:
+    """What holds by the actions of the operator so far."""
+
+    def __init__(self) -> None:
+        # All actions by the times that name them, in order.
+        self.actions: dict[int, OperatorAction] = {}
+        # Whether no robot leaves for now.
+        self.is_paused = False
+        # Whether none leaves any more.
+        self.is_ended = False
+        # The robots that were given up, and how many steps each is known to have survived.
+        self.given_up: dict[DeploymentKey, int] = {}
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether robots that were sent and have not departed stay at the base."""
+        return self.is_paused or self.is_ended
+
+    def apply(self, action: OperatorAction) -> bool:
+        """Have an action hold; return whether it was not known."""
+        if action.stamp in self.actions:
+            return False
+        self.actions[action.stamp] = action
+        if action.action in (Action.PAUSE, Action.RESUME):
+            self.is_paused = action.action == Action.PAUSE
+        elif action.action == Action.GIVE_UP:
+            self.given_up |= dict.fromkeys(action.paths, action.steps_survived)
+        elif action.action == Action.END:
+            self.is_ended = True
+        return True
+
+    def check_times(self, what: Action) -> None:
+        """Check that an action was not taken too often."""
+        times = sum(each.action == what for each in self.actions.values())
+        if what in REPEATED and times >= MOST_TIMES:
+            raise ValueError(
+                f'{what.name} was taken {times} times, and is not again: the service end_mission '
+                'ends this mission; begin another one'
+            )
+
+    def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
+        """Return the rounds of paths that were refused since the last robot left."""
+        return [
+            list(each.paths.values())
+            for each in self.actions.values()
+            if each.action == Action.REFUSE and each.robots_left == robots_left
+        ]
+
+    def is_approved(self, robots_left: int, paths: Paths) -> bool:
+        """Return whether paths were approved since the last robot left."""
+        return any(
+            each.action == Action.APPROVE
+            and each.robots_left == robots_left
+            and are_same(each.paths, paths)
+            for each in self.actions.values()
+        )
+
+
+def are_same(ones: Paths, others: Paths) -> bool:
+    """Return whether robots of the same agents go the same paths."""
+    cells = [{key.agent: path.tolist() for key, path in paths.items()} for paths in (ones, others)]
+    return cells[0] == cells[1]

@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who else is there: other processes of a name, other recorders, agents, and who holds robots."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+import time
+from uuid import uuid4
+
+from diagnostic_msgs.msg import DiagnosticArray
+from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
+from kbnitp_ros.nodes.heard import NAMELESS
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.diagnostics import TOPIC
+from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
+from kbnitp_ros.nodes.runtime.node import MissionNode
+from std_msgs.msg import Bool
+
+INSTANCE = 'instance'
+
+# Seconds without diagnostics after which a node is taken for dead. DDS knows of one that was
+# killed for much longer, and one that lives says something every second.
+SILENT = 3.0
+
+# Of how many other instances the newest are kept.
+MOST_INSTANCES = 10
+
+
+@dataclass(frozen=True)
+class Instance:
+    """Another process."""
+
+    # The full name of its node.
+    name: str
+    # What its diagnostics told last.
+    values: Mapping[str, str]
+    # When that was, as `time.monotonic` tells it.
+    heard_at: float
+
+
+class Instances:
+    """Listens for diagnostics that name an instance other than the one of this process."""
+
+    def __init__(
+        self, node: MissionNode, is_meant: Callable[[str, Mapping[str, str]], bool]
+    ) -> None:
+        # Names the instance of this process.
+        self.own = uuid4().hex
+        self._is_meant = is_meant
+        self._heard: dict[str, Instance] = {}
+        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            values = {each.key: each.value for each in status.values}
+            instance = values.get(INSTANCE, self.own)
+            if instance == self.own or not self._is_meant(status.name, values):
+                continue
+            self._heard.pop(instance, None)
+            self._heard[instance] = Instance(status.name, values, time.monotonic())
+            if len(self._heard) > MOST_INSTANCES:
+                del self._heard[next(iter(self._heard))]
+
+    @property
+    def alive(self) -> list[Instance]:
+        """Return the others that were heard just now."""
+        since = time.monotonic() - SILENT
+        return [each for each in self._heard.values() if each.heard_at >= since]
+
+
+OWN_NAME = 'each robot needs its own (parameter agent and the namespace)'
+
+
+class DuplicateNames:
+    """Listens for diagnostics that tell the name of this node, and are not its own."""
+
+    def __init__(self, node: MissionNode, topic: str) -> None:
+        self._node = node
+        self._topic = topic
+        self._seen_since: float | None = None
+        own_name = node.get_fully_qualified_name()
+        self._others = Instances(node, lambda name, _: name == own_name)
+        node.diagnostics.values[INSTANCE] = self._others.own
+
+    @property
+    def heard(self) -> str:
+        """Return that another node of this name is alive; empty if none was heard just now."""
+        if not self._others.alive:
+            return ''
+        return f'another {self._node.get_fully_qualified_name()} is heard, and {OWN_NAME}'
+
+    @property
+    def awaited(self) -> str:
+        """Return that another node of this name must end first; empty if none is alive."""
+        own = self._node.get_name(), self._node.get_namespace()
+        known = self._node.get_publishers_info_by_topic(self._topic)
+        same = sum((each.node_name, each.node_namespace) == own for each in known)
+        now = time.monotonic()
+        if same <= 1:
+            self._seen_since = None
+            return ''
+        self._seen_since = self._seen_since or now
+        if now > self._seen_since + SILENT and not self._others.alive:
+            return ''
+        return (
+            f'the other {self._node.get_fully_qualified_name()} to end: {same} nodes '
+            f'have this name, and {OWN_NAME}'
+        )
+
+
+# A publisher alone may be of a killed process, and anybody can send diagnostics alone.
+
+
+# Every recorder publishes it from its start to its end, and no other node does.
+OPERATORS = 'operator/recorded'
+
+# What the diagnostics of one tell that records: its log, and since when, in nanoseconds.
+LOG = 'log'
+BEGUN = 'begun'
+
+# The most characters of these; more is nothing that a recorder tells.
+LONGEST_PATH = 4096
+LONGEST_TIME = 20
+
+# How long a recorder listens for others before its word counts, in seconds.
+LOOK = 1.5
+
+
+class Recorders:
+    """The other recorders of a namespace."""
+
+    def __init__(self, node: MissionNode) -> None:
+        self._node = node
+        self._topic = node.resolve_topic_name(OPERATORS)
+        self._namespace = full_name(node.get_namespace(), '')
+        self._looks_until = 0.0
+        # Those that are heard.
+        self.instances = Instances(node, self._is_recording)
+
+    def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:
+        begun = values.get(BEGUN, '')
+        is_time = begun.isdecimal() and len(begun) <= LONGEST_TIME
+        is_here = name.rpartition('/')[0] == self._namespace.rstrip('/')
+        return is_here and is_time and len(values.get(LOG, '')) <= LONGEST_PATH
+
+    @property
+    def publishers(self) -> Counter[str]:
+        """Return how often each node publishes what only recorders do, this process left out."""
+        own = sum(each.topic_name == self._topic for each in self._node.publishers)
+        if self._node.count_publishers(self._topic) <= own:
+            return Counter()
+        known = self._node.authors(self._topic, PUBLISHED['recorder'])
+        return Counter(known) - Counter({self._node.get_fully_qualified_name(): own})
+
+    @property
+    def alive(self) -> list[Instance]:
+        """Return those that record now, no more of a name than publish."""
+        alive = []
+        if heard := self.instances.alive:
+            publishers = self.publishers
+            for each in heard:
+                if publishers[each.name]:
+                    publishers[each.name] -= 1
+                    alive.append(each)
+        return alive
+
+    def begin(self, log: object) -> None:
+        """Tell that this process records from now on."""
+        begun = {INSTANCE: self.instances.own, LOG: str(log), BEGUN: str(time.time_ns())}
+        self._node.diagnostics.values |= begun
+        self._looks_until = time.monotonic() + LOOK
+
+    @property
+    def why_silent(self) -> str:
+        """Return why the word of this recorder does not count: that of the first one does."""
+        if time.monotonic() < self._looks_until:
+            return 'word from another recorder'
+        own = rank(self._node.diagnostics.values)
+        if earlier := [each for each in self.alive if rank(each.values) < own]:
+            return f'the end of an earlier recorder, whose word counts: {records(earlier)}'
+        return ''
+
+
+def rank(values: Mapping[str, str]) -> tuple[int, str]:
+    """Return when a recorder began, and what tells it from others that did."""
+    return int(values[BEGUN]), values[INSTANCE]
+
+
+def records(recorders: list[Instance]) -> str:
+    """Return which recorder writes which log, in words."""
+    return ' and '.join(f'node {each.name} records to {each.values[LOG]}' for each in recorders)
+
+
+# How often the planner looks for the names of other planners before it reports them.
+LOOKS = 20
+
+
+class Peers:
+    """Who takes part in the mission besides the planner, as last seen in the graph."""
+
+    def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
+        # How many nodes publish beliefs.
+        self.estimators = 0
+        self._node = node
+        self._agents = agents
+        self._answering: dict[str, int] = {}
+        self._unknown_agents: set[str] = set()
+        self._planners: dict[str, int] = {}
+        self._looks: Counter[str] = Counter()
+
+    def is_present(self, agent: str) -> bool:
+        """Return whether somebody answers for an agent."""
+        return self._answering.get(agent, 0) > 0
+
+    def says_status(self, agent: str) -> bool:
+        """Return whether somebody tells when robots of an agent depart."""
+        return self._node.count_authors(f'{agent}/status', STATUS) > 0
+
+    def look_for_agents(self) -> None:
+        """Notice which agents somebody answers for, and who answers for one that is taken."""
+        for agent in self._agents:
+            # The planner itself reports robots that are given up.
+            answering = self._node.count_authors(f'{agent}/report', REPORT) - 1
+            answering = max(answering, 0)
+            before = self._answering.get(agent, 0)
+            self._answering[agent] = answering
+            if answering > max(before, 1):
+                self._node.diagnostics.refuse(
+                    f'{agent}/report',
+                    f'{answering} nodes answer for agent {agent}: unless one has just died, '
+                    'each needs a name of its own',
+                )
+            elif before and not answering:
+                self._node.diagnostics.refuse(
+                    f'{agent}/path',
+                    f'agent {agent} has left the graph: the others carry on, and so does '
+                    f'{agent} when it is back',
+                )
+
+    def look_for_planners(self) -> None:
+        """Notice when others publish paths of an agent, and say which nodes do."""
+        for agent in self._agents:
+            before = self._planners.get(agent, 1)
+            planners = self._node.count_authors(f'{agent}/path', PATH)
+            if planners > max(before, 1):
+                nodes = self._node.authors(f'{agent}/path', PATH)
+                self._looks[agent] += 1
+                # DDS tells the name of a node a moment after its publishers, if it has one.
+                if NAMELESS in nodes and self._looks[agent] < LOOKS:
+                    continue
+                self._node.diagnostics.refuse(
+                    f'{agent}/path',
+                    f'{len(nodes)} planners publish it, nodes {", ".join(nodes)}: stop all but '
+                    'one, unless one has just died; of two paths with the same stamp the one '
+                    'recorded first counts',
+                )
+            self._planners[agent] = planners
+
+    def look_for_unknown_agents(self) -> None:
+        """Notice who reports for an agent that is none of the team."""
+        for topic, types in self._node.get_topic_names_and_types():
+            agent = topic.removeprefix(f'{self._node.above}/').removesuffix('/report')
+            is_known = '/' in agent or agent in self._agents or agent in self._unknown_agents
+            if REPORT in types and not is_known and self._node.count_publishers(topic):
+                self._unknown_agents.add(agent)
+                self._node.diagnostics.refuse(
+                    f'{agent}/report',
+                    f'agent {agent} is unknown, and nobody hears it: the parameter agents names '
+                    f'{", ".join(self._agents)}',
+                )
+
+    def look_for_estimators(self) -> bool:
+        """Notice when more than one node publishes beliefs; return whether one of them left."""
+        before = self.estimators
+        self.estimators = self._node.count_authors('belief', BELIEF)
+        if self.estimators > max(before, 1):
+            self._node.diagnostics.refuse(
+                'belief',
+                f'{self.estimators} nodes publish beliefs: unless one has just died, '
+                'end all but one',
+            )
+        return 0 < self.estimators < before
+
+
+HOLD = 'hold'
+BOOL = 'std_msgs/msg/Bool'
+
+# Least time between two answers to others, in seconds.
+MIN_PAUSE = 0.1
+
+# How long the graph may take to name the author of a message that was received, in seconds.
+MAX_UNNAMED = 30.0
+
+
+class Hold:
+    """The planner's word on departures: none without it, in a pause, or if others publish it."""
+
+    def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
+        self._node = node
+        self._act = act
+        self.is_held: bool | None = None
+        self._topic = node.resolve_topic_name(f'{node.above}/{HOLD}')
+        node.hear(Bool, self._topic, self._on_hold, qos.LATCHED)
+
+    def _on_hold(self, message: Bool) -> None:
+        self.is_held = message.data
+        self._act()
+
+    @property
+    def awaited(self) -> str:
+        """Return the condition that blocks departures; empty if there is none."""
+        if self.is_held is None:
+            return f'the planner to tell on {self._topic} whether robots may depart'
+        if self.is_held:
+            return f'the operator to end the pause ({self._topic} is true)'
+        # A planner that was killed stays in the graph beside its successor, of the same name.
+        if self._node.count_authors(self._topic, BOOL) > 1:
+            others = sorted({*self._node.authors(self._topic, BOOL)})
+            if len(others) > 1:
+                return f'one node alone to publish {self._topic}: {", ".join(others)} do'
+        return ''
+
+
+class Holding:
+    """The planner's publisher of `hold`; another value is answered with the planner's own."""
+
+    def __init__(self, node: MissionNode) -> None:
+        self._node = node
+        self._is_held: bool | None = None
+        self._is_contradicted = False
+        self._published_at = self._heard_at = -inf
+        self._publisher = node.create_publisher(Bool, HOLD, qos.LATCHED)
+        node.hear(Bool, HOLD, self._on_hold, qos.LATCHED)
+        node.create_poll(self._answer)
+
+    def tell(self, is_held: bool) -> None:
+        """Publish whether departures are held, if that has changed."""
+        if is_held != self._is_held:
+            self._is_held = is_held
+            self._publish()
+
+    def _publish(self) -> None:
+        self._is_contradicted = False
+        self._published_at = time.monotonic()
+        self._publisher.publish(Bool(data=self._is_held))
+
+    def _on_hold(self, message: Bool) -> None:
+        if self._is_held is not None and message.data != self._is_held:
+            self._is_contradicted = True
+            self._heard_at = time.monotonic()
+            self._answer()
+
+    def _answer(self) -> None:
+        """Publish the own value after another one, and refuse that once its author is known."""
+        now = time.monotonic()
+        if self._is_contradicted and now > self._published_at + MIN_PAUSE:
+            self._publish()
+        if now > self._heard_at + MAX_UNNAMED:
+            return
+        others = self._node.authors(self._publisher.topic_name, BOOL)
+        # An own value from before the last change is received, too.
+        if len(others) > 1:
+            self._heard_at = -inf
+            self._node.diagnostics.refuse(
+                HOLD,
+                f'data is {not self._is_held}, and this planner says {self._is_held}, which '
+                f'holds: nodes {", ".join(others)} publish it',
+            )

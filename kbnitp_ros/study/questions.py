@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What studies compare besides beliefs: teams, losses, learning and decisions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import product
+
+from kbnitp_ros.core.decision import FEWEST_LEFT_OUT
+from kbnitp_ros.figures import SERIES, Style, WIDTH
+from kbnitp_ros.study.charts import (
+    columns_for,
+    grid_of,
+    legend_above,
+    LOG_LOSS_LABEL,
+    means_chart,
+    panels_figure,
+    trials_in,
+)
+from kbnitp_ros.study.results import Results, Series
+from kbnitp_ros.study.scenario import (
+    Contender,
+    in_percent,
+    LEARNING,
+    NUMBERS,
+    Scenario,
+    Strategy,
+    team_labels,
+)
+from kbnitp_ros.study.summary import (
+    after_robots,
+    interval,
+    LOG_LOSS,
+    Mean,
+    mean_of,
+    means_after,
+    resampled_means,
+    Row,
+)
+from kbnitp_ros.study.trial import LEARNT
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
+
+
+def differ_in_size(scenario: Scenario) -> bool:
+    """Return whether its teams are of several sizes, and else alike but for their allocations."""
+    sizes = {team.agents for team in scenario.teams}
+    others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
+    return len(sizes) > 1 and len(others) == 1
+
+
+def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
+    """Return a series before the first round and after each, shape (trials, rounds + 1)."""
+    robots = series.shape[1] - 1
+    return series[:, [*range(0, robots, agents), robots]]
+
+
+def common_rounds(scenario: Scenario) -> int:
+    """Return how many rounds the largest team can do in full."""
+    return scenario.robots // max(team.agents for team in scenario.teams)
+
+
+def team_rows(results: Results) -> Iterator[Row]:
+    """Yield what the teams learn with the same robots and in the same rounds."""
+    scenario = results.scenario
+    labels, common = team_labels(scenario), common_rounds(scenario)
+    smallest = min(scenario.teams, key=lambda team: team.agents)
+    for row, team, series in results.missions():
+        entropy, log_loss, lost = series('joint_entropy'), series(*LOG_LOSS), series('robots_lost')
+        information = entropy[:, :1] - entropy
+        rounds = after_rounds(information, team.agents).shape[1] - 1
+        measured = {
+            'information_a_robot': information[:, -1] / scenario.robots,
+            'information_a_round': information[:, -1] / rounds,
+            'log_loss': log_loss[:, -1],
+            'difference': (log_loss - series(*LOG_LOSS, team=smallest))[:, -1],
+            'early_information': after_rounds(information, team.agents)[:, common],
+            'early_log_loss': after_rounds(log_loss, team.agents)[:, common],
+            'early_robots_lost': after_rounds(lost, team.agents)[:, common],
+        }
+        row |= {**vars(team), 'label': labels[team], 'rounds': rounds}
+        yield row | {name: mean_of(values) for name, values in measured.items()}
+
+
+def teams_chart(results: Results) -> Figure:
+    """Draw the mean log loss after each round, a panel a lethality."""
+    return means_chart(
+        results,
+        LOG_LOSS,
+        'round',
+        LOG_LOSS_LABEL,
+        'log',
+        lambda series, team: after_rounds(series, team.agents),
+    )
+
+
+# What is compared where two missions know as much.
+EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference', 'fewer')
+
+
+def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
+    """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
+    return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
+
+
+def at_equal_log_loss(
+    least: NDArray[np.float64], this: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compare two missions at the lowest log loss that both reach."""
+    lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
+    level = max(log_loss[-1] for log_loss in lowest)
+    # From the last robot back, so that the first of several with the same log loss is taken.
+    sent = [np.interp(level, low[::-1], np.arange(low.size)[::-1]) for low in lowest]
+    lost = [np.interp(n, np.arange(of.size), of) for n, (of, _) in zip(sent, (least, this))]
+    return np.array([level, *sent, *lost, lost[1] - lost[0], sent[0] - sent[1]])
+
+
+def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> dict[str, Mean]:
+    """Compare the mean missions of two sets of trials, paired by their worlds, by `EQUAL`."""
+    resampled = [
+        at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))
+    ]
+    found = at_equal_log_loss(least.mean(axis=0), this.mean(axis=0))
+    compared = interval(found, np.reshape(resampled, (-1, found.size)))
+    return {name: Mean(*values) for name, *values in zip(EQUAL, *compared)}
+
+
+def at_equal_log_loss_more(series: Series, least: Strategy, this: Strategy) -> Mean:
+    """Return how many more robots a strategy has lost at equal log loss."""
+    return compare(trade(series, least), trade(series, this))['difference']
+
+
+def equal_rows(results: Results) -> Iterator[Row]:
+    """Yield what the least loss cost and each other come to at equal log loss: `EQUAL`."""
+    least, *others = sorted(results.scenario.teams, key=lambda team: team.loss_cost)
+    for row, team, series in results.missions(others):
+        measured = compare(trade(series, least), trade(series, team))
+        del measured['fewer']
+        yield row | vars(team) | measured
+
+
+def base_rows(results: Results) -> Iterator[Row]:
+    """Yield by how much each second base lowers the log loss, and the robots at equal log loss."""
+    one, *others = sorted(results.scenario.teams, key=lambda team: team.second_base)
+    for row, two, series in results.missions(others):
+        missions = trade(series, one), trade(series, two)
+        equal = compare(*missions)
+        yield row | {
+            **vars(two),
+            'value': mean_of(missions[0][:, 1, -1] - missions[1][:, 1, -1]),
+            'log_loss': equal['log_loss'],
+            'sent_from_one': equal['sent_at_least'],
+            'sent': equal['sent'],
+            'lost_from_one': equal['lost_at_least'],
+            'lost': equal['lost'],
+            'fewer': equal['fewer'],
+        }
+
+
+def loss_cost_chart(results: Results) -> Figure:
+    """Draw log loss against robots lost, a panel a lethality."""
+
+    def draw(
+        axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
+    ) -> None:
+        (lost, log_loss), low, high = mean_of(
+            trade(partial(results.series, lethality, contender.method), contender.team)
+        )
+        at_its_end = {'markevery': [-1], 'markersize': 5}
+        axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)
+        end = lost[-1], log_loss[-1]
+        (left, bottom), (right, top) = (np.abs(each[:, -1] - end) for each in (low, high))
+        axes.errorbar(
+            *end,
+            [[bottom], [top]],
+            [[left], [right]],
+            fmt='none',
+            ecolor=style.colour,
+            elinewidth=0.8,
+        )
+
+    return panels_figure(results.scenario, draw, 'robots lost', LOG_LOSS_LABEL)
+
+
+MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
+
+# After how many robots missions are compared, and after the last one.
+ROBOTS = (10, 25, 50, 100, 200)
+
+
+def learnt_numbers(results: Results) -> list[str]:
+    """Return the names of the numbers that were learnt."""
+    return list(results.scenario.learn.priors())
+
+
+def of_number(
+    results: Results, lethality: float | None, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what was known of a number, (trials, robots + 1, learnt), and it, (trials, 1)."""
+    known, truth = results.learnt(lethality, results.scenario.teams[0])
+    place = NUMBERS.index(name)
+    return known[:, :, place], truth[:, place, None]
+
+
+def number_rows(results: Results) -> Iterator[Row]:
+    """Yield how well numbers are known at the end, one row for each lethality and number."""
+    for lethality, name in product(results.scenario.lethalities, learnt_numbers(results)):
+        known, truth = of_number(results, lethality, name)
+        first, last = known[:, 0], known[:, -1]
+        is_within = (last[:, LOW] <= truth[:, 0]) & (truth[:, 0] <= last[:, HIGH])
+        yield {
+            'lethality': lethality,
+            'number': name,
+            'sd_before': mean_of(first[:, SD]),
+            'sd': mean_of(last[:, SD]),
+            'error': mean_of(np.abs(last[:, MEAN] - truth[:, 0])),
+            'within': mean_of(is_within.astype(np.float64)),
+        }
+
+
+def cost_of_learning(results: Results) -> Iterator[Row]:
+    """Yield what not being told costs, one row for each lethality and other method."""
+    scenario = results.scenario
+    team, robots = scenario.teams[0], after_robots(ROBOTS, scenario.robots)
+    for lethality in scenario.lethalities:
+        learner = results.series(lethality, LEARNING, *LOG_LOSS, team=team)
+        for method in scenario.methods:
+            if method != LEARNING:
+                informed = results.series(lethality, method, *LOG_LOSS, team=team)
+                costs = means_after(learner - informed, robots)
+                yield {'lethality': lethality, 'method': method, 'costs': costs}
+
+
+def numbers_chart(results: Results) -> Figure:
+    """Draw how well each number is known after each deployment, a panel a number and lethality."""
+    scenario, names = results.scenario, learnt_numbers(results)
+    shown_in = list(product(names, scenario.lethalities))
+    # A row a number, unless there is but one panel of each.
+    are_rows = len(scenario.lethalities) > 1
+    columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
+    rows = -(-len(shown_in) // columns)
+    figure = Figure(figsize=(WIDTH, 1.7 * rows + 0.6), layout='constrained')
+    panels = grid_of(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
+    for place, ((name, lethality), axes) in enumerate(zip(shown_in, panels)):
+        draw_known(axes, *of_number(results, lethality, name))
+        if not are_rows:
+            axes.set_title(name.replace('_', ' '))
+        elif place % columns == 0:
+            axes.set_ylabel(name.replace('_', ' '))
+        if are_rows and place < columns:
+            axes.set_title(f'lethality {in_percent(lethality)}')
+    figure.supxlabel(f'deployment (root mean squares of {trials_in(scenario)})')
+    legend_above(figure, panels[0])
+    return figure
+
+
+def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
+    """Draw how far a number is from what is believed, and how far it is believed to be."""
+    error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
+    spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
+    lines = {'error of the mean': error, 'standard deviation believed': spread}
+    for (label, values), style in zip(lines.items(), SERIES):
+        axes.plot(values, **style.line(values.size), label=label)
+    axes.margins(x=0.02)
+    axes.set_ylim(bottom=0.0)
+
+
+# After how many robots missions are compared.
+DECIDED_AFTER = (10, 25, 50, 100)
+# The probabilities at which missions may end.
+CONFIDENCES = (0.9, 0.95, 0.99)
+# The part of an area that is to be declared free.
+MOST_CELLS = 0.8
+
+
+def asks_for(scenario: Scenario, goal: str) -> bool:
+    """Return whether missions are asked for such a goal, and go on when it is reached."""
+    asked = scenario.asked
+    return asked is not None and asked.goal == goal and not asked.confidence
+
+
+def certifies(scenario: Scenario) -> bool:
+    """Return whether missions end when they are sure enough."""
+    return scenario.asked is not None and bool(scenario.asked.confidence)
+
+
+def lane_rows(results: Results) -> Iterator[Row]:
+    """Yield how often the lane is free, as believed and in truth, of each strategy."""
+    scenario, labels = results.scenario, team_labels(results.scenario)
+    for row, team, series in results.missions():
+        free, base = series('free'), series('free', team=scenario.teams[0])
+        for robots in after_robots(DECIDED_AFTER, scenario.robots):
+            yield row | {
+                'label': labels[team],
+                'robots': robots,
+                'free': mean_of(free[:, robots]),
+                'believed': mean_of(series('p_free')[:, robots]),
+                'difference': mean_of((free - base)[:, robots]),
+                'lost': mean_of(series('robots_lost')[:, robots]),
+            }
+
+
+def certificate_rows(results: Results) -> Iterator[Row]:
+    """Yield how often what is asked for is free in missions that stopped, for each confidence."""
+    asked = results.scenario.asked
+    confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
+    for (row, _, series), confidence in product(results.missions(), confidences):
+        p_free, free, draws = map(series, ('p_free', 'free', 'independent_draws'))
+        are_enough = (1.0 - confidence) * draws >= FEWEST_LEFT_OUT
+        is_sure = are_enough & (p_free >= confidence)
+        stopped = is_sure.any(axis=1)
+        if not stopped.any():
+            continue
+        at = np.argmax(is_sure[stopped], axis=1)[:, None]
+        stated, true = (
+            np.take_along_axis(each[stopped], at, axis=1)[:, 0] for each in (p_free, free)
+        )
+        yield row | {
+            'confidence': confidence,
+            'stopped': int(stopped.sum()),
+            'sent': mean_of(at[:, 0].astype(np.float64)),
+            'stated': mean_of(stated),
+            'free': mean_of(true),
+            'difference': mean_of(true - stated),
+        }
+
+
+def area_rows(results: Results) -> Iterator[Row]:
+    """Yield how many robots it takes to declare most cells of the area free."""
+    scenario, labels = results.scenario, team_labels(results.scenario)
+    for row, team, series in results.missions():
+        declared, right, lost = map(series, ('declared', 'declared_free', 'robots_lost'))
+        robots = needed(declared)
+        yield row | {
+            'label': labels[team],
+            'reached': mean_of((declared.max(axis=1) >= MOST_CELLS).astype(np.float64)),
+            'needed': mean_of(robots),
+            'difference': mean_of(robots - needed(series('declared', team=scenario.teams[0]))),
+            'lost': mean_of(lost[np.arange(len(lost)), robots.astype(np.intp)]),
+            'declared': mean_of(declared[:, -1]),
+            'wrong': mean_of((declared - right)[:, -1]),
+        }
+
+
+def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return after how many robots most cells are declared free, (trials,); all if never."""
+    is_most = declared >= MOST_CELLS
+    is_most[:, -1] = True
+    robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)
+    return robots
+
+
+def decision_chart(results: Results) -> Figure:
+    """Draw how often the lane is free, or the part of the area that is declared free."""
+    measure, up = (
+        ('declared', 'part of the area declared free')
+        if asks_for(results.scenario, 'area')
+        else ('free', 'share of worlds in which it is free')
+    )
+    return means_chart(results, (measure,), 'deployment', up)
