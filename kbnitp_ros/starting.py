@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 import os
 import signal
 import sys
@@ -46,7 +47,8 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
     except ModuleNotFoundError as error:
-        lacking = 'build it as well' if error.name == 'kbnitp_msgs' else 'source ROS 2'
+        is_ros_here = error.name == 'kbnitp_msgs' and find_spec('rclpy')
+        lacking = 'build it as well' if is_ros_here else 'source ROS 2'
         print(f'{name}: {error}{"" if name in EXTRAS else f"; {lacking}"}', file=sys.stderr)
         return 2
     if name in COMMANDS:

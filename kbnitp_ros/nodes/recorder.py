@@ -410,7 +410,8 @@ class RecorderNode(MissionNode):
             return
         message = deserialize_message(data, message_class(topic.type_name))
         check_readable(topic.type_name, data)
-        check_content(role, message)
+        if role.name != 'belief':
+            check_content(role, message)
         if role.name == 'status':
             self._check_status(topic, role, message)
         elif topic.recorded:

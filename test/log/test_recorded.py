@@ -51,7 +51,7 @@ from kbnitp_ros.report import curves_of, read_mission, write_report
 for log in sys.argv[1:]:
     found = replay(log)
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))
-    mission = read_mission(MissionLog(log))
+    mission = read_mission(log)
     if mission.moments[-1].learnt:
         write_report(Path(log).parent / 'report', mission, curves_of(mission))
 """

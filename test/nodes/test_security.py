@@ -99,7 +99,7 @@ def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(fiel
         ['recorder', 'estimator', 'planner', 'agent', 'robot'],
         robot=('scout_1', 'scout_2'),
     )
-    field.start('recorder', {'file': str(field.folder / 'mission.mcap')})
+    field.start('recorder', mission | {'file': str(field.folder / 'mission.mcap')})
     for name in ('estimator', 'planner'):
         field.start(name, mission)
     field.start('agent', mission | {'agent': 'scout_1'}, '/scout_1')
