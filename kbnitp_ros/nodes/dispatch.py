@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, LateReturns, Refusals
@@ -26,7 +25,7 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import content_hash, mission_of_path, read_name
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
+from kbnitp_ros.nodes.runtime.node import Early, FieldNode
 from nav_msgs.msg import Path
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -62,8 +61,8 @@ class Dispatch:
         self.late = LateReturns(self._values)
         # The agents that refused their last orders.
         self.refusals = Refusals()
-        # Losses of robots that are not known to have departed, and until when they wait.
-        self._early: list[tuple[str, DeploymentReport, float]] = []
+        # Losses of robots that are not known to have departed.
+        self._early = Early(node, self._on_report)
         # Names the last deployment, in nanoseconds.
         self.last_stamp = 0
         # Where robots go that were sent and are not known to have departed, in words.
@@ -85,7 +84,6 @@ class Dispatch:
 
     def listen(self) -> None:
         """Hear what becomes of robots from now on."""
-        self._node.create_poll(self._try_early)
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         for agent in self._agents:
             self._node.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
@@ -139,11 +137,6 @@ class Dispatch:
             self.refusals.clear(key.agent)
             self._node.deployment_logger.info(f'{key} leaves {goal}')
 
-    def _try_early(self) -> None:
-        early, self._early = self._early, []
-        for each in early:
-            self._on_report(*each)
-
     def _on_report(
         self, agent: str, message: DeploymentReport, deadline: float | None = None
     ) -> None:
@@ -157,10 +150,7 @@ class Dispatch:
                 max_steps = value_for(self._values, 'max_steps', agent)
                 observation_of(report, key, path, self._node.grid, max_steps)
         except AtBaseError as error:
-            deadline = deadline or time.monotonic() + PATIENCE
-            if time.monotonic() < deadline and len(self._early) < MOST_EARLY:
-                self._early.append((agent, message, deadline))
-            else:
+            if not self._early.keep(deadline, agent, message):
                 self._node.diagnostics.refuse(f'{agent}/report', error)
             return
         except ValueError as error:

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import sys
-import time
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.base.checks import density_note
@@ -38,7 +37,7 @@ from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
-from kbnitp_ros.nodes.runtime.node import FieldNode, MOST_EARLY, PATIENCE
+from kbnitp_ros.nodes.runtime.node import Early, FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import NewEvidence, Views
 from nav_msgs.msg import Path
@@ -92,9 +91,8 @@ class EstimatorNode(FieldNode):
             sent.listen()
             self.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
-        # Losses of robots that are not known to have departed, and until when they wait.
-        self._early: list[tuple[str, DeploymentReport, float]] = []
-        self.create_poll(self._try_early)
+        # Losses of robots that are not known to have departed.
+        self._early = Early(self, self._on_report)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''
@@ -176,11 +174,6 @@ class EstimatorNode(FieldNode):
             self._say_what_is_pending()
         self._accept(key, changed)
 
-    def _try_early(self) -> None:
-        early, self._early = self._early, []
-        for each in early:
-            self._on_report(*each)
-
     def _on_report(
         self, agent: str, message: DeploymentReport, deadline: float | None = None
     ) -> None:
@@ -191,11 +184,7 @@ class EstimatorNode(FieldNode):
             named = replace(report, content=content_hash(message))
             changed = self._ledger.record_report(key, named)
         except AtBaseError as error:
-            # Of two topics of one node the later message may come first.
-            deadline = deadline or time.monotonic() + PATIENCE
-            if time.monotonic() < deadline and len(self._early) < MOST_EARLY:
-                self._early.append((agent, message, deadline))
-            else:
+            if not self._early.keep(deadline, agent, message):
                 self._refuse(f'{agent}/report', error)
         except ValueError as error:
             self._refuse(f'{agent}/report', error)

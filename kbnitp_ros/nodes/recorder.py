@@ -48,7 +48,7 @@ from kbnitp_ros.nodes.runtime.declared import TOPICS
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
-from kbnitp_ros.nodes.runtime.node import MissionNode, MOST_EARLY, PATIENCE
+from kbnitp_ros.nodes.runtime.node import Early, MissionNode
 from kbnitp_ros.nodes.runtime.process import run
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
@@ -145,9 +145,8 @@ class RecorderNode(MissionNode):
         self._settled: set[str] = set()
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
-        # Beliefs that came before the paths of their deployments, and losses before departures,
-        # and until when they wait.
-        self._early: list[tuple[Message, float]] = []
+        # Beliefs that came before the paths of their deployments, and losses before departures.
+        self._early = Early(self, self._write_checked)
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
         )
@@ -160,8 +159,7 @@ class RecorderNode(MissionNode):
     def finish(self) -> None:
         """Record what has arrived."""
         self._write_arrived()
-        for message, _ in self._early:
-            self._write_checked(message, 0.0)
+        self._early.try_again(is_last=True)
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
     def _write_arrived(self) -> None:
@@ -189,9 +187,8 @@ class RecorderNode(MissionNode):
             super().close()
 
     def _check_log(self) -> None:
-        """See that the log is where it was and whose word counts; write what waited."""
+        """See that the log is where it was and whose word counts."""
         self._log.check_in_place()
-        self._write_early()
         if (why := self._recorders.why_silent) != self._why_silent:
             self._why_silent = why
             self._tell_what_waited()
@@ -353,7 +350,7 @@ class RecorderNode(MissionNode):
             )
         self._write(topic, data, info)
         if role == 'path':
-            self._write_early()
+            self._early.try_again()
         is_evidence = role in ACTED_ON and not is_seldom_awaited
         is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
@@ -366,10 +363,10 @@ class RecorderNode(MissionNode):
     def _write(self, topic: HeardTopic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
         if topic.is_new(info['source_timestamp'], data):
-            self._write_checked((topic, data, info), time.monotonic() + PATIENCE)
+            self._write_checked((topic, data, info))
 
-    def _write_checked(self, message: Message, deadline: float) -> None:
-        """Write a message that is sound; keep a belief until a time that is ahead of its paths."""
+    def _write_checked(self, message: Message, deadline: float | None = None) -> None:
+        """Write a message that is sound; keep one until a time that is ahead of what it needs."""
         topic, data, info = message
         try:
             if len(data) > MAX_MESSAGE:
@@ -378,23 +375,13 @@ class RecorderNode(MissionNode):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            is_early = (
-                isinstance(error, (PathsUnknownError, AtBaseError)) and time.monotonic() < deadline
-            )
-            if is_early and len(self._early) < MOST_EARLY:
-                self._early.append((message, deadline))
-            else:
+            is_early = isinstance(error, (PathsUnknownError, AtBaseError))
+            if not (is_early and self._early.keep(deadline, message)):
                 self.diagnostics.refuse(topic.name, error)
             return
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
         self.diagnostics.accept()
-
-    def _write_early(self) -> None:
-        """Write what was ahead of what it follows from, or refuse what waited long."""
-        early, self._early = self._early, []
-        for message, deadline in early:
-            self._write_checked(message, deadline)
 
     def _is_of_this_mission(self, topic: HeardTopic, data: bytes) -> bool:
         """Return whether diagnostics, which all missions tell on one topic, are of this one."""

@@ -355,6 +355,31 @@ class FieldNode(MissionNode):
             self._grid = grid
 
 
+class Early:
+    """Messages ahead of what they follow from, each given to its callback again for a while."""
+
+    def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:
+        self._take = take
+        # Each with the time until which it waits.
+        self._waiting: list[tuple[Any, ...]] = []
+        node.create_poll(self.try_again)
+
+    def keep(self, deadline: float | None, *message: object) -> bool:
+        """Keep a message; return False if it has waited for long, or if many wait."""
+        now = time.monotonic()
+        deadline = now + PATIENCE if deadline is None else deadline
+        is_kept = now < deadline and len(self._waiting) < MOST_EARLY
+        if is_kept:
+            self._waiting.append((*message, deadline))
+        return is_kept
+
+    def try_again(self, *, is_last: bool = False) -> None:
+        """Give what waits to the callback, with its deadline, or with one that is over."""
+        waiting, self._waiting = self._waiting, []
+        for *message, deadline in waiting:
+            self._take(*message, 0.0 if is_last else deadline)
+
+
 def spin_once(node: MissionNode, executor: Executor, seconds: float) -> None:
     """Wait for a callback and call it; raise what it raises."""
     executor.spin_once(timeout_sec=seconds)
