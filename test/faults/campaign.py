@@ -110,9 +110,14 @@ def run_mission(
             else Mission(domain, outcome.folder, parameters, processes=processes)
         )
         try:
-            faults = None if has_robots else draw_faults(rng, kind, parameters['robots'])
-            for fault in mission.live(faults):
+            if has_robots:
+                faults = mission.live(None)
+            else:
+                faults = draw_faults(rng, kind, parameters['robots'])
+                mission.live(faults, is_ended=bool(rng.random() < 0.25))
+            for fault in faults:
                 outcome.faults[fault.kind] += 1
+                outcome.faults['held'] += fault.is_held
                 outcome.strikes.update((fault.kind, node) for node in fault.pauses)
             outcome.findings = mission.findings()
             outcome.unused = mission.unused
@@ -157,6 +162,7 @@ def table(outcomes: list[Outcome]) -> str:
     rows += [(what, crashes[code]) for code, what in CRASHES.items()]
     rows += [('two nodes killed at once', faults['two'])]
     rows += [('all nodes killed at once', faults['all'])]
+    rows += [('faults in a pause of the operator', faults['held'])]
     rows += [(words, found[kind]) for kind, words in FINDINGS.items()]
     rows += [('paths that no robot took', sum(outcome.unused for outcome in outcomes))]
     rows += [('seconds a mission, mean', f'{np.mean(seconds):.1f}')]

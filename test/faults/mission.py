@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import ExitStack
 from functools import partial
+from math import inf
 from pathlib import Path
 import signal
 import time
@@ -15,17 +16,22 @@ from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.deployments import key_of_path
+from kbnitp_ros.messages.deployments import key_of_path, OrderState, read_status
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from schedule import NODES
+from std_srvs.srv import SetBool, Trigger
 from unbroken import core_mission, folded, true_values, with_defaults
 
 # How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
 PATIENCE = 180.0
+
+# After how many seconds a call without an answer is made again: its planner may have been killed.
+ANSWERED = 12.0
 
 # The recorder does not listen in on what is outside.
 NAMESPACE = '/mission'
@@ -65,6 +71,8 @@ class Mission:
         self._awaited = AWAITED | (awaited or {})
         self._remaps = remaps or {}
         self._struck = set()
+        self._clients = {}
+        self._is_ended = False
         # How often robots ended, by exit code.
         self.ended = Counter()
         with ExitStack() as stack:
@@ -151,19 +159,58 @@ class Mission:
         self.kill(name)
         self.start(name)
 
-    def live(self, faults):
-        """Run the mission with these faults, and return them."""
+    def live(self, faults, *, is_ended=False):
+        """Run the mission with these faults, perhaps until its operator ends it; return them."""
         self.start(*NODES)
         for fault in faults:
             self.suffer(fault)
+        if is_ended:
+            self.end()
         self.until_over()
         return faults
+
+    def end(self):
+        """Have the operator end the mission while its agent is killed, until nobody is out."""
+        self._ask('end_mission')
+        self.restart('agent')
+        self._have_done('end_mission')
+        planner = full_name('planner', self._namespace)
+        self.until(lambda: self.onlooker.states.get(planner, '').startswith('done'), 'end')
+        self._is_ended = True
+        self._parameters['robots'] = len(self.onlooker.evidence.reports)
+
+    def _ask(self, service, **request):
+        """Ask the planner for something, unless it is not there; return the future answer."""
+        kind = {'pause': SetBool, 'end_mission': Trigger}[service]
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, f'{self._namespace}/{service}')
+        if not self._clients[service].service_is_ready():
+            return Future()
+        return self._clients[service].call_async(kind.Request(**request))
+
+    def _have_done(self, service, **request):
+        """Ask the planner until something is done."""
+        answer, asked_at = Future(), -inf
+
+        def is_done():
+            nonlocal answer, asked_at
+            if answer.done():
+                if answer.result().success or 'already' in answer.result().message:
+                    return True
+                answer = Future()
+            if time.monotonic() > asked_at + ANSWERED:
+                answer, asked_at = self._ask(service, **request), time.monotonic()
+            return False
+
+        self.until(is_done, f'answer of {service}')
 
     def suffer(self, fault):
         """Wait for a fault's moment, and let it happen."""
         reports = self.onlooker.evidence.reports
         self.until(lambda: len(reports) >= fault.reports, f'report {fault.reports}')
         self.wait(fault.delay)
+        if fault.is_held:
+            self._ask('pause', data=True)
         self._struck.update(fault.pauses)
         for name in fault.pauses:
             self._signal(name, fault.signal)
@@ -175,6 +222,8 @@ class Mission:
                 self._signal(name, signal.SIGCONT)
             else:
                 self.restart(name)
+        if fault.is_held:
+            self._have_done('pause', data=False)
 
     def wait(self, seconds):
         """Handle messages for a while."""
@@ -232,6 +281,14 @@ class Mission:
                 evidence.take_path(key, logged.message)
         return evidence
 
+    def departed(self):
+        """Return the deployments whose departures are in the log."""
+        said = (
+            read_status(logged.message, role.agent)
+            for role, logged in MissionLog(self.log).read('status')
+        )
+        return {key for key, status in said if status.state is OrderState.DEPARTED}
+
     @property
     def unused(self):
         """Return how many paths no robot took: a path is sent anew that was not on disk."""
@@ -249,11 +306,13 @@ class Mission:
         except LogError as error:
             return [*found, ('log', str(error))]
         heard = self.onlooker.evidence
+        found += [('lost', f'{key} departed') for key in self.departed() - logged.reports.keys()]
         found += [('lost', f'{key} was reported: {why}') for key, why in missing(heard, logged)]
         found += [
             ('double', f'{len(said)} {what} are {where}: {robots} robots were sent')
             for what, where, said in (
-                ('paths', 'logged', logged.paths),
+                # At the end some may not have departed.
+                ('paths', 'logged', logged.reports if self._is_ended else logged.paths),
                 ('reports', 'logged', logged.reports),
                 ('reports', 'heard', heard.reports),
             )
@@ -268,6 +327,8 @@ class Mission:
             given = folded(self._parameters, logged).joint.tobytes()
             if np.asarray(self.onlooker.belief.joint).tobytes() != given:
                 found.append(('belief', 'the belief published last is not that of the log'))
+            if self._is_ended:
+                return found
             unbroken = core_mission(self._parameters)[-1].belief.joint.tobytes()
             # What a rolling team plans depends on which of its robots happens to be back first,
             # and what a silent one's base plans on which robots are given up that come home late.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from signal import SIGKILL, Signals, SIGSTOP
 
 import numpy as np
@@ -25,6 +25,8 @@ class Fault:
     reports: int
     delay: float
     pauses: dict[str, float]
+    # Whether the operator pauses the mission meanwhile, or is about to.
+    is_held: bool = False
 
     @property
     def signal(self) -> Signals:
@@ -42,4 +44,4 @@ def draw_faults(rng: np.random.Generator, kind: str, robots: int) -> list[Fault]
         longest = 2.0 if not reports or rng.random() < 0.15 else 0.06
         pauses = {str(node): rng.uniform(0.0, 0.5) for node in struck}
         faults.append(Fault(str(drawn), reports, rng.uniform(0.0, longest), pauses))
-    return faults
+    return [replace(each, is_held=bool(rng.random() < 0.3)) for each in faults]
