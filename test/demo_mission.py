@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission of a demo, computed without nodes."""
 
-from __future__ import annotations
-
 from kbnitp_ros.cli.demo import chosen_parameters, parse
 from kbnitp_ros.configuration import estimator_of, grid_of, prior_of, sensor_model_of, unknowns_of
 from kbnitp_ros.core import Belief, Learning, run_mission, Truth, World

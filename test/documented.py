@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the pages say, for tests that hold it against what they measure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 
@@ -12,6 +10,11 @@ ROOT = Path(__file__).parents[1]
 def words(page: str) -> str:
     """Return a page's text without line breaks, by the page's path in the project."""
     return ' '.join(ROOT.joinpath(page).read_text().split())
+
+
+def blocks(page: str | Path) -> list[tuple[str, str]]:
+    """Return the language and the text of each block of code on a page."""
+    return re.findall(r'^```(\w+)\n(.*?)^```', ROOT.joinpath(page).read_text(), re.M | re.S)
 
 
 def rows(page: str, head: str) -> dict[str, list[str]]:

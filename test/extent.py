@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much the tests do: what fits before every change, or all with KBNITP_TESTS=full."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 import os
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many cases of one law in one test, of which the one that fails is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 import functools
 import inspect

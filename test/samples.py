@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths and reports on a small grid, sound ones and others."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 from kbnitp_msgs.msg import Recorded

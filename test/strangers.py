@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packages of strangers: a folder on Python's path, with what pip would install into it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import os
 from pathlib import Path

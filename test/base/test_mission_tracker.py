@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which paths and beliefs a node takes to be of its mission and its estimator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from kbnitp_ros.base.mission_tracker import MissionTracker

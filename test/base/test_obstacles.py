@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What keeps robots from leaving, which of several obstacles counts, and what is said of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

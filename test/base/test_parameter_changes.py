@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which parameters of a planner may change in a mission under way."""
 
-from __future__ import annotations
-
 from kbnitp_ros.base.checks import check_changes, check_robots
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.core import Grid

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much of a field paths reach, in words."""
 
-from __future__ import annotations
-
 from kbnitp_ros.base.checks import cut_off_note, reach_note
 from kbnitp_ros.core import Grid
 from laws import for_each

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which paths of a round are sent by the planner that goes on with a mission."""
 
-from __future__ import annotations
-
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.rounds import Rounds
 from kbnitp_ros.configuration import parameters_of

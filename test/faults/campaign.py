@@ -16,8 +16,6 @@ A mission is fixed by its seed, but for the moments at which the machine gets ro
 k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from collections.abc import Callable

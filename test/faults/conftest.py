@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission of real nodes for a test that strikes them itself."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from forked import COVERED, ForkedProcesses

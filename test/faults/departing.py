@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission with robots that refuse and crash, under a base whose nodes are killed as well."""
 
-from __future__ import annotations
-
 from collections import Counter
 import json
 import subprocess

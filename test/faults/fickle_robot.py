@@ -9,8 +9,6 @@ journal: the robot of a field that destroyed one is another, and says the same o
 its link can be taken down, every other crash is one after which it comes up without.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

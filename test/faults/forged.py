@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Missions that forged messages come to, and what must hold at their end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 import os
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Somebody on the network of a mission who sends what no node of it would."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 import os
 import time

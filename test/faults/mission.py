@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission whose nodes are killed, stopped and started again, and what must hold at its end."""
 
-from __future__ import annotations
-
 from collections import Counter
 from contextlib import ExitStack
 from functools import partial

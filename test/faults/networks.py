@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks of their own for a base and its robots, on one machine; whoever makes them is root."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 import ctypes
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What somebody who listens to a mission from outside gets to know of it."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is done to the nodes of a mission, and when: drawn at random, the same for a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from signal import SIGKILL, Signals, SIGSTOP
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A share of the campaign: no fault loses a deployment or counts one twice."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import partial
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A share of the campaign: nothing that somebody sends stops a mission or makes it wrong."""
 
-from __future__ import annotations
-
 from extent import some
 from forged import run_forged
 from forger import FORGERIES

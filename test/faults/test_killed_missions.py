@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission of any kind, unbroken or killed, ends with the belief that core has."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot given up for lost that comes back after all: the test plays the agent."""
 
-from __future__ import annotations
-
 from extent import some
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.configuration import grid_of

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """No robot leaves on a path that nobody could read in the log after a crash."""
 
-from __future__ import annotations
-
 from mission import NAMESPACE
 from onlooker import AGENT
 from schedule import NODES

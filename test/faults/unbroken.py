@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission that a broken one must come to: the same seeds, run by core alone."""
 
-from __future__ import annotations
-
 from kbnitp_ros.configuration import (
     clustering_of,
     dynamics_of,

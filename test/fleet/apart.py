@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base and robots on networks of their own, joined by links that can be taken down."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager, ExitStack
 import json
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real `robot` nodes whose robots a simulator drives in a process of its own."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from itertools import groupby

@@ -23,8 +23,6 @@ With jump all that is told of where the robot is is `JUMP` m too far along x, un
 With an exclamation mark, such as reject!, with all goals until another text comes.
 """
 
-from __future__ import annotations
-
 from cmath import exp
 from collections import deque
 from functools import partial

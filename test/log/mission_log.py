@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a mission publishes, made without ROS running, and logs of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A log says how its run was configured."""
 
-from __future__ import annotations
-
 from datetime import datetime, timezone
 import math
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What becomes of orders, by what agents say in any order in which it is heard."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import permutations
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A topic is of a mission by its full name and its type; nothing else on record means anything."""
 
-from __future__ import annotations
-
 from array import array
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes of a base, and the test in place of its agents and its operator."""
 
-from __future__ import annotations
-
 from math import inf
 import time
 

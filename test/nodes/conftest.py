@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real nodes in processes of their own, and a node in the test that talks to them over DDS."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The security policies of the package, and what of the graph they must allow."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from fnmatch import fnmatchcase
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated agent traverses sound paths, each once, and keeps its world to itself."""
 
-from __future__ import annotations
-
 import time
 
 from kbnitp_msgs.msg import DeploymentReport, Recorded

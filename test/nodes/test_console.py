@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes say on the console: for whom they wait, and what becomes of each robot."""
 
-from __future__ import annotations
-
 import re
 
 from kbnitp_msgs.msg import DeploymentReport

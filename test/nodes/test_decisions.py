@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission with a goal decides as core does, stops by itself and goes on if it is told to."""
 
-from __future__ import annotations
-
 from kbnitp_msgs.msg import Decision
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.configuration import grid_of

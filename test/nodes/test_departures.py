@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Silence of a robot that may be at its base teaches nothing, and a pause keeps robots there."""
 
-from __future__ import annotations
-
 import os
 import time
 

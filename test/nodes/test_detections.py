@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a robot makes of the messages of its target detector, and of a type that it lacks."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two robots of one name that leave on one path, since neither knew of the other."""
 
-from __future__ import annotations
-
 from apart import apart
 from base import Base, GRID
 from extent import FULL, some

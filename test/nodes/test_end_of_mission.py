@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a mission ends, and what console and log tell of that."""
 
-from __future__ import annotations
-
 from base import Base, GRID
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.replay import lines

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator takes in what is sound, once, and refuses the rest."""
 
-from __future__ import annotations
-
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.configuration import LEARN

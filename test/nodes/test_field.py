@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All nodes of a mission take their field from one map, in a file or on a topic."""
 
-from __future__ import annotations
-
 from array import array
 from cmath import exp
 from dataclasses import replace

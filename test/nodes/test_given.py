@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What users give for parameters: nothing that changes nothing is taken in silence."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nothing is imported, opened or run by the name of a type that somebody announces."""
 
-from __future__ import annotations
-
 import os
 
 from bare_dds import BareParticipant, HOSTILE, not_utf8

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Few messages of somebody on the network neither stop a mission nor bend it."""
 
-from __future__ import annotations
-
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission of four processes is the mission that core runs, bit for bit."""
 
-from __future__ import annotations
-
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, Progress
 from kbnitp_ros.core import Report

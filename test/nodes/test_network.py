@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes do about messages that no node of their mission sends."""
 
-from __future__ import annotations
-
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.read import read_log

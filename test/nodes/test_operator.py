@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an operator decides, by real services, and what becomes of it in any crash."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 import shlex

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder keeps on record which parameters the nodes of its mission have."""
 
-from __future__ import annotations
-
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.log.configuration import read_parameters, RUN
 from kbnitp_ros.log.read import read_metadata

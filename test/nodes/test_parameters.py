@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One table of parameters: what is declared, refused, documented and configured."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 

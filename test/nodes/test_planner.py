@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The planner sends one robot at a time, on the belief given all before it."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

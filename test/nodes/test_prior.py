@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is believed before the first deployment comes from numbers, maps or an earlier mission."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from kbnitp_ros.configuration import prior_of, TABLE

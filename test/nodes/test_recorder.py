@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder writes down everything its mission publishes, and ends well when it cannot."""
 
-from __future__ import annotations
-
 from array import array
 from collections import defaultdict
 import os

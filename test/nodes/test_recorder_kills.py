@@ -6,8 +6,6 @@ With KBNITP_TESTS=full in the environment it is killed while recording 50 times 
 three minutes.
 """
 
-from __future__ import annotations
-
 from array import array
 import time
 

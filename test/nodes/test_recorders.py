@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission has one recorder: a second one is refused, gives way or holds the mission."""
 
-from __future__ import annotations
-
 from signal import SIGSTOP
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission whose nodes have all died goes on with every deployment that its log has."""
 
-from __future__ import annotations
-
 from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.configuration import MOST_ROBOTS

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot walks its orders by the actions of Nav2, and reports what truly happened."""
 
-from __future__ import annotations
-
 from functools import reduce
 from itertools import count
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A base that dies while a real robot is out, and goes on from its log."""
 
-from __future__ import annotations
-
 from collections import Counter
 from operator import itemgetter
 

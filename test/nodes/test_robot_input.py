@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a robot does with bad input: TF, detections, paths, names, journals and disks."""
 
-from __future__ import annotations
-
 from collections import deque
 from contextlib import closing
 import resource

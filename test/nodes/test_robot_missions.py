@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Missions of robots that Nav2's actions drive, in a simulator that is not ours."""
 
-from __future__ import annotations
-
 from extent import LONG
 from fleet import FIELD, Fleet
 from kbnitp_ros.log.replay import replay

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot that loses its power, in the field or at home, and what it had not synced with it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

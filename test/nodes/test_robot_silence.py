@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base and robot on two networks, with no way from one to the other while the robot is out."""
 
-from __future__ import annotations
-
 import time
 
 from apart import apart

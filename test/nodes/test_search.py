@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The planner listens while it searches, and a search ends as it must."""
 
-from __future__ import annotations
-
 import time
 
 from base import Base, GRID

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The security policies allow each node what it does in the graph, and nothing else."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from contextlib import suppress
 import os

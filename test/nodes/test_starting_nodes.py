@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the nodes start, are seen and end."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 import os
 import shlex

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several agents, one planner and one estimator."""
 
-from __future__ import annotations
-
 from collections import Counter
 import signal
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps and progress are shown of the last belief, and not of each of many that come at once."""
 
-from __future__ import annotations
-
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
 from kbnitp_ros.messages.deployments import read_report

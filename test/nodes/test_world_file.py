@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A hidden world drawn as two pictures."""
 
-from __future__ import annotations
-
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import Grid
 from laws import for_each

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logs of missions to report on, made without ROS running."""
 
-from __future__ import annotations
-
 from kbnitp_ros.core import Observation, World
 from kbnitp_ros.messages.grids import occupancy_grid
 from mission_log import GRID, Mission, MODEL, record

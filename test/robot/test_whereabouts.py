@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """In which step a robot was, against a record of every moment."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from hypothesis import given

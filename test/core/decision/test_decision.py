@@ -3,10 +3,8 @@
 
 from itertools import product
 from math import inf
-import re
 
 from brute_force import adjacent, random_path, random_sensors, step_survival
-from documented import ROOT
 from extent import FULL
 from kbnitp_ros.core import (
     Area,
@@ -379,10 +377,3 @@ def test_targets_are_told_with_looks_and_misses():
     assert first.missed == pytest.approx(0.1)
     assert targets(belief, model, [], least=0.4)[0].missed == 1.0
     assert len(targets(belief, model, [], least=0.4)) == 1
-
-
-def test_the_example_of_the_page_reaches_its_goal(capsys):
-    page = ROOT.joinpath('docs/decisions.md').read_text()
-    (example,) = re.findall(r'^```python\n(.*?)^```', page, re.MULTILINE | re.DOTALL)
-    exec(compile(example, 'docs/decisions.md', 'exec'), {})
-    assert capsys.readouterr().out.rstrip().endswith('True')

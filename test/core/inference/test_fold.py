@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever way paths and reports come, the belief is that of the evidence in its order."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 
 import brute_force

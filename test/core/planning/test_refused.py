@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What robots keep off when plans are refused."""
 
-from __future__ import annotations
-
 from itertools import pairwise, product
 
 from hypothesis import given, settings

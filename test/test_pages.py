@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pages tell people to type works as it stands there, and what they link is there."""
+
+from collections import Counter
+from dataclasses import fields, is_dataclass
+import itertools
+import json
+import os
+from pydoc import locate
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from typing import get_args, get_type_hints
+
+from demo_mission import demo_mission
+from documented import blocks, ROOT, rows, words
+from kbnitp_ros.configuration.field import read_world
+from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.core import Grid, log_loss
+from kbnitp_ros.log import mcap_file
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.trial import trials_of
+from laws import for_each
+import pytest
+
+NOTEBOOKS = sorted(ROOT.joinpath('docs/notebooks').glob('*.ipynb'))
+ENVIRONMENT = {**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'}
+COMMAND = re.compile(r'^python3 -m kbnitp_ros (\w+) .*$', re.MULTILINE)
+
+
+def run(program, folder, text=''):
+    """Run a program on a text in a folder; return what it prints."""
+    ran = subprocess.run(
+        program, input=text, cwd=folder, env=ENVIRONMENT, text=True, capture_output=True
+    )
+    assert ran.returncode == 0, ran.stderr
+    return ran.stdout
+
+
+def follow(page, folder):
+    """Do what a page says, block after block, in a folder."""
+    printed = ''
+    for language, block in blocks(page):
+        file = re.match(r'# (\w+\.\w+)\n', block)
+        if language == 'text':
+            assert block in printed
+        elif language in ('bash', 'python'):
+            program = ['bash', '-e'] if language == 'bash' else [sys.executable, '-']
+            printed = run(program, folder, block)
+        else:
+            assert file, f'nobody reads a block that begins {block[:40]!r}'
+        if file and language != 'text':
+            folder.joinpath(file[1]).write_text(block)
+
+
+# Missions over DDS take a while; the other tests run the same commands with other values.
+@pytest.mark.full
+@pytest.mark.processes
+@pytest.mark.parametrize('name', sorted(ROOT.joinpath('docs/tutorials').glob('*.md')))
+def test_a_tutorial(name, tmp_path):
+    follow(name.relative_to(ROOT), tmp_path)
+
+
+@pytest.mark.full
+@pytest.mark.processes
+def test_commands_work_one_after_another(tmp_path):
+    """But for a study, which takes hours and is interrupted, and a forecast of fewer missions."""
+    tmp_path.joinpath('hidden.yaml').write_text(shown('world'))
+    made = Counter()
+    for page in ('README.md', 'docs/commands.md', 'docs/files.md'):
+        for line in COMMAND.finditer(
+            ''.join(text for kind, text in blocks(page) if kind == 'bash')
+        ):
+            words_of = [sys.executable, *shlex.split(line[0])[1:]]
+            made[line[1]] += 1
+            if line[1] == 'study':
+                out = tmp_path / words_of[-1]
+                study = subprocess.Popen(words_of, cwd=tmp_path, env=ENVIRONMENT)
+                deadline = time.monotonic() + 120
+                while not list(out.glob('trials/*.npz')) and time.monotonic() < deadline:
+                    time.sleep(0.1)
+                study.send_signal(signal.SIGINT)
+                assert study.wait(timeout=180) == 130
+            else:
+                run([*words_of, *['--worlds', '2'] * (line[1] == 'forecast')], tmp_path)
+    assert made == {'demo': 4, 'replay': 2, 'report': 1, 'study': 1, 'forecast': 1}
+    assert {'small', 'small_report', 'paper', 'team', 'forecast', 'whole', 'hidden'} < {
+        each.name for each in tmp_path.joinpath('runs').iterdir()
+    }
+    assert list(tmp_path.glob('runs/paper/trials/*.npz'))
+
+
+@pytest.mark.processes
+@for_each('page, printed', [('docs/commands.md', None), ('docs/decisions.md', 'True')])
+def test_an_example_in_python_prints_what_it_says(page, printed, tmp_path):
+    (example,) = (block for language, block in blocks(page) if language == 'python')
+    told = run([sys.executable, '-'], tmp_path, example)
+    assert example.endswith(f'# {told}') if printed is None else told.endswith(f'{printed}\n')
+
+
+def test_the_readme_is_short_and_so_are_its_sentences():
+    text = (ROOT / 'README.md').read_text()
+    assert len(text.split()) <= 900
+    prose = re.sub(r'```.*?```|^\|.*?$|^#.*?$', '', text, flags=re.S | re.M)
+    sentences = re.split(r'(?<=[.:;?])\s+|\n\s*\n', prose)
+    assert [each for each in sentences if len(each.split()) > 30] == []
+
+
+# The files that docs/files.md shows
+
+
+def shown(name):
+    """Return the file of a kind that the page shows."""
+    (text,) = (text for _, text in blocks('docs/files.md') if text.startswith(f'# {name}\n'))
+    return text
+
+
+def test_files_are_read_as_the_page_shows_them(tmp_path):
+    for name in ('parameters', 'world', 'scenario'):
+        tmp_path.joinpath(f'{name}.yaml').write_text(shown(name))
+    sections = read_sections(tmp_path / 'parameters.yaml')
+    values = {
+        name: values_for(sections, name) for name in ('/agent', '/planner', '/north/planner')
+    }
+    assert [values[name]['sensor.lethality'] for name in ('/agent', '/planner')] == [0.6, 0.3]
+    assert 'robots' not in values['/planner']
+    assert values['/north/planner']['robots'] == 40
+    world = read_world(tmp_path / 'world.yaml', Grid(4, 3))
+    assert world.hazard.nonzero()[0].tolist() == [1, 10]
+    assert world.target.nonzero()[0].tolist() == [1, 4, 10]
+    trials = len(trials_of(read_scenario(tmp_path / 'scenario.yaml')))
+    assert f'= {trials} missions' in words('docs/files.md')
+    missing = [key for key in keys_of(Scenario) if not re.search(rf'\b{key}:', shown('scenario'))]
+    assert missing == []
+
+
+def keys_of(kind):
+    """Yield the keys of a section and of those in it."""
+    for name, hint in get_type_hints(kind).items():
+        yield name
+        for inner in (hint, *get_args(hint)):
+            if is_dataclass(inner):
+                yield from (field.name for field in fields(inner))
+
+
+# Numbers
+
+
+@pytest.mark.slow
+def test_numbers_of_the_demo_are_those_that_it_comes_to():
+    first, deployments, world, _ = demo_mission()
+    beliefs = [first, *(deployment.belief for deployment in deployments)]
+    entropy = [f'{belief.entropy():.1f}' for belief in beliefs]
+    loss = [
+        f'{log_loss(belief.hazard, world.hazard) + log_loss(belief.target, world.target):.1f}'
+        for belief in beliefs
+    ]
+    gained = [
+        f'{before.joint_entropy() - after.joint_entropy():.1f}'
+        for before, after in itertools.pairwise(beliefs)
+    ]
+    lost = sum(not each.observation.survived for each in deployments)
+    known = [
+        f'{deployments[-1].parameters[name].quantile(q):.2f}'
+        for name in ('lethality', 'hazard_density')
+        for q in (0.05, 0.5, 0.95)
+    ]
+    told = {
+        'README.md': [f'{lost} were lost', entropy[0], entropy[-1], len(deployments)],
+        'docs/reading.md': [
+            *(entropy[robots] for robots in (0, 8, 23, 100)), loss[1], loss[-1], *known,
+            *(gained[robot - 1] for robot in (93, 94, 100, 56, 58, 73)),
+        ],
+    }  # fmt: skip
+    for page, numbers in told.items():
+        assert [each for each in map(str, numbers) if each not in words(page)] == [], page
+
+
+def test_quality_of_service_and_what_a_log_may_lose_are_as_said():
+    topics = rows('docs/topics.md', 'QoS')
+    for topic, profile in (
+        ('belief', qos.LATCHED),
+        ('belief/hazard', qos.LATCHED),
+        ('/tf', qos.POSES),
+    ):
+        (line,) = (cells for head, cells in topics.items() if head.split('`')[0] == topic)
+        assert line[-1].endswith(f', {profile.depth}'), topic
+        assert ('transient local' in line[-1]) == (profile is qos.LATCHED)
+    assert f'at most {mcap_file.CHUNK // 2**20} MiB of them' in words('docs/log.md')
+
+
+def test_the_glossary_is_short_and_names_code_that_is_there():
+    glossary = ROOT.joinpath('docs/glossary.md').read_text()
+    assert 0 < len(re.findall(r'^\| (?!word)[a-z]', glossary, re.MULTILINE)) < 25
+    names = re.findall(r'`(core\.[\w.]+)`', glossary)
+    assert names
+    assert [name for name in names if locate(f'kbnitp_ros.{name}') is None] == []
+
+
+# Notebooks
+
+
+def outputs_of(path):
+    """
+    Return the cells of a notebook, and the texts and kinds of pictures that stand below each.
+
+    Pictures differ with a machine's fonts, and a kernel sends text in any number of pieces.
+    """
+    cells = []
+    for cell in json.loads(path.read_text())['cells']:
+        if cell['cell_type'] == 'code':
+            streams, kinds = {}, []
+            for each in cell['outputs']:
+                if 'name' in each:
+                    streams[each['name']] = streams.get(each['name'], '') + ''.join(each['text'])
+                else:
+                    kinds.append((each.get('data', {}).get('text/plain'), sorted(each['data'])))
+            cells.append((cell['source'], cell.get('execution_count'), streams, kinds))
+    return cells
+
+
+@pytest.mark.processes
+@pytest.mark.full
+def test_notebooks_show_what_comes_out(tmp_path):
+    pytest.importorskip('nbclient', reason='notebooks are executed with the wheels only')
+    run([sys.executable, ROOT / 'tools/notebooks.py', tmp_path], ROOT)
+    for path in NOTEBOOKS:
+        assert outputs_of(path) == outputs_of(tmp_path / path.name), 'python3 tools/notebooks.py'
+        assert any(streams or kinds for *_, streams, kinds in outputs_of(path))
+
+
+# Links, to files and to headings; no network is needed
+
+PAGES = [
+    *(path for folder in ('', 'msg_defs') for path in sorted((ROOT / folder).glob('*.md'))),
+    *sorted(ROOT.joinpath('docs').rglob('*.md')),
+    *NOTEBOOKS,
+]
+
+
+def text_of(path):
+    """Return what a page says, without its code."""
+    said = path.read_text()
+    if path.suffix == '.ipynb':
+        cells = json.loads(said)['cells']
+        said = '\n\n'.join(''.join(e['source']) for e in cells if e['cell_type'] == 'markdown')
+    return re.sub(r'^```.*?^```', '', said, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(said):
+    """Yield what the headings of a page are called in links, as GitHub and MyST have it."""
+    count = Counter()
+    for heading in re.findall(r'^#+ (.+?)\s*$', said, re.MULTILINE):
+        title = re.sub(r'\[(.*?)\]\(.*?\)', r'\1', heading).lower()
+        name = re.sub(r'[^\w\- ]', '', title).replace(' ', '-')
+        yield f'{name}-{count[name]}' if count[name] else name
+        count[name] += 1
+
+
+def dead(path):
+    """Yield the links of a page that lead nowhere."""
+    for link in re.findall(r'\]\(<?([^)\s>]+)>?\)', text_of(path)):
+        if re.match(r'\w+:', link):
+            continue
+        file, _, anchor = link.partition('#')
+        target = path.parent / file if file else path
+        if not target.exists() or (anchor and anchor not in anchors(text_of(target))):
+            yield link
+
+
+@for_each('path', PAGES)
+def test_links_lead_somewhere(path):
+    assert list(dead(path)) == []
+
+
+def test_a_dead_link_is_found(tmp_path):
+    page = tmp_path / 'page.md'
+    page.write_text(
+        '# One & two\n## Again\n## Again\n'
+        '[a](#again) [a](#again-1) [a](#one--two) [a](page.md#one--two) '
+        '[b](#again-2) [b](#three) [b](gone.md) [b](page.md#four)\n'
+        '```\n[c](code.md)\n```\n'
+        '[d](https://example.org/#h)\n'
+    )
+    assert list(dead(page)) == ['#again-2', '#three', 'gone.md', 'page.md#four']
+
+
+# Equations
+
+LABELS = re.findall(r'^ *:label: (\S+)$', (ROOT / 'docs/mathematics.md').read_text(), re.MULTILINE)
+
+
+def test_equations_have_labels_that_the_code_cites_and_no_others():
+    cited = {
+        label
+        for path in sorted((ROOT / 'kbnitp_ros').rglob('*.py'))
+        for label in re.findall(r':eq:`([^`]*)`', path.read_text())
+    }
+    assert [label for label, times in Counter(LABELS).items() if times > 1] == []
+    assert cited == set(LABELS)
