@@ -32,15 +32,13 @@ BELOW = {
     'core.planning': {'core.planning.objective', 'core.planning.search', 'core.planning.teams'},
     'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
     'core': {'core.decision', 'core.field', 'core.inference', 'core.planning', 'plugins'},
-    'testing': {
-        'plugins', 'core', 'core.inference', 'core.planning', 'core.planning.teams',
-    },
+    'testing': {'plugins', 'core'},
     'messages': {'core'},
     'maps': {'files', 'plugins', 'core'},
     'log': {'files', 'core', 'messages'},
     'robot': {'files', 'core', 'messages'},
     'figures': {'core', 'plugins'},
-    'study': {'files', 'plugins', 'core', 'core.decision', 'figures'},
+    'study': {'files', 'plugins', 'core', 'figures'},
     'report': {'files', 'core', 'maps', 'messages', 'log', 'figures'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
     'base': {'files', 'core', 'messages', 'log', 'configuration'},
@@ -81,6 +79,12 @@ def layer_of(path):
     return '.'.join(path.relative_to(ROOT / 'kbnitp_ros').parts[:-1])
 
 
+def layer_seen(layer, module):
+    """Return the layer of a module as another one sees it: the core has rooms for itself alone."""
+    below = layer_of(MODULES[module])
+    return below if layer.startswith('core') else re.sub(r'^core\..*', 'core', below)
+
+
 def module_of(name):
     """Return the module of kbnitp_ros that an imported name is, or is in."""
     while name not in MODULES:
@@ -114,14 +118,14 @@ def test_imports_point_down():
         (path, name)
         for path, layer, name in imports()
         if layer and name.startswith('kbnitp_ros.')
-        if layer_of(MODULES[module_of(name)]) not in BELOW[layer] | {layer}
+        if layer_seen(layer, module_of(name)) not in BELOW[layer] | {layer}
     ]
     assert not upwards
 
 
 def test_all_that_a_layer_may_stand_on_it_stands_on():
     used = {
-        (layer, layer_of(MODULES[module_of(name)]))
+        (layer, layer_seen(layer, module_of(name)))
         for _, layer, name in imports()
         if name.startswith('kbnitp_ros.')
     }

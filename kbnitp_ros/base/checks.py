@@ -75,7 +75,7 @@ def density_note(ledger: Ledger) -> str:
         return ''
     unvisited = grid.may_be_hazardous.copy()
     for key in ledger.deployments:
-        unvisited[ledger.path(key)] = False
+        unvisited[ledger.paths[key]] = False
     cells = int(grid.may_be_hazardous.sum())
     if 2 * unvisited.sum() <= cells:
         return ''

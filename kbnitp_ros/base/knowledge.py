@@ -13,11 +13,11 @@ from kbnitp_ros.core import (
     Belief,
     Decision,
     DeploymentKey,
-    Deployments,
     Goal,
     Grid,
     HazardDraws,
     Ledger,
+    MissionRecord,
     Report,
     RobotType,
     Stop,
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 # A path or a report that deployments take note of.
-Event = Callable[[Deployments], bool]
+Event = Callable[[MissionRecord], bool]
 
 
 class Knowledge:
@@ -38,7 +38,7 @@ class Knowledge:
     ) -> None:
         self._grid = grid
         self._values = values
-        self._deployments = Deployments(grid, values['max_steps'], robot_types)
+        self._deployments = MissionRecord(grid, values['max_steps'], robot_types)
         self._prior: Snapshot | None = None
         # All evidence so far.
         self._events: list[Event] = []

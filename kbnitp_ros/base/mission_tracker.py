@@ -11,7 +11,7 @@ from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.configuration import MOST_ROBOTS, robot_types_of
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.record import MissionRecord, read_newest_round
+from kbnitp_ros.log.record import read_newest_round, RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import report_message, Source
@@ -122,7 +122,7 @@ class Resumption:
         self._values = values
         self._agents = agents
         robot_types = robot_types_of(values, grid)
-        self.record = MissionRecord(log, grid, values['max_steps'], robot_types)
+        self.record = RecordedMission(log, grid, values['max_steps'], robot_types)
         # In the order they were made.
         self.deployments = self.record.deployments
         for key in self.deployments:

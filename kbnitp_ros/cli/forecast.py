@@ -189,7 +189,7 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
         ledger.grid,
         ledger.estimator,
         planner['robots'] - sent,
-        before=[ledger.observation(key) for key in ledger.deployments],
+        before=[ledger.outcomes[key] for key in ledger.deployments],
         **plan_of(planner, ledger.grid, ledger.robot_types),
     )
 

@@ -101,7 +101,7 @@ class History:
     def observations(self) -> list[Observation]:
         """Of the deployments that ended, each once: the return if a loss was reported too."""
         ended = sorted(self.evidence.reports, key=deployment_order)
-        return [self.evidence.observation(key) for key in ended]
+        return [self.evidence.outcomes[key] for key in ended]
 
 
 def read_history(

@@ -13,9 +13,9 @@ from typing import Any
 from kbnitp_ros.core import (
     deployment_order,
     DeploymentKey,
-    Deployments,
     Grid,
     Ledger,
+    MissionRecord,
     Observation,
     Report,
     RobotType,
@@ -126,7 +126,7 @@ class Departures:
             )
 
 
-def record(deployments: Deployments, role: Role, message: Any) -> bool:
+def record(deployments: MissionRecord, role: Role, message: Any) -> bool:
     """Record a path or report as an estimator does; return whether an outcome changed."""
     content = content_hash(message)
     if role.name == 'report':
@@ -196,7 +196,7 @@ class GapError(ValueError):
     """A belief on record that nothing can be compared with, since the log lacks something."""
 
 
-class Evidence(Deployments):
+class Evidence(MissionRecord):
     """The deployments of a log, judged as the estimator judges them."""
 
     def __init__(
@@ -335,7 +335,7 @@ class RecordedDeployment:
         return says_so or self.observation is not None
 
 
-class MissionRecord:
+class RecordedMission:
     """What a log has of a mission, to go on with: one pass over it."""
 
     def __init__(
@@ -380,13 +380,13 @@ class MissionRecord:
 
     def _deployment(self, key: DeploymentKey) -> RecordedDeployment:
         evidence, status = self.evidence, self._departures.status(key)
-        report, path = evidence.reports.get(key), evidence.path(key)
+        report, path = evidence.reports.get(key), evidence.paths[key]
         if report and report.survived and self._departures.is_refused(key):
             # Whoever comes back has been away.
             status = None
         if report is None or (status is not None and status.state is OrderState.REFUSED):
             return RecordedDeployment(path, *self._sent[key], status=status)
-        seen = evidence.observation(key)
+        seen = evidence.outcomes[key]
         return RecordedDeployment(path, *self._sent[key], seen, report.stamp, status)
 
 

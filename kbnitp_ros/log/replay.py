@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Ledger
+from kbnitp_ros.core.inference.record import ending_of
 from kbnitp_ros.log.configuration import read_changes
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import is_finished, LoggedMessage
@@ -228,7 +229,8 @@ class Fold:
             if (
                 self._ledger
                 and key in self._assimilated
-                and self._ledger.ending(key) >= report.evidence.ending(key)
+                and ending_of(self._ledger.outcomes[key])
+                >= ending_of(report.evidence.outcomes[key])
             ):
                 report.passed_over += report.not_yet_held
                 report.not_yet_held = []

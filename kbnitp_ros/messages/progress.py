@@ -107,7 +107,7 @@ def expected(ledger: Ledger, before: Held | None) -> float:
     if len(ledger.deployments) != before.deployments + 1:
         return nan
     model = ledger.robot_type(ledger.newest).model(before.model)
-    return path_information(before.belief, model, ledger.path(ledger.newest))
+    return path_information(before.belief, model, ledger.paths[ledger.newest])
 
 
 # Per cent.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_ros.configuration import robot_types_of
-from kbnitp_ros.log.record import MissionRecord
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -23,7 +23,7 @@ class AgentNode(FieldNode):
         resume = self.values['resume']
         log = resumed_log(resume, self.roles) if resume else None
         rules = self.grid, self.values['max_steps'], robot_types_of(self.values, self.grid)
-        record = MissionRecord(log, *rules) if log else None
+        record = RecordedMission(log, *rules) if log else None
         recorded = record.deployments if record else {}
         mission = record.mission if record else None
         self._simulation = simulation = Simulation(self, recorded)

@@ -12,7 +12,7 @@ from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
-from kbnitp_ros.log.record import MissionRecord
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.progress import decision_message
@@ -51,7 +51,7 @@ class Decisions:
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
         node.create_poll(self._decide)
 
-    def restore(self, record: MissionRecord) -> None:
+    def restore(self, record: RecordedMission) -> None:
         """Take in the prior and the evidence on record."""
         if record.prior:
             self.knowledge.begin(record.prior)

@@ -260,10 +260,10 @@ class EstimatorNode(FieldNode):
     def _tell_ending(self, key: DeploymentKey) -> None:
         """Tell on the console how a deployment ended, and what is known now."""
         ledger = self._ledger
-        ending = ledger.ending(key)
-        steps = ending.steps_survived
+        outcome = ledger.outcomes[key]
+        steps = outcome.steps_survived
         contact = f', heard of last after step {steps}' if steps else ''
-        ended = 'came back' if ending.survived else f'was lost{contact}'
+        ended = 'came back' if outcome.survived else f'was lost{contact}'
         held, lost = len(ledger.deployments), ledger.lost
         self.deployment_logger.info(
             f'{key} {ended}: entropy {ledger.belief.entropy():.2f} nats after '

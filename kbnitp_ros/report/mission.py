@@ -310,7 +310,9 @@ def outcome_of(evidence: Evidence, key: DeploymentKey | None, stamp: int) -> Obs
     if key not in evidence.reports or key not in evidence.paths:
         return None
     report = evidence.report_of(key, stamp)
-    return observation_of(report, key, evidence.path(key), evidence.grid, evidence.most_steps(key))
+    return observation_of(
+        report, key, evidence.paths[key], evidence.grid, evidence.most_steps(key)
+    )
 
 
 def deployments_of(
@@ -326,8 +328,8 @@ def deployments_of(
     return [
         DeploymentSummary(
             key,
-            evidence.path(key),
-            evidence.observation(key) if key in evidence.reports else None,
+            evidence.paths[key],
+            evidence.outcomes.get(key),
             history.sent.get(key),
             reported.get(key),
             last.get(place, moment_after(moments, reported.get(key))),

@@ -429,7 +429,7 @@ def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
         assert report.reproduced
         if option == 'base':
             paths = report.evidence.paths
-            bases = {key.agent: int(report.evidence.path(key)[0]) for key in paths}
+            bases = {key.agent: int(report.evidence.paths[key][0]) for key in paths}
             assert bases == {'scout_1': 0, 'scout_2': 24}
         else:
             assert recorded_parameters(log)['planner']['team.scout_2.max_steps'] == 6

@@ -9,11 +9,11 @@ from kbnitp_ros.core import (
     Area,
     Belief,
     DeploymentKey,
-    Deployments,
     Execution,
     Grid,
     keepout_cells,
     Lane,
+    MissionRecord,
     Observation,
     plan,
     plan_team,
@@ -265,7 +265,7 @@ def test_no_base_is_kept_off():
 
 
 def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
-    register = Deployments(CORNERS, 6, {'far': THERE})
+    register = MissionRecord(CORNERS, 6, {'far': THERE})
     near, far = DeploymentKey('near', 1), DeploymentKey('far', 2)
     register.record_path(near, [0, 1, 0])
     with pytest.raises(ValueError, match='path must start at the base 29, not at cell 0'):
@@ -274,7 +274,7 @@ def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
     with pytest.raises(ValueError, match='walk from the base back to it.*end at the base 29'):
         register.record_report(far, Report(True, ((28, 1), (22, 0))))
     assert register.record_report(far, Report(True, ((28, 1), (22, 0), (29, 0))))
-    assert register.observation(far).path.tolist() == [29, 28, 22, 29]
+    assert register.outcomes[far].path.tolist() == [29, 28, 22, 29]
 
 
 # Goals

@@ -6,7 +6,7 @@ from itertools import product
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import MissionRecord
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import path_message, report_message
@@ -59,7 +59,7 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
         back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
         whole.publish('scout_1/report', back)
     log = record(tmp_path / 'mission.mcap', whole.sent)
-    deployments = MissionRecord(MissionLog(log), GRID, MAX_STEPS).deployments
+    deployments = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments
     assert deployments.keys() == {lost, out}
     assert not deployments[lost].observation.survived
     assert deployments[out].observation is None
@@ -116,7 +116,7 @@ def test_a_refused_report_displaces_no_other(tmp_path, what, when):
     if when == 'after the loss':
         whole.publish('scout_1/report', refused)
     log = record(tmp_path / 'mission.mcap', whole.sent)
-    deployment = MissionRecord(MissionLog(log), GRID, MAX_STEPS).deployments[key]
+    deployment = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments[key]
     assert deployment.path.tolist() == NEAR
     report = replay(log)
     assert report.reproduced
@@ -142,7 +142,7 @@ def test_a_refused_path_displaces_no_other(tmp_path):
     whole.assimilate(NEAR, *whole.come_back(key, Observation(NEAR, True, [True, False])))
     log = record(tmp_path / 'mission.mcap', whole.sent)
     assert told(log) == [(NEAR, True, [True, False])]
-    (deployment,) = MissionRecord(MissionLog(log), GRID, MAX_STEPS).deployments.values()
+    (deployment,) = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments.values()
     assert deployment.path.tolist() == NEAR
     assert deserialize_message(deployment.message, Path) == path_message(GRID, NEAR, key.stamp)
     report = replay(log)
@@ -153,7 +153,7 @@ def test_a_refused_path_displaces_no_other(tmp_path):
 def test_a_mission_on_another_grid_is_not_gone_on_with(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
     with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
-        MissionRecord(MissionLog(log), Grid(9, 9), MAX_STEPS)
+        RecordedMission(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 
 def test_maps_of_others_are_no_truth(whole_mission, tmp_path):

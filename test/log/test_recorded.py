@@ -18,7 +18,7 @@ import sys
 
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import MissionRecord
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
@@ -102,7 +102,7 @@ def test_it_is_reproduced(name, tmp_path):
 def test_its_deployments_can_be_gone_on_with(name, tmp_path):
     path = log(name, tmp_path)
     history = read_history(path)
-    deployments = MissionRecord(MissionLog(path), history.grid, 8).deployments
+    deployments = RecordedMission(MissionLog(path), history.grid, 8).deployments
     assert len(history.observations) == len(deployments) >= 5
     assert {each.survived for each in history.observations} == {True, False}
     for each, deployment in zip(history.observations, deployments.values()):

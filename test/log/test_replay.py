@@ -28,7 +28,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.log import write as writer
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import LogError
-from kbnitp_ros.log.record import MissionRecord, read_newest_round
+from kbnitp_ros.log.record import read_newest_round, RecordedMission
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import BELIEF, MissionLog, PATH, REPORT
@@ -147,7 +147,7 @@ def test_what_is_heard_later_is_reproduced(replayed, kind, gone):
     report = replayed(without(whole.sent, *(beliefs(whole.sent)[index] for index in gone)))
     assert report.mismatches == report.not_yet_held == report.evidence.refused == []
     assert report.reproduced
-    found = report.evidence.observation(key)
+    found = report.evidence.outcomes[key]
     assert (found.survived, found.steps_survived) == (then.survived, then.steps_survived)
     assert len(report.evidence.reports) == 3
 
@@ -792,7 +792,7 @@ def rewritten(path, sent, edit):
 
 
 def deployments(path):
-    return MissionRecord(MissionLog(path), GRID, MAX_STEPS).deployments
+    return RecordedMission(MissionLog(path), GRID, MAX_STEPS).deployments
 
 
 def newest_round(path):

@@ -16,7 +16,7 @@ from kbnitp_ros.cli.replay import main as replay_main
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import MissionRecord, read_ledger
+from kbnitp_ros.log.record import read_ledger, RecordedMission
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog, RECORD, resumed_log, Roles
 from kbnitp_ros.log.write import LogWriter
@@ -64,7 +64,7 @@ def shown(value):
 def read(path):
     """Return what each reader of a log takes from it, and what they leave out."""
     log = MissionLog(path)
-    record = MissionRecord(log, GRID, MAX_STEPS)
+    record = RecordedMission(log, GRID, MAX_STEPS)
     report, history, page = replay(log), read_history(log), read_mission(path)
     taken = {
         'replay': [

@@ -328,5 +328,5 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
     report = base.replayed()
     assert [each.action.name for each in report.actions] == [*STEPS]
     assert len(report.evidence.reports) == 1
-    assert [report.evidence.path(key).tolist() for key in report.evidence.paths] == [base.second]
+    assert [report.evidence.paths[key].tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)

@@ -1,15 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is learnt of the field: the belief after deployments."""
 
-from kbnitp_ros.core.inference.deployments import (
-    deployment_order,
-    DeploymentKey,
-    Deployments,
-    Ending,
-    LONGEST_WALK,
-    observation_of,
-    Report,
-)
 from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.inference.filtering import (
     condition,
@@ -18,21 +9,28 @@ from kbnitp_ros.core.inference.filtering import (
     lost_likelihood,
     OnePass,
 )
-from kbnitp_ros.core.inference.ledger import Ledger
 from kbnitp_ros.core.inference.methods import Inference, Method, METHODS, update
 from kbnitp_ros.core.inference.model_check import ModelCheck
+from kbnitp_ros.core.inference.record import (
+    deployment_order,
+    DeploymentKey,
+    Ledger,
+    LONGEST_WALK,
+    MissionRecord,
+    observation_of,
+    Report,
+)
 
 __all__ = [
     'LONGEST_WALK',
     'METHODS',
     'DeploymentKey',
-    'Deployments',
-    'Ending',
     'Estimator',
     'Inference',
     'KnownModel',
     'Ledger',
     'Method',
+    'MissionRecord',
     'ModelCheck',
     'OnePass',
     'Report',

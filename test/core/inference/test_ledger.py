@@ -46,7 +46,7 @@ def state(ledger):
         (ledger.newest, ledger.newest_stamp),
         ledger.duplicates,
         ledger.pending,
-        ledger.in_flight,
+        len(ledger.paths) - len(ledger.outcomes),
     )
 
 
@@ -202,7 +202,7 @@ def test_the_walk_that_was_made_is_the_evidence(readings):
     walk = [PATH[0], *(cell for cell, _ in readings)]
     made = Observation(walk, True, np.array([reading for _, reading in readings]))
     assert ledger.belief.joint.tobytes() == folded(made)
-    kept = ledger.observation(A)
+    kept = ledger.outcomes[A]
     assert kept.path.tolist() == walk
     assert kept.readings.tolist() == made.readings.tolist()
 

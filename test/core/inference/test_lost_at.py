@@ -257,7 +257,7 @@ def test_the_report_that_tells_most_of_where_counts():
         for each in order:
             assert ledger.record_report(key, reports[each]) == (each > best)
             best = max(best, each)
-        assert ledger.observation(key).lost_at.tolist() == [0.0, 1 / 9, 1.0, 1 / 9]
+        assert ledger.outcomes[key].lost_at.tolist() == [0.0, 1 / 9, 1.0, 1 / 9]
     assert ledger.record_report(key, Report(True, ((1, 0), (2, 0), (3, 1), (0, 0))))
     expected = update(prior, SensorModel(0.5), Observation(path, True, [0, 0, 1, 0]))
     assert ledger.belief.joint.tobytes() == expected.joint.tobytes()

@@ -1,28 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of deployments: which path each was sent on and how it ended."""
+"""The evidence of a mission, and the fold of it into a belief."""
 
 from __future__ import annotations
 
-from collections.abc import KeysView, Mapping
+from bisect import bisect_left
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from kbnitp_ros.core.field import Grid, Observation, ORDINARY, RobotType
+from kbnitp_ros.core.field import Belief, Grid, Observation, ORDINARY, RobotType
+from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Self = TypeVar('Self', bound='Deployments')
+Self = TypeVar('Self', bound='MissionRecord')
 
-# The most bytes of reports that are pending, since their paths may never come; how many of these
-# stay when it is reached; and what a report and a reading take.
+# Bytes: of pending reports at most, of those left when that is reached, of a report, of a reading.
 MOST_PENDING = 50_000_000
 LEFT_PENDING = 45_000_000
 REPORT, READING = 1000, 100
 
 # How many times as many steps as its orders may have a robot can have made.
 LONGEST_WALK = 10
+
+# How far back, as a power of two, an estimator is kept after each deployment. Twice as far back
+# it is after every second one, and so on: few are kept, and going back any way to assimilate a
+# late deployment costs little more than the deployments that follow it.
+DENSE = 2
 
 
 class DeploymentKey(NamedTuple):
@@ -46,32 +52,8 @@ class DeploymentKey(NamedTuple):
 
 
 def deployment_order(key: DeploymentKey) -> tuple[int, str]:
-    """Return what deployments are sorted by: their stamps, then their agents."""
+    """Return the sorting key of deployments: their stamps, then their agents."""
     return key.stamp, key.agent
-
-
-class Ending(NamedTuple):
-    """
-    How a deployment ended; of two endings of one deployment the greater one says more.
-
-    Attributes
-    ----------
-    survived : bool
-        Whether the robot returned: one that was given up may only be late.
-    steps_survived : int
-        Of a lost robot, how many steps of its path it is known to have survived.
-    located : float
-        How closely it is known where: minus the sum of `lost_at`, of which the largest is 1;
-        -inf where all steps are alike.
-    lost_at : tuple of float
-        These, so that of two that say as much the same one counts whatever comes first.
-
-    """
-
-    survived: bool
-    steps_survived: int = 0
-    located: float = -np.inf
-    lost_at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,23 +88,15 @@ class Report:
     lost_at: tuple[float, ...] = ()
 
 
-def ending_of(outcome: Observation) -> Ending:
-    """Return how a deployment ended."""
-    lost_at = () if outcome.lost_at is None else tuple(outcome.lost_at.tolist())
-    located = -sum(lost_at) if lost_at else -np.inf
-    return Ending(outcome.survived, outcome.steps_survived, located, lost_at)
-
-
-class Deployments:
+class MissionRecord:
     """
-    The paths and outcomes of deployments, of each the one that counts.
+    The paths and reports of a mission, in any order: of each deployment one outcome counts.
 
-    Paths and reports come in any order and may come again. The first path that a robot could take
-    holds. Which of several reports that fit it counts does not depend on their order: a return
-    outdoes a loss, since the robot was only late, and of two losses that with the later contact
-    counts, or if that is the same the one that tells more closely where. Two returns can only
-    differ if two robots have one name: then that with more readings counts. All who judge evidence
-    judge it here: a refused report changes nothing for any of them.
+    The first path that a robot could take holds. Which of several reports that fit it counts does
+    not depend on their order: a return outdoes a loss, since the robot was only late, and of two
+    losses that with the later contact counts, or if that is the same the one that tells more
+    closely where. Two returns can only differ if two robots have one name: then that with more
+    readings counts. All who judge evidence judge it here: a refused report changes nothing.
 
     Parameters
     ----------
@@ -135,14 +109,20 @@ class Deployments:
 
     Attributes
     ----------
+    paths : dict of DeploymentKey to ndarray of int, shape (steps + 1,)
+        The known paths, in the order in which they became known.
+    outcomes : dict of DeploymentKey to Observation
+        What came of the deployments whose path and report are known.
+    path_contents : dict of DeploymentKey to int
+        Hashes of the messages that the known paths came with, 0 where there was none.
+    contradicted : dict of DeploymentKey to str
+        Deployments of which several returns differ, and what to say of that.
     duplicates : int
         Paths and reports that said nothing new.
     lost : int
         How many deployments are known to have ended with a lost robot.
-    contradicted : dict of DeploymentKey to str
-        Deployments of which several returns differ, and what to say of that.
-    path_contents : dict of DeploymentKey to int
-        Hashes of the messages that the known paths came with, 0 where there was none.
+    pending : int
+        How many reports wait for their path.
 
     """
 
@@ -155,30 +135,14 @@ class Deployments:
         self.grid = grid
         self.max_steps = max_steps
         self.robot_types = dict(robot_types)
-        self.duplicates = 0
-        self.lost = 0
-        self.contradicted: dict[DeploymentKey, str] = {}
+        self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self.outcomes: dict[DeploymentKey, Observation] = {}
         self.path_contents: dict[DeploymentKey, int] = {}
-        self._paths: dict[DeploymentKey, NDArray[np.intp]] = {}
-        self._outcomes: dict[DeploymentKey, Observation] = {}
+        self.contradicted: dict[DeploymentKey, str] = {}
+        self.duplicates = self.lost = self.pending = 0
         self._pending: dict[DeploymentKey, dict[Report, None]] = {}
-        self._pending_count = self._pending_bytes = 0
+        self._pending_bytes = 0
         self._newest_path = 0
-
-    @property
-    def paths(self) -> KeysView[DeploymentKey]:
-        """Deployments whose path is known, in the order in which it became so."""
-        return self._paths.keys()
-
-    @property
-    def pending(self) -> int:
-        """How many reports are pending, since their path is not known."""
-        return self._pending_count
-
-    @property
-    def in_flight(self) -> int:
-        """How many robots are in flight: their path is known and their report is not."""
-        return len(self._paths) - len(self._outcomes)
 
     def robot_type(self, key: DeploymentKey) -> RobotType:
         """Return the type of the robot that makes a deployment."""
@@ -190,47 +154,27 @@ class Deployments:
         return self.max_steps if own is None else own
 
     def check_path(self, key: DeploymentKey, path: ArrayLike) -> NDArray[np.intp]:
-        """
-        Return the path of a deployment as an array of cells, shape (steps + 1,).
-
-        Raises
-        ------
-        ValueError
-            If none of its agent's robots could take it, from their base and back.
-
-        """
+        """Return a path as cells; raise ValueError if no robot of its agent could take it."""
         grid = self.grid.at(self.robot_type(key).base)
         return grid.check_path(path, self.most_steps(key))
 
-    def ending(self, key: DeploymentKey) -> Ending:
-        """Return how a deployment ended that was reported."""
-        return ending_of(self._outcomes[key])
-
-    def path(self, key: DeploymentKey) -> NDArray[np.intp]:
-        """Return the cells of a known path, shape (steps + 1,)."""
-        return self._paths[key]
-
-    def observation(self, key: DeploymentKey) -> Observation:
-        """Return what came of a deployment that was reported."""
-        return self._outcomes[key]
-
-    def copy_pending_of(self, other: Deployments) -> None:
+    def copy_pending_of(self, other: MissionRecord) -> None:
         """Copy the pending reports of another."""
         self._pending = {key: reports.copy() for key, reports in other._pending.items()}
-        self._pending_count, self._pending_bytes = other._pending_count, other._pending_bytes
+        self.pending, self._pending_bytes = other.pending, other._pending_bytes
 
     def copy(self: Self) -> Self:
         """Return a copy that goes on by itself from here."""
         other = copy(self)
-        other._paths, other._outcomes = self._paths.copy(), self._outcomes.copy()
-        other._pending = {key: reports.copy() for key, reports in self._pending.items()}
-        other.contradicted = self.contradicted.copy()
+        other.paths, other.outcomes = self.paths.copy(), self.outcomes.copy()
         other.path_contents = self.path_contents.copy()
+        other.contradicted = self.contradicted.copy()
+        other.copy_pending_of(self)
         return other
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
         """
-        Take note of a deployment's path.
+        Record a deployment's path.
 
         Parameters
         ----------
@@ -254,12 +198,12 @@ class Deployments:
 
         """
         cells = self.check_path(key, path)
-        if key in self._paths:
-            if not np.array_equal(cells, self._paths[key]):
+        if key in self.paths:
+            if not np.array_equal(cells, self.paths[key]):
                 raise ValueError(f'path of deployment {key} is known and differs: the first holds')
             self.duplicates += 1
             return False
-        self._paths[key] = cells
+        self.paths[key] = cells
         self.path_contents[key] = content
         refusals = []
         self._newest_path = max(self._newest_path, key.stamp)
@@ -268,13 +212,13 @@ class Deployments:
                 self.record_report(key, report)
             except ValueError as error:
                 refusals.append(error)
-        if refusals and key not in self._outcomes:
+        if refusals and key not in self.outcomes:
             raise refusals[0]
-        return key in self._outcomes
+        return key in self.outcomes
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
         """
-        Take note of a deployment's report; a refusal leaves everything as it was.
+        Record a deployment's report; a refusal leaves everything as it was.
 
         Returns
         -------
@@ -291,12 +235,12 @@ class Deployments:
             path.
 
         """
-        if key not in self._paths:
+        if key not in self.paths:
             self._keep_pending(key, report)
             return False
         outcome = self._outcome(key, report)
-        known = self._outcomes.get(key)
-        differs = known is not None and known != outcome and self.ending(key) == ending_of(outcome)
+        known = self.outcomes.get(key)
+        differs = known is not None and known != outcome and ending_of(known) == ending_of(outcome)
         if differs:
             self.contradicted[key] = (
                 f'reports of deployment {key} differ: that with more readings counts '
@@ -310,7 +254,7 @@ class Deployments:
                 self._hear_again(key, report)
             return False
         self._assimilate(key, outcome, report)
-        self._outcomes[key] = outcome
+        self.outcomes[key] = outcome
         self.lost += (not outcome.survived) - (known is not None and not known.survived)
         return True
 
@@ -321,11 +265,11 @@ class Deployments:
             self.duplicates += 1
             return
         pending[report] = None
-        self._pending_count += 1
+        self.pending += 1
         self._pending_bytes += size_of(report)
         if self._pending_bytes <= MOST_PENDING:
             return
-        before = self._pending_count
+        before = self.pending
         # Sorting keeps the order of what came first.
         by_distance = sorted(self._pending, key=lambda each: -abs(each.stamp - self._newest_path))
         for dropped in by_distance:
@@ -333,73 +277,159 @@ class Deployments:
             if self._pending_bytes <= LEFT_PENDING:
                 break
         raise ValueError(
-            f'{before - self._pending_count} reports of deployments whose paths are not known, '
+            f'{before - self.pending} reports of deployments whose paths are not known, '
             f'such as {by_distance[0]}: at most {MOST_PENDING // 10**6} MB of them are kept'
         )
 
     def _take_pending(self, key: DeploymentKey) -> list[Report]:
         """Return the reports of a deployment that were pending, and keep them no longer."""
         reports = list(self._pending.pop(key, ()))
-        self._pending_count -= len(reports)
+        self.pending -= len(reports)
         self._pending_bytes -= sum(map(size_of, reports))
         return reports
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Do what a new outcome entails, before it is known; may raise ValueError."""
+        """Take in a new outcome before it is recorded; may raise ValueError."""
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        """Do what a report entails that says the same as the one that counts."""
+        """Take in a report that says the same as the one that counts."""
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
-        """Return what a report tells; raises ValueError if no robot can have made it."""
-        return observation_of(report, key, self.path(key), self.grid, self.most_steps(key))
+        """Return the outcome of a report; raise ValueError if no robot can have made it."""
+        return observation_of(report, key, self.paths[key], self.grid, self.most_steps(key))
+
+
+class Ledger(MissionRecord):
+    """
+    The record of a mission and the belief that it gives, each deployment counted exactly once.
+
+    The belief is always, bit for bit, that of an estimator that assimilates the deployments whose
+    path and report are both known one after another in deployment order, so the order of arrival
+    does not matter. A report that is impossible together with the deployments held is refused.
+
+    Parameters
+    ----------
+    grid, max_steps, robot_types
+        As of `MissionRecord`.
+    estimator : Estimator
+        Before the first deployment.
+
+    Attributes
+    ----------
+    deployments : list of DeploymentKey
+        Those in the belief, in deployment order.
+    newest : DeploymentKey or None
+        Whose evidence was assimilated last; None before the first.
+    newest_stamp : int
+        Of the report that told of it, nanoseconds of ROS time.
+    report_contents : dict of DeploymentKey to int
+        Hashes of the messages that the reports in the belief came with, 0 where there was none.
+    assimilations : int
+        How many deployments its estimators assimilated, those again that came before a late one.
+
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        max_steps: int,
+        estimator: Estimator,
+        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(grid, max_steps, robot_types)
+        self.deployments: list[DeploymentKey] = []
+        self.newest: DeploymentKey | None = None
+        self.newest_stamp = 0
+        self.report_contents: dict[DeploymentKey, int] = {}
+        self.assimilations = 0
+        # Some of those on the way to the belief, by how many deployments they have assimilated.
+        self._estimators = {0: estimator}
+
+    @property
+    def estimator(self) -> Estimator:
+        """As it is after the deployments held."""
+        return self._estimators[len(self.deployments)]
+
+    @property
+    def belief(self) -> Belief:
+        """Given the deployments held."""
+        return self.estimator.belief
+
+    def copy(self) -> Ledger:
+        """Return a ledger that goes on by itself from here."""
+        other = super().copy()
+        other.deployments = self.deployments.copy()
+        other.report_contents = self.report_contents.copy()
+        return other
+
+    def _hear_again(self, key: DeploymentKey, report: Report) -> None:
+        # The message heard before may have died with its publisher and a recorder.
+        self.report_contents[key] = report.content
+
+    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
+        """Go back to before a deployment, and from there on with this outcome of it."""
+        place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
+        start = max(count for count in self._estimators if count <= place)
+        estimators = {count: each for count, each in self._estimators.items() if count <= start}
+        first_later = place + (key in self.outcomes)
+        later = self.deployments[first_later:]
+        deployments = [*self.deployments[start:place], key, *later]
+        for count, each in enumerate(deployments, start + 1):
+            self.assimilations += 1
+            estimator = estimators[count - 1].copy()
+            try:
+                estimator.assimilate(
+                    outcome if each == key else self.outcomes[each], self.robot_type(each)
+                )
+            except ValueError as error:
+                if each == key:
+                    raise
+                raise ValueError(
+                    f'report of deployment {key} does not go with that of {each}, which is held: '
+                    f'{error}'
+                ) from error
+            estimators[count] = estimator
+            estimators = {kept: estimators[kept] for kept in estimators if is_kept(kept, count)}
+        self._estimators = estimators
+        self.deployments[start:] = deployments
+        self.newest, self.newest_stamp = key, report.stamp
+        self.report_contents[key] = report.content
+
+
+def is_kept(count: int, deployments: int) -> bool:
+    """Return whether to keep the estimator after `count` deployments when there are so many."""
+    spacing: int = 2 ** max(0, (deployments - count).bit_length() - DENSE)
+    return count % spacing == 0
+
+
+def ending_of(outcome: Observation) -> tuple[bool, int, float, list[float]]:
+    """Return how a deployment ended: of two endings the greater one says more."""
+    lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
+    # The largest value is 1, so a smaller sum tells more closely where; without, all are alike.
+    located = -sum(lost_at) if lost_at else -np.inf
+    return outcome.survived, outcome.steps_survived, located, lost_at
 
 
 def outdoes(outcome: Observation, known: Observation) -> bool:
     """Return whether an outcome counts instead of the one known."""
-    ending, before = ending_of(outcome), ending_of(known)
-    return ending > before if ending != before else told(outcome) > told(known)
+    return (ending_of(outcome), readings_of(outcome)) > (ending_of(known), readings_of(known))
 
 
-def told(outcome: Observation) -> tuple[int, list[int], list[int]]:
-    """Return how many readings a return has, and what tells it from others with as many."""
+def readings_of(outcome: Observation) -> tuple[int, list[int], list[int]]:
+    """Return the count of readings of a return, and what tells it from others with as many."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     return sum(each >= 0 for each in readings), readings, outcome.path.tolist()
 
 
 def size_of(report: Report) -> int:
-    """Return how many bytes a report takes in memory, about."""
+    """Return the approximate bytes of a report in memory."""
     return REPORT + READING * (len(report.readings) + len(report.lost_at))
 
 
 def observation_of(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
-    """
-    Return what a report tells of a deployment.
-
-    Parameters
-    ----------
-    report : Report
-        The way that a robot really went is that of its readings.
-    key : DeploymentKey
-        The deployment, to be named in errors.
-    path : ndarray of int, shape (steps + 1,)
-        Its orders.
-    grid : Grid
-        Where it went.
-    max_steps : int
-        The most steps of a path.
-
-    Raises
-    ------
-    ValueError
-        If a robot that returned has not one reading for each step of a walk from the base back to
-        it, or if one that was lost brings any; if the walk is longer than `LONGEST_WALK` times
-        `max_steps`, or if more steps are said to be survived than a lost robot can have, or
-        `lost_at` is not that of a loss on its path.
-
-    """
+    """Return what a report tells of a path; raise ValueError if no robot can have made it."""
     read = [reading for _, reading in report.readings]
     walk = path
     if report.survived:
