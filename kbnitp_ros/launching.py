@@ -9,8 +9,9 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from kbnitp_ros.configuration import nearest, Parameter, parameters_of
+from kbnitp_ros.configuration import Parameter, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.log.files import new_log
 from kbnitp_ros.nodes.runtime.graph import udp_only
 from launch import Action, LaunchContext, LaunchDescription

@@ -2,7 +2,9 @@
 """The mission of a demo, computed without nodes."""
 
 from kbnitp_ros.cli.demo import chosen_parameters, parse
-from kbnitp_ros.configuration import estimator_of, grid_of, prior_of, sensor_model_of, unknowns_of
+from kbnitp_ros.configuration import estimator_of, grid_of
+from kbnitp_ros.configuration.agents import sensor_model_of, unknowns_of
+from kbnitp_ros.configuration.mission import prior_of
 from kbnitp_ros.core import Belief, Learning, run_mission, Truth, World
 from kbnitp_ros.core.mission import Deployment
 from kbnitp_ros.report.mission import true_numbers

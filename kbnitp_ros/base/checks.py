@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from math import ceil
 from typing import Any
 
-from kbnitp_ros.configuration import base_of, check_search, parameter_of, value_for
+from kbnitp_ros.configuration import parameter_of, value_for
+from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import Grid, Ledger, RobotType
 import numpy as np
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import time
 from typing import Any, TypeVar
 
-from kbnitp_ros.configuration import MOST_ROBOTS, value_for
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.table import MOST_ROBOTS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.record import Departures
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState

@@ -8,7 +8,8 @@ from contextlib import suppress
 from threading import Lock
 from typing import Any
 
-from kbnitp_ros.configuration import goal_of, stop_of
+from kbnitp_ros.configuration import goal_of
+from kbnitp_ros.configuration.mission import stop_of
 from kbnitp_ros.core import (
     Belief,
     Decision,

@@ -9,7 +9,8 @@ from typing import Any
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import Plans, Rounds
-from kbnitp_ros.configuration import MOST_ROBOTS, robot_types_of
+from kbnitp_ros.configuration.agents import robot_types_of
+from kbnitp_ros.configuration.table import MOST_ROBOTS
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.log.record import read_newest_round, RecordedMission
 from kbnitp_ros.log.roles import MissionLog

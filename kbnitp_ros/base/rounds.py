@@ -12,7 +12,9 @@ import time
 from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_ros.base.knowledge import Knowledge
-from kbnitp_ros.configuration import most_distance, search_options, type_to_plan, value_for
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.agents import most_distance
+from kbnitp_ros.configuration.mission import search_options, type_to_plan
 from kbnitp_ros.core import (
     count_visits,
     DeploymentKey,

@@ -26,25 +26,21 @@ from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_para
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
-from kbnitp_ros.configuration import (
-    agents_of,
+from kbnitp_ros.configuration import agents_of, estimator_of, grid_of, parameters_of, value_for
+from kbnitp_ros.configuration.agents import (
     base_of,
-    check_own,
-    check_search,
-    estimator_of,
     execution_of,
-    grid_of,
-    MOST_AGENTS,
     most_distance,
     most_steps,
-    own_name,
-    parameters_of,
     robot_types_of,
     true_dynamics,
-    value_for,
 )
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.known import check_own
+from kbnitp_ros.configuration.mission import check_search
+from kbnitp_ros.configuration.parameter import own_name
+from kbnitp_ros.configuration.table import MOST_AGENTS
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.configuration import read_parameters
@@ -58,7 +54,7 @@ from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
-from kbnitp_ros.report import check_is_free
+from kbnitp_ros.report.folder import check_is_free
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

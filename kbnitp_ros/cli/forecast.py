@@ -16,26 +16,18 @@ from typing import Any
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import recorded_planner, set_parameter, values_of
 from kbnitp_ros.cli.study import count
-from kbnitp_ros.configuration import (
-    agents_of,
-    check_own,
-    check_search,
-    estimator_of,
-    goal_of,
-    grid_of,
-    robot_types_of,
-    search_options,
-    stop_of,
-    type_to_plan,
-)
+from kbnitp_ros.configuration import agents_of, estimator_of, goal_of, grid_of
+from kbnitp_ros.configuration.agents import robot_types_of
 from kbnitp_ros.configuration.given import read_sections
+from kbnitp_ros.configuration.known import check_own
+from kbnitp_ros.configuration.mission import check_search, search_options, stop_of, type_to_plan
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
 from kbnitp_ros.core.forecast import Course, PossibleWorld
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
-from kbnitp_ros.report import check_is_free
+from kbnitp_ros.report.folder import check_is_free
 from kbnitp_ros.study.summary import Cell, Table
 from kbnitp_ros.study.workers import Workers, workers
 import numpy as np

@@ -8,15 +8,10 @@ from contextlib import suppress
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.configuration import (
-    check_known,
-    goal_of,
-    nearest,
-    own_name,
-    parameter_of,
-    parameters_of,
-)
+from kbnitp_ros.configuration import goal_of, parameter_of, parameters_of
 from kbnitp_ros.configuration.given import Sections, values_for
+from kbnitp_ros.configuration.known import check_known
+from kbnitp_ros.configuration.parameter import nearest, own_name
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replayed import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog

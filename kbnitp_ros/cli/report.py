@@ -12,19 +12,10 @@ from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report import (
-    check_is_free,
-    check_one_field,
-    comparison_of,
-    Curves,
-    curves_of,
-    Mission,
-    Pair,
-    PARTS,
-    read_mission,
-    write_comparison,
-    write_report,
-)
+from kbnitp_ros.report.comparison import check_one_field, comparison_of, Pair
+from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
+from kbnitp_ros.report.mission import Mission, read_mission
+from kbnitp_ros.report.tables import Curves, curves_of
 from tqdm import tqdm
 
 DESCRIPTION = """

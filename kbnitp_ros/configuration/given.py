@@ -14,7 +14,9 @@ from pathlib import Path
 import re
 from typing import Any
 
-from kbnitp_ros.configuration import check_known, nearest, NODES, parameter_of
+from kbnitp_ros.configuration import NODES, parameter_of
+from kbnitp_ros.configuration.known import check_known
+from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.files import read_yaml
 
 # What a section of a file may be called besides the nodes: some of them, whatever their names.

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
-from kbnitp_ros.configuration import robot_types_of
+from kbnitp_ros.configuration.agents import robot_types_of
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working

@@ -11,7 +11,8 @@ from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, LateRetur
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
-from kbnitp_ros.configuration import base_of, value_for
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.agents import base_of
 from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
 from kbnitp_ros.log.record import AtBaseError
 from kbnitp_ros.messages.deployments import (

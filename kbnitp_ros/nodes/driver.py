@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fcntl import ioctl
 from functools import partial
 from itertools import pairwise
@@ -166,29 +166,20 @@ ENDINGS = {
 }
 
 
-def waypoints_goal(points: NDArray[np.float64], stamp: int) -> FollowWaypoints.Goal:
-    """Return the goal of stopping at each of these points but the first, shape (n, 2)."""
-    return FollowWaypoints.Goal(poses=poses_along(points, stamp)[1:])
-
-
-def through_poses_goal(points: NDArray[np.float64], stamp: int) -> NavigateThroughPoses.Goal:
-    """Return the goal of passing through these points but the first, shape (n, 2)."""
-    return NavigateThroughPoses.Goal(poses=poses_along(points, stamp)[1:])
-
-
-def path_goal(points: NDArray[np.float64], stamp: int) -> FollowPath.Goal:
-    """Return the goal of driving straight from each of these points to the next, shape (n, 2)."""
-    poses = poses_along(dense(points), stamp)
-    return FollowPath.Goal(path=Path(header=header(stamp), poses=poses))
-
-
-# By the parameter driver, the action's name: its type, how a goal of it is made, and the node of
-# Nav2 that serves it.
-DRIVERS: dict[str, tuple[Any, Callable[[NDArray[np.float64], int], Any], str]] = {
-    'follow_waypoints': (FollowWaypoints, waypoints_goal, 'waypoint_follower'),
-    'navigate_through_poses': (NavigateThroughPoses, through_poses_goal, 'bt_navigator'),
-    'follow_path': (FollowPath, path_goal, 'controller_server'),
+# By the parameter driver, the action's name: its type, and the node of Nav2 that serves it.
+DRIVERS: dict[str, tuple[Any, str]] = {
+    'follow_waypoints': (FollowWaypoints, 'waypoint_follower'),
+    'navigate_through_poses': (NavigateThroughPoses, 'bt_navigator'),
+    'follow_path': (FollowPath, 'controller_server'),
 }
+
+
+def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
+    """Return the goal of driving from the first of these points along the others, shape (n, 2)."""
+    if action is FollowPath:
+        poses = poses_along(dense(points), stamp)
+        return action.Goal(path=Path(header=header(stamp), poses=poses))
+    return action.Goal(poses=poses_along(points, stamp)[1:])
 
 
 def dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -231,12 +222,13 @@ class Driver:
         self._node = node
         self._grid = grid
         self._patience = patience
-        kind, self._goal_along, server = DRIVERS[name]
+        action, server = DRIVERS[name]
         above = f'/{namespace.strip("/")}'.rstrip('/')
         self.name = node.resolve_topic_name(f'{above}/{name}' if namespace else name)
-        self._client = ActionClient(node, kind, self.name)
+        self._goal_along = partial(goal_along, action)
+        self._client = ActionClient(node, action, self.name)
         self._lifecycle = Lifecycle(node, f'{self.name.rpartition("/")[0]}/{server}')
-        # Whether the last goal of `_try_goal` was accepted; None before the answer.
+        # Whether the last goal tried was accepted; None before the answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
@@ -256,10 +248,9 @@ class Driver:
         # An action server of Nav2 is there before it is active, and rejects goals until then.
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited
-        return '' if self._lifecycle.is_there else self._try_goal(place, stamp)
-
-    def _try_goal(self, place: tuple[float, float], stamp: int) -> str:
-        """Find out by a goal that ends where the robot is, and is cancelled when accepted."""
+        if self._lifecycle.is_there:
+            return ''
+        # A server without a lifecycle is tried: by a goal that ends where the robot is.
         if self._takes_goals:
             self._takes_goals = None
             return ''
@@ -287,7 +278,12 @@ class Driver:
         self.is_busy, self.failure, self.was_cancelled, self._handle = True, '', False, None
         self._heard = time.monotonic()
         goal = self._goal_along(points, stamp)
-        answer = self._client.send_goal_async(goal, lambda _: self._hear(number))
+
+        def on_feedback(_: object) -> None:
+            if number == self._number:
+                self._heard = time.monotonic()
+
+        answer = self._client.send_goal_async(goal, on_feedback)
         answer.add_done_callback(self._node.guarded(partial(self._on_answer, number)))
 
     def look(self) -> None:
@@ -297,9 +293,8 @@ class Driver:
         if not self._client.server_is_ready():
             self._end(self._number, f'the action server {self.name} has left the graph')
         elif (silent := time.monotonic() - self._heard) > self._patience:
-            number = self._number
             self._end(
-                number,
+                self._number,
                 f'the action server {self.name} has said nothing for {silent:.0f} s '
                 '(parameter server_timeout)',
             )
@@ -312,10 +307,6 @@ class Driver:
         self._number += 1
         self.is_busy = False
 
-    def _hear(self, number: int) -> None:
-        if number == self._number:
-            self._heard = time.monotonic()
-
     def _on_answer(self, number: int, answer: Future) -> None:
         handle = answer.result()
         if number != self._number:
@@ -323,7 +314,7 @@ class Driver:
             if handle.accepted:
                 handle.cancel_goal_async()
             return
-        self._hear(number)
+        self._heard = time.monotonic()
         if not handle.accepted:
             self._end(number, f'the action server {self.name} rejected the goal')
             return

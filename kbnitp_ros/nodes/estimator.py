@@ -11,13 +11,10 @@ import sys
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.base.checks import density_note
-from kbnitp_ros.configuration import (
-    agents_of,
-    datum_of,
-    estimator_of,
-    MOST_AGENTS,
-    own_robot_types,
-)
+from kbnitp_ros.configuration import agents_of, estimator_of
+from kbnitp_ros.configuration.agents import own_robot_types
+from kbnitp_ros.configuration.field import datum_of
+from kbnitp_ros.configuration.table import MOST_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (

@@ -10,7 +10,9 @@ from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import not_heard_again
-from kbnitp_ros.configuration import base_of, check_search, value_for
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.roles import BELIEF

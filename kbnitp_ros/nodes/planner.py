@@ -24,13 +24,9 @@ from kbnitp_ros.base.obstacles import (
     Obstacle,
 )
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
-from kbnitp_ros.configuration import (
-    agents_of,
-    base_of,
-    check_search,
-    most_distance,
-    most_steps,
-)
+from kbnitp_ros.configuration import agents_of
+from kbnitp_ros.configuration.agents import base_of, most_distance, most_steps
+from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import resumed_log

@@ -14,7 +14,7 @@ from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, named, read_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
-from kbnitp_ros.robot import Deployment, Journal
+from kbnitp_ros.robot.journal import Deployment, Journal
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 

@@ -13,7 +13,9 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
-from kbnitp_ros.configuration import base_of, datum_of, value_for
+from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.field import datum_of
 from kbnitp_ros.core import DeploymentKey, Grid, LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
@@ -26,18 +28,9 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.robot import (
-    Deployment,
-    Itinerary,
-    Journal,
-    shortest_way,
-    Step,
-    Walk,
-    Whereabouts,
-    without_loops,
-)
-from kbnitp_ros.robot.way import MARGIN
-from kbnitp_ros.robot.whereabouts import Fixes, NONE, Place, Transforms
+from kbnitp_ros.robot.journal import Deployment, Journal, Step
+from kbnitp_ros.robot.way import Itinerary, MARGIN, shortest_way, Walk, without_loops
+from kbnitp_ros.robot.whereabouts import Fixes, NONE, Place, Transforms, Whereabouts
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
@@ -65,7 +58,9 @@ class RobotNode(FieldNode):
         self._agent: str = values['agent']
         prefix = f'{self.above}/{self._agent}/'
         detections = detection_class(values['detection_type'])
-        self._journal = Journal(values['journal'] or self._usual_journal(), self._agent, self.grid)
+        home = Path(os.environ.get('ROS_HOME', '~/.ros'), 'kbnitp_ros')
+        journal = values['journal'] or home / f'{self._agent}.journal'
+        self._journal = Journal(journal, self._agent, self.grid)
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
@@ -77,7 +72,17 @@ class RobotNode(FieldNode):
         )
         # What tells where the robot is, and what that is called.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
-        self._whereis: Transforms | Fixes = self._source_of_places()
+        self._whereis: Transforms | Fixes
+        datum, frame = datum_of(values), values['base_frame']
+        if values['position'] == 'tf':
+            self._whereis = Transforms(FRAME, frame)
+        elif datum is not None:
+            self._whereis = Fixes(datum.in_map, frame, self.grid.resolution / 2)
+        else:
+            raise ValueError(
+                "parameter position is 'fix', and datum is empty: it must say where on the earth "
+                'the frame map lies'
+            )
         # None when it is not known.
         self._place: Place | None = None
         # What is wrong by now, by what it is about, and what of it the console was told.
@@ -101,18 +106,6 @@ class RobotNode(FieldNode):
         self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, is_timed=True)
         self.create_poll(self._look)
 
-    def _source_of_places(self) -> Transforms | Fixes:
-        """Return what tells where the robot is."""
-        datum, frame = datum_of(self.values), self.values['base_frame']
-        if self.values['position'] == 'tf':
-            return Transforms(FRAME, frame)
-        if datum is None:
-            raise ValueError(
-                "parameter position is 'fix', and datum is empty: it must say where on the earth "
-                'the frame map lies'
-            )
-        return Fixes(datum.in_map, frame, self.grid.resolution / 2)
-
     def _hear_places(self) -> None:
         if isinstance(self._whereis, Fixes):
             take = partial(self._take_place, self._whereis.take)
@@ -124,11 +117,6 @@ class RobotNode(FieldNode):
         ):
             take = partial(self._take_place, partial(self._whereis.take, static=is_static))
             self.hear_newest(TFMessage, topic, take, profile)
-
-    def _usual_journal(self) -> Path:
-        """Return the file of the journal if the parameter names none."""
-        home = os.environ.get('ROS_HOME', '~/.ros')
-        return Path(home, 'kbnitp_ros', f'{self._agent}.journal')
 
     def _resume(self) -> None:
         """Go on from the journal: say again what was said, and be where the robot was."""
@@ -393,10 +381,15 @@ class RobotNode(FieldNode):
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
         itinerary = self._itinerary
-        if not itinerary.heads_home and self._is_time_up(deployment):
+        budget: float = self.values['time_budget']
+        spent = (self.now() - deployment.departed) / SECOND
+        steps_back = len(without_loops(reversed(deployment.cells))) - 1
+        # At the pace of the steps so far.
+        way_back = steps_back * spent / max(len(deployment.steps), 1)
+        if not itinerary.heads_home and 0 < budget <= spent + way_back:
             self.get_logger().warning(
-                f'{self._key(deployment)}: of {self.values["time_budget"]} s (parameter '
-                'time_budget) what the way back takes is left; going home'
+                f'{self._key(deployment)}: of {budget} s (parameter time_budget) what the way '
+                'back takes is left; going home'
             )
             self._driver.cancel()
             self._is_driving = False
@@ -427,14 +420,6 @@ class RobotNode(FieldNode):
         self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
         return working(f'driving {goal}')
-
-    def _is_time_up(self, deployment: Deployment) -> bool:
-        """Say whether no more time is left than the way back takes, by the steps so far."""
-        budget: float = self.values['time_budget']
-        spent = (self.now() - deployment.departed) / SECOND
-        steps_back = len(without_loops(reversed(deployment.cells))) - 1
-        way_back = steps_back * spent / max(len(deployment.steps), 1)
-        return 0 < budget <= spent + way_back
 
     def _wait_at_gate(self, deployment: Deployment) -> NodeState:
         """Stay at the base until the departure is on record; a pause ends it there."""
@@ -508,9 +493,6 @@ class RobotNode(FieldNode):
         for cell in shortest_way(self.grid, self._walk.cell, self.grid.base)[1:]:
             self._step(cell)
         self._deployment = None
-        self._arrive(deployment)
-
-    def _arrive(self, deployment: Deployment) -> None:
         self._keep(partial(self._journal.arrive, deployment, self.now()))
         self._report(deployment)
         self.get_logger().info(

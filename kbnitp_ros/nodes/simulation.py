@@ -8,14 +8,13 @@ from functools import partial
 import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
-from kbnitp_ros.configuration import (
-    agents_of,
+from kbnitp_ros.configuration import agents_of, value_for
+from kbnitp_ros.configuration.agents import (
     base_of,
     execution_of,
     robot_types_of,
     sensor_model_of,
     true_dynamics,
-    value_for,
 )
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (

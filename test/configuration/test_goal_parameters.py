@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The goal of a mission and its stops are what the parameters say, or are refused."""
 
-from kbnitp_ros.configuration import check_goal, goal_of, grid_of, search_options, stop_of, TABLE
+from kbnitp_ros.configuration import goal_of, grid_of, TABLE
+from kbnitp_ros.configuration.mission import check_goal, search_options, stop_of
 from kbnitp_ros.core import Area, Lane, Stop
 from laws import for_each
 import numpy as np

@@ -10,7 +10,8 @@ import signal
 import time
 
 from kbnitp_ros.cli.processes import Processes
-from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
+from kbnitp_ros.configuration import parameter_of
+from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog

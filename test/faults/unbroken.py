@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission that a broken one must come to: the same seeds, run by core alone."""
 
-from kbnitp_ros.configuration import (
+from kbnitp_ros.configuration import estimator_of, goal_of, grid_of, TABLE
+from kbnitp_ros.configuration.agents import (
     clustering_of,
     dynamics_of,
-    estimator_of,
     execution_of,
-    goal_of,
-    grid_of,
     robot_types_of,
-    search_options,
     sensor_model_of,
-    stop_of,
-    TABLE,
     unknowns_of,
 )
+from kbnitp_ros.configuration.mission import search_options, stop_of
 from kbnitp_ros.core import Learning, METHODS, Observation, run_mission, Team, Truth, World
 import numpy as np
 

@@ -47,7 +47,9 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.report import curves_of, read_mission, write_report
+from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.folder import write_report
 for log in sys.argv[1:]:
     found = replay(log)
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))

@@ -30,7 +30,7 @@ from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import header
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message
 from kbnitp_ros.messages.operator_actions import OperatorAction as Decided
-from kbnitp_ros.report import read_mission
+from kbnitp_ros.report.mission import read_mission
 from laws import for_each
 from mission_log import GRID, MAX_STEPS, Mission, mission, QOS, record_to
 import numpy as np

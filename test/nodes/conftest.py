@@ -10,7 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import COVERED, ForkedProcesses
 from kbnitp_msgs.msg import AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration import parameter_of, ROS_PARAMETERS
+from kbnitp_ros.configuration import parameter_of
+from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 import pytest

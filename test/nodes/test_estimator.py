@@ -3,7 +3,7 @@
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
-from kbnitp_ros.configuration import LEARN
+from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Belief, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message

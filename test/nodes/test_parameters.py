@@ -6,23 +6,24 @@ from pathlib import Path
 
 from kbnitp_ros.configuration import (
     agents_of,
-    base_of,
-    check_known,
     estimator_of,
     grid_of,
-    LEARN,
-    most_distance,
-    most_steps,
     NODES,
     parameter_of,
     parameters_of,
-    reference_page,
-    robot_types_of,
-    sensor_model_of,
     TABLE,
-    unknowns_of,
     value_for,
 )
+from kbnitp_ros.configuration.agents import (
+    base_of,
+    most_distance,
+    most_steps,
+    robot_types_of,
+    sensor_model_of,
+    unknowns_of,
+)
+from kbnitp_ros.configuration.known import check_known, reference_page
+from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, RobotType, Unknowns
 from kbnitp_ros.nodes.runtime.declared import declare
 from laws import for_each

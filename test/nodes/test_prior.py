@@ -3,7 +3,8 @@
 
 from dataclasses import replace
 
-from kbnitp_ros.configuration import prior_of, TABLE
+from kbnitp_ros.configuration import TABLE
+from kbnitp_ros.configuration.mission import prior_of
 from kbnitp_ros.core import Belief
 from laws import for_each
 from mission_log import GRID, Mission, mission, record

@@ -3,7 +3,7 @@
 
 from extent import LONG, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.configuration import MOST_ROBOTS
+from kbnitp_ros.configuration.table import MOST_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
 from kbnitp_ros.log.record import record
 from kbnitp_ros.log.replay import replay

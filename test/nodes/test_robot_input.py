@@ -15,7 +15,7 @@ from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.robot import Deployment, Journal, Step
+from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from nav_msgs.msg import Path as PathMessage
 import numpy as np
 import pytest

@@ -6,7 +6,6 @@ from itertools import product
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, update
 from kbnitp_ros.messages.progress import decision_message, read_decision
-from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.answers import (
     advice,
     cells_of,
@@ -18,6 +17,8 @@ from kbnitp_ros.report.answers import (
     used_up_at,
     used_up_of,
 )
+from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.tables import curves_of
 from laws import for_each
 from mission_log import GRID, MODEL, record
 from missions import sent_by_single, Shown

@@ -5,8 +5,9 @@ import re
 
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.core import Grid
-from kbnitp_ros.report import curves_of, Pair, read_mission
-from kbnitp_ros.report.comparison import differences, given_differently, reservations
+from kbnitp_ros.report.comparison import differences, given_differently, Pair, reservations
+from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.tables import curves_of
 from mission_log import record
 from missions import Shown, single
 import numpy as np

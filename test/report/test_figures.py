@@ -7,9 +7,10 @@ import json
 from colorspacious import cspace_convert, deltaE
 from kbnitp_ros.core import Belief, Grid, Unknowns
 from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SERIES
-from kbnitp_ros.report import curves_of, read_mission
 from kbnitp_ros.report.figures import draw_number, maps_figure, progress_figure
+from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.plots import curve_plots
+from kbnitp_ros.report.tables import curves_of
 from kbnitp_ros.study.scenario import NUMBERS
 from laws import for_each
 from legible import as_seen, check_lines, check_texts, VISIONS

@@ -14,9 +14,11 @@ from extent import FULL
 from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.report import comparison_of, curves_of, Pair, read_mission
 from kbnitp_ros.report.answers import cells_of, findings_of, used_up_at, used_up_of
+from kbnitp_ros.report.comparison import comparison_of, Pair
+from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.page import page_of
+from kbnitp_ros.report.tables import curves_of
 from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
 import numpy as np

@@ -18,8 +18,9 @@ from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.maps import levels_of, read_probabilities
-from kbnitp_ros.report import curves_of, page, read_mission
-from kbnitp_ros.report.tables import rows
+from kbnitp_ros.report import page
+from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.tables import curves_of, rows
 from laws import for_each
 from mission_log import GRID, Mission, MODEL, on, record, record_to, without
 from missions import sent_by_single, Shown, single, team

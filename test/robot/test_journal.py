@@ -9,8 +9,7 @@ from disk import mounted, room_for
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot import Deployment, Journal, Step
-from kbnitp_ros.robot.journal import JournalError
+from kbnitp_ros.robot.journal import Deployment, Journal, JournalError, Step
 from laws import for_each
 import pytest
 

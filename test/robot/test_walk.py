@@ -4,7 +4,7 @@
 from contextlib import suppress
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot import Walk
+from kbnitp_ros.robot.way import Walk
 from laws import for_each
 import numpy as np
 

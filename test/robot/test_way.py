@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot import (
+from kbnitp_ros.robot.way import (
     Itinerary,
     legs_of,
     shortest_way,

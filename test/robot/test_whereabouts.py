@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
-from kbnitp_ros.robot import Whereabouts
+from kbnitp_ros.robot.whereabouts import Whereabouts
 
 times = st.integers(0, 60)
 

@@ -6,14 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kbnitp_ros.configuration import (
-    check_known,
-    check_own,
-    NODES,
-    Parameter,
-    parameter_of,
-    parameters_of,
-)
+from kbnitp_ros.configuration import NODES, Parameter, parameter_of, parameters_of
+from kbnitp_ros.configuration.known import check_known, check_own
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,

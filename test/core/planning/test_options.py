@@ -5,7 +5,8 @@ import ast
 from dataclasses import fields, replace
 
 from documented import ROOT
-from kbnitp_ros.configuration import parameters_of, search_options
+from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration.mission import search_options
 from kbnitp_ros.core import OBJECTIVES, PLANNERS, RobotType, SearchOptions
 from laws import for_each
 
