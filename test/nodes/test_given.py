@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 import re
 
-from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration import NODES
 from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
 from kbnitp_ros.nodes.runtime.declared import declare
 from laws import for_each
@@ -113,12 +113,6 @@ def given_by_ros(arguments, namespace=None):
     node.destroy_node()
     context.try_shutdown()
     return given
-
-
-def test_the_shipped_configuration_has_every_parameter():
-    sections = read_sections(SHIPPED)
-    for name in NODES:
-        assert set(parameters_of(name)) <= set(values_for(sections, f'/north/{name}')), name
 
 
 def test_the_tuples_that_launch_writes_are_lists(tmp_path):

@@ -1,45 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission of four processes is the mission that core runs, bit for bit."""
 
+import signal
+
 from extent import FULL
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, Progress
-from kbnitp_ros.core import Report
+from kbnitp_msgs.msg import BeliefMaps, Decision, DeploymentReport, Progress
+from kbnitp_ros.cli.parameters import asked_on_record
+from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.core import Belief, Estimator, Ledger, Report, SensorModel
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import read_model_belief
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from kbnitp_ros.nodes.views import Views
 from nav_msgs.msg import OccupancyGrid, Path
+from nav_msgs.srv import GetPlan
 import numpy as np
 import pytest
+import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 import rosgraph_msgs.msg
-from unbroken import core_mission
+from samples import FIELD, GRID, HOME, key, lost
+from tf2_msgs.msg import TFMessage
+from unbroken import core_mission, with_defaults
 
 MAPS = ('hazard', 'target', 'kappa')
 
 SMALL = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8}
-ODD = {
-    'grid.width': 6,
-    'grid.height': 5,
-    'grid.base': 14,
-    'grid.resolution': 0.1,
-    'grid.origin': [-1.3, 2.7],
-    'grid.blocked': [7, 8, 22],
-    'max_steps': 11,
-    'sensor.lethality': 0.8,
-    'prior.hazard': 0.3,
-    'method': 'kappa_bnitp_published',
-    'beam_width': 4,
-    'max_visits': 2,
-    'hazards.dynamics': 'changing',
-    'hazards.appear': 0.02,
-    'hazards.vanish': 0.1,
-    # A topic that keeps one message drops it for the next one.
-    'step_period': 0.01,
-}
 LARGE = {
     'grid.width': 100, 'grid.height': 100, 'max_steps': 200, 'sensor.malfunction': 0.001,
     'planner': 'relaxed',
@@ -48,14 +40,6 @@ HUGE = {
     'grid.width': 300, 'grid.height': 300, 'grid.base': 150 * 300 + 150, 'max_steps': 60,
     'sensor.malfunction': 0.001, 'planner': 'relaxed',
 }  # fmt: skip
-
-LEARNING = {
-    **SMALL,
-    'method': 'kappa_bnitp_sampled',
-    'learn.numbers': ['lethality', 'hazard_density', 'false_positive'],
-    'learn.hazard_density': [0.05, 0.6],
-    'beam_width': 4,
-}
 
 
 def listen(field, namespace):
@@ -109,20 +93,10 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
     [
         # As users start nodes.
         pytest.param({'seed': 3, 'robots': 40 if FULL else 6}, marks=pytest.mark.interpreter),
-        {**ODD, 'seed': 4, 'robots': 25 if FULL else 12},
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         pytest.param({**HUGE, 'seed': 8, 'robots': 3}, marks=pytest.mark.full),
-        {
-            **SMALL,
-            'hazards.dynamics': 'used_up',
-            'objective': 'behavioral',
-            'alpha': 2.0,
-            'step_period': 0.01,
-            'seed': 10,
-            'robots': 10,
-        },
     ],
-    ids=['default', 'odd', 'large', 'huge', 'behavioral'],
+    ids=['default', 'large', 'huge'],
 )
 def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     log = field.folder / 'mission.mcap'
@@ -156,54 +130,6 @@ def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     assert report.finished
     assert report.reproduced
     assert report.compared['/m/belief'] == len(beliefs)
-
-
-def test_what_is_learnt_is_that_of_core_also_on_record(field):
-    """The planner has other numbers than the truth, and plans with what the belief says."""
-    log = field.folder / 'mission.mcap'
-    parameters = {**LEARNING, 'seed': 6, 'robots': 20, 'sensor.lethality': 0.9}
-    heard = listen(field, '/m')
-    models = field.listen(ModelBelief, '/m/model')
-    field.start_mission(parameters, '/m', log)
-    wait_for_end(field, parameters, heard)
-    field.until(lambda: len(models) == 21, 'last model')
-    assert set(field.processes.stop().values()) == {0}
-    expected = core_mission(parameters)
-    assert [message.deployments for message in models] == list(range(21))
-    for message, belief, deployment in zip(models[1:], heard[2][1:], expected):
-        assert message.header == belief.header
-        known = read_model_belief(message).numbers
-        assert known.keys() == deployment.parameters.keys() == set(parameters['learn.numbers'])
-        for name, number in deployment.parameters.items():
-            assert known[name].mean == number.mean
-            assert known[name].sd == number.sd
-            quantiles = [number.quantile(q) for q in (0.05, 0.25, 0.5, 0.75, 0.95)]
-            assert known[name].quantiles == tuple(quantiles)
-            assert known[name].effective_samples == number.effective_samples
-        assert read_belief_maps(belief).model == deployment.model
-    report = replay(log)
-    assert report.reproduced
-    assert report.compared['/m/model'] == report.compared['/m/belief'] == 21
-
-
-@pytest.mark.full
-def test_missions_in_two_namespaces_do_not_meet(field):
-    missions = {'/a': {**SMALL, 'seed': 1, 'robots': 10}, '/b': {**SMALL, 'seed': 2, 'robots': 8}}
-    heard = {namespace: listen(field, namespace) for namespace in missions}
-    for namespace, parameters in missions.items():
-        field.start_mission(parameters, namespace, field.folder / f'{namespace[1:]}.mcap')
-    for namespace, parameters in missions.items():
-        wait_for_end(field, parameters, heard[namespace])
-        assert_is_core_mission(parameters, *heard[namespace])
-    field.processes.stop()
-    for namespace in missions:
-        log = field.folder / f'{namespace[1:]}.mcap'
-        for logged in read_log(log):
-            told_by = [logged.topic]
-            if logged.topic == '/diagnostics':
-                told_by = [status.name for status in logged.message.status]
-            assert all(name.startswith(f'{namespace}/') for name in told_by)
-        assert replay(log).reproduced
 
 
 def test_viewers_see_all_maps(field):
@@ -269,3 +195,216 @@ def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
     assert stamps == [100 * 10**9 + 1 + k for k in range(12)]
     assert from_stamp(beliefs[-1].header.stamp) == 40 * 10**9
     assert_is_core_mission(parameters, *heard)
+
+
+# Several agents
+
+
+TEAM = {'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed', 'seed': 2}
+
+
+def start_team(field, agents, parameters, *, is_apart=False, namespace='/m'):
+    """Start a planner, an estimator and agents; return their reports, by agent."""
+    names = [f'scout_{number}' for number in range(1, agents + 1)]
+    reports = {
+        name: field.listen(DeploymentReport, f'{namespace}/{name}/report') for name in names
+    }
+    given = {**TEAM, **parameters, 'agents': names}
+    field.start('estimator', {**given, 'await_nodes': ['planner']}, namespace)
+    field.start('planner', {**given, 'await_nodes': ['agent', 'estimator']}, namespace)
+    for name in names if is_apart else ['']:
+        own = {'agent': name, 'await_nodes': ['planner', 'estimator']}
+        field.start('agent', given | own, f'{namespace}/{name}'.rstrip('/'))
+    return reports
+
+
+def until_done(field, reports, robots, namespace='/m'):
+    """Wait until all robots of a team are deployed."""
+    field.until(lambda: 'done' in field.state(f'{namespace}/planner'), 'end', 180)
+    field.until(lambda: sum(map(len, reports.values())) == robots, 'all reports')
+
+
+def test_a_team_carries_on_when_an_agent_leaves(field):
+    reports = start_team(field, 3, {'robots': 20_000, 'step_period': 0.01}, is_apart=True)
+    field.until(lambda: all(len(each) > 2 for each in reports.values()), 'reports')
+    gone = field.processes.started.pop('/m/scout_2/agent')
+    gone.send_signal(signal.SIGINT)
+    assert gone.wait(timeout=60) == 0
+    field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of the agent gone')
+    assert 'agent scout_2 has left' in field.diagnosed('/m/planner').message
+
+    def others_report():
+        before = {name: len(reports[name]) for name in ('scout_1', 'scout_3')}
+        field.until(
+            lambda: all(len(reports[name]) > made + 3 for name, made in before.items()),
+            'reports of the others',
+        )
+
+    # What the agent reported last may still be on its way.
+    others_report()
+    of_gone = len(reports['scout_2'])
+    others_report()
+    assert len(reports['scout_2']) == of_gone
+
+
+def test_an_agent_that_answers_for_another_is_refused(field):
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    until_done(field, start_team(field, 2, {'robots': 4}), 4)
+    field.until(lambda: beliefs[-1].deployments == 4, 'last belief')
+    last, heard = beliefs[-1], len(beliefs)
+    imposter = field.node.create_publisher(DeploymentReport, '/m/scout_2/report', qos.EVIDENCE)
+    field.until(lambda: imposter.get_subscription_count() > 1, 'listeners')
+    field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of two nodes')
+    assert '2 nodes answer for agent scout_2' in field.diagnosed('/m/planner').message
+    for name in ('scout_1', 'scout_9'):
+        report = DeploymentReport(agent=name)
+        report.header.frame_id = 'map'
+        imposter.publish(report)
+    field.until(lambda: field.count('/m/estimator', 'refused') == 2, 'refusals')
+    assert "agent is 'scout_9': on this topic it must be 'scout_2'" in (
+        field.diagnosed('/m/estimator').message
+    )
+    assert (beliefs[-1], len(beliefs)) == (last, heard)
+
+
+def test_robots_that_are_out_are_shown_only_on_request(field):
+    shown = field.listen(TFMessage, '/tf', volatile=True)
+    paths = [field.listen(Path, f'/seen/scout_{number}/path') for number in (1, 2)]
+    parameters = {'robots': 4, 'step_period': 0.02, 'sensor.malfunction': 0.0}
+    until_done(field, start_team(field, 2, parameters), 4)
+    assert not shown
+    seen = start_team(field, 2, {**parameters, 'publish_pose': True}, namespace='/seen')
+    until_done(field, seen, 4, '/seen')
+    field.until(lambda: sum(map(len, paths)) == 4, 'all paths')
+    poses = [pose for message in shown for pose in message.transforms]
+    assert {pose.header.frame_id for pose in poses} == {'map'}
+    assert {pose.child_frame_id for pose in poses} == {'scout_1/base_link', 'scout_2/base_link'}
+    places = [(each.transform.translation.x, each.transform.translation.y) for each in poses]
+    assert places[0] == (0.5, 0.5)
+    assert len(set(places)) > 2
+    assert set(places) <= {
+        (pose.pose.position.x, pose.pose.position.y)
+        for path in [*paths[0], *paths[1]]
+        for pose in path.poses
+    }
+
+
+# Views
+
+
+MAPS = ('hazard', 'target', 'kappa')
+
+
+@pytest.fixture
+def estimator(field):
+    """Yield a node with the estimator's parameters, which the test spins with its own."""
+    arguments = [
+        argument
+        for name, value in FIELD.items()
+        for argument in ('-p', f'{name}:={value}'.replace(' ', ''))
+    ]
+    rclpy.init(args=['--ros-args', *arguments])
+    node = FieldNode('estimator')
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_of_beliefs_that_come_at_once_the_first_and_the_last_are_shown(field, estimator):
+    views = Views(estimator, ['scout_1'])
+    shown = {name: field.listen(OccupancyGrid, f'/belief/{name}') for name in MAPS}
+    shown['progress'] = field.listen(Progress, '/progress')
+    topics = ['/progress', *(f'/belief/{name}' for name in MAPS)]
+    field.until(lambda: all(map(field.node.count_publishers, topics)), 'publishers')
+    field.until(lambda: all(map(estimator.count_subscribers, topics)), 'viewers')
+    ledger = Ledger(GRID, 6, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5)))
+    views.show(ledger, 1)
+    for number in range(1, 6):
+        ledger.record_path(key(number), HOME)
+        ledger.record_report(*read_report(lost(number)))
+        views.show(ledger, 1 + number)
+    executor = rclpy.executors.SingleThreadedExecutor()
+    executor.add_node(estimator)
+
+    def are_last_shown():
+        executor.spin_once(timeout_sec=0.0)
+        return all(each and each[-1].header.stamp.nanosec == 6 for each in shown.values())
+
+    field.until(are_last_shown, 'views of the last belief')
+    executor.shutdown()
+    for name, messages in shown.items():
+        assert [from_stamp(each.header.stamp) for each in messages] == [1, 6], name
+    last = shown['progress'][-1]
+    assert (last.deployments, last.lost) == (5, 5)
+    # That of the last report alone, although the belief before it was not shown.
+    assert 0.0 < last.information_expected < 1.0
+
+
+# A mission with a goal decides as core does, stops by itself and goes on if it is told to.
+
+
+LANE = {
+    'grid.width': 5, 'grid.height': 4, 'max_steps': 10, 'method': 'kappa_bnitp',
+    'planner': 'relaxed', 'sensor.lethality': 0.6, 'prior.hazard': 0.3, 'prior.target': 0.4,
+    'world.hazard_density': 0.05, 'robots': 60, 'goal.kind': 'lane', 'goal.cells': [19],
+    'stop.confidence': 0.9, 'seed': 7,
+}  # fmt: skip
+
+
+def ask(field, kind, service, request):
+    """Return the answer of a service."""
+    client = field.node.create_client(kind, service)
+    field.until(client.service_is_ready, service)
+    future = client.call_async(request)
+    field.until(future.done, f'answer of {service}')
+    return future.result()
+
+
+@pytest.mark.interpreter
+def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field):
+    log = field.folder / 'mission.mcap'
+    decisions = field.listen(Decision, '/m/decision')
+    lanes = field.listen(Path, '/m/decision/lane')
+    paths = field.listen(Path, '/m/scout_1/path')
+    field.start_mission(LANE, '/m', log)
+    field.until(lambda: paths, 'path')
+    for name, value in (('goal.kind', 'map'), ('goal.cells', [18])):
+        assert not field.set_parameter('/m/planner', name, value).successful
+    field.until(lambda: 'stop.confidence' in field.state('/m/planner'), 'stop', patience=180)
+    expected = core_mission(LANE)
+    assert 0 < len(paths) == len(expected) < LANE['robots']
+    field.until(lambda: decisions and decisions[-1].reached, 'decision')
+    grid = grid_of(with_defaults(LANE))
+    by_deployments = {message.deployments: message for message in decisions}
+    assert by_deployments[len(expected)].reached
+    for number, deployment in enumerate(expected, 1):
+        _, flown = read_path(grid, 'scout_1', paths[number - 1])
+        assert flown.tolist() == deployment.plan.path.tolist()
+        decision = deployment.decision
+        message = by_deployments[number]
+        assert message.probability == decision.p_free
+        assert message.survival == decision.survival
+        assert message.hazards_mean == decision.hazards_mean
+        assert message.reached == decision.reached
+        assert len(message.path.poses) == len(decision.path)
+    shown = decisions[-1].path.poses
+    field.until(lambda: lanes and lanes[-1].poses == shown, 'lane')
+
+    request = GetPlan.Request()
+    request.start.pose.position.x = request.start.pose.position.y = 0.5
+    request.goal.pose.position.x, request.goal.pose.position.y = 4.5, 3.5
+    found = ask(field, GetPlan, '/m/safest_path', request).plan
+    assert found.poses == shown
+    request.goal.pose.position.x = 99.0
+    assert not ask(field, GetPlan, '/m/safest_path', request).plan.poses
+
+    assert not field.set_parameter('/m/planner', 'stop.confidence', 0.9999).successful
+    sent = len(paths)
+    assert field.set_parameter('/m/planner', 'stop.confidence', 0.0).successful
+    field.until(lambda: len(paths) > sent + 1, 'robots that leave again')
+    assert set(field.processes.stop().values()) == {0}
+    recorded = [logged for logged in read_log(log) if logged.topic == '/m/decision']
+    assert {each.message.deployments for each in recorded} >= {len(expected)}
+    told = replay(log, asked=asked_on_record(MissionLog(log)))
+    assert told.reproduced, told.mismatches
+    assert told.compared['/m/decision'] > len(expected)

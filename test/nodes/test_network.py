@@ -1,18 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes do about messages that no node of their mission sends."""
 
+import os
+
+from apart import apart
+from bare_dds import BareParticipant, HOSTILE, not_utf8
+from base import Base
+from base import GRID as BASE_GRID
+from extent import FULL, some
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.core import Observation
-from kbnitp_ros.log.read import read_log
-from kbnitp_ros.messages.deployments import path_message, read_path, report_message
+from kbnitp_ros.log.read import is_finished, read_log
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import PATH
+from kbnitp_ros.messages.deployments import path_message, read_path, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.headers import content_hash, from_stamp, SECOND, to_stamp
+from kbnitp_ros.nodes.heard import message_class
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import pytest
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from samples import FIELD, GRID, HOME, key, lost, on_disk, path
+import samples
+from samples import changed, FIELD, GRID, HOME, key, lost, on_disk, path, prior
 from std_msgs.msg import String
 
 NODES = ('recorder', 'estimator', 'agent', 'planner')
@@ -171,3 +182,302 @@ def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     assert 'readers of logs cannot decode it' in field.until_refused('/m/recorder', 2)
     maps.publish(sound)
     field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')
+
+
+# Few messages of somebody on the network neither stop a mission nor bend it.
+
+
+WALKS = (HOME, [0, 4, 8, 4, 0])
+
+
+def test_of_two_paths_of_one_stamp_that_on_disk_first_holds_for_all(field):
+    log = field.folder / 'mission.mcap'
+    told = field.listen(Recorded, '/scout_1/recorded')
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    beliefs = field.listen(BeliefMaps, '/belief')
+    parameters = {**FIELD, 'recorded': True, 'file': str(log)}
+    field.start('recorder', parameters)
+    field.start('estimator', {**parameters, 'await_nodes': ['recorder']})
+    field.start('agent', {**parameters, 'await_nodes': ['estimator', 'recorder']})
+    field.until(lambda: beliefs, 'prior')
+    begun = from_stamp(beliefs[0].header.stamp)
+    field.let_depart()
+    planners = [field.talk(Path, '/scout_1/path') for _ in WALKS]
+    for number in range(1, 4):
+        sent = [path_message(GRID, walk, begun + number * SECOND, begun) for walk in WALKS]
+        for planner, message in zip(planners, sent):
+            planner.publish(message)
+        field.until(lambda n=number: len(reports) == n, f'report {number}')
+        by_content = {content_hash(message): walk for message, walk in zip(sent, WALKS)}
+
+        def counted(by_content=by_content):
+            return [by_content[each.content] for each in told if each.content in by_content]
+
+        field.until(counted, f'acknowledgement {number}')
+        walked = counted()[0]
+        report = read_report(reports[-1])[1]
+        assert not report.survived or [cell for cell, _ in report.readings] == walked[1:]
+    field.until(lambda: beliefs[-1].deployments == 3, 'belief')
+    field.processes.stop()
+    assert len(list(read_log(log, [PATH]))) == 3
+    assert replay(log).reproduced
+
+
+def test_forged_acknowledgements_keep_no_robot_at_home(field):
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    recorder, forger = (
+        field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE) for _ in range(2)
+    )
+    # Heard before the path, and then pushed out by what is forged.
+    recorder.publish(on_disk(path(1)))
+    for number in range(5200):
+        forger.publish(Recorded(stamp=to_stamp(number + 1)))
+    field.start('agent', {**FIELD, 'recorded': True, 'await_nodes': ['test']})
+    field.let_depart()
+    field.record_departures('scout_1')
+    field.talk(Path, '/scout_1/path').publish(path(1))
+    field.until(lambda: reports, 'report')
+    assert read_report(reports[0])[0] == key(1)
+
+
+def test_a_planner_acknowledges_its_own_paths_only_and_gives_up_what_left(field):
+    paths = field.listen(Path, '/scout_1/path')
+    reports = field.listen(DeploymentReport, '/scout_1/report')
+    recorder, forger = (
+        field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE) for _ in range(2)
+    )
+    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    silent = {'silent_loss': True, 'return_deadline': 0.5, 'recorded': True}
+    silent |= {'presume_departure': True, 'step_period': 0.001}
+    field.start('planner', {**FIELD, **silent, 'robots': 1, 'await_nodes': ['test']})
+    field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
+    field.until(lambda: paths, 'path')
+    recorder.publish(on_disk(paths[0]))
+    for number in range(5200):
+        forger.publish(Recorded(stamp=to_stamp(number + 10**12)))
+    field.until(lambda: reports, 'loss')
+    assert not reports[0].survived
+
+
+def test_a_second_planner_is_named(field):
+    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    field.start('planner', {**FIELD, 'await_nodes': ['test']})
+    field.talk(Path, '/scout_1/path')
+    told = field.until_refused('/planner', 1)
+    assert '2 planners publish it, nodes /planner, /test/test: ' in told
+    assert told in field.said('/planner')
+
+
+def test_paths_of_other_missions_are_never_said_to_be_on_disk(field):
+    log = field.folder / 'mission.mcap'
+    told = field.listen(Recorded, '/scout_1/recorded')
+    field.start('recorder', {'file': str(log)})
+    paths = field.talk(Path, '/scout_1/path')
+    for mission in range(1, 101):
+        paths.publish(path_message(GRID, HOME, key(mission).stamp + 1, mission))
+    beliefs = field.talk(BeliefMaps, '/belief', qos.LATCHED)
+    beliefs.publish(prior(5 * SECOND))
+    own = path_message(GRID, HOME, key(200).stamp, 5 * SECOND)
+    paths.publish(own)
+    field.until(lambda: told, 'acknowledgement')
+    assert told == [changed(on_disk(own), mission=to_stamp(5 * SECOND))]
+
+
+def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
+    """It publishes reports, of losses, and hears paths, of other planners."""
+    field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    field.start('planner', {**FIELD, 'await_nodes': ['agent']})
+    field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
+    wait = 'waiting for agent to listen to /scout_1/path'
+    field.until(lambda: field.state('/planner').startswith(wait), wait)
+
+
+# Nothing is imported, opened or run by the name of a type that somebody announces.
+
+
+PLANTED = 'open({ran!r}, "w").close()\nraise SystemExit(7)\n'
+
+
+@pytest.fixture
+def planted(tmp_path, monkeypatch):
+    """Have modules lie where nodes are started; return the file that they make when imported."""
+    folder = tmp_path / 'started_here'
+    folder.joinpath('planted/msg').mkdir(parents=True)
+    ran = tmp_path / 'ran'
+    for module in ('planted/__init__', 'planted/x', 'planted/srv', 'planted/msg/__init__'):
+        folder.joinpath(f'{module}.py').write_text(PLANTED.format(ran=str(ran)))
+    monkeypatch.chdir(folder)
+    return ran
+
+
+@pytest.mark.parametrize('name', ['unittest/__main__/X', 'planted/msg/X', '../msg/X', 'a', ''])
+def test_no_class_is_looked_for_under_a_name_that_is_not_installed(planted, monkeypatch, name):
+    monkeypatch.syspath_prepend(planted.parent / 'started_here')
+    with pytest.raises(LookupError, match='is not installed'):
+        message_class(name)
+    assert not planted.exists()
+
+
+def test_types_of_hostile_names_are_refused_and_the_rest_goes_on(field, planted):
+    log = field.folder / 'mission.mcap'
+    field.start('recorder', {'file': str(log)}, '/m')
+    bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+    for number, type_name in enumerate(HOSTILE):
+        bare.announce(f'rt/m/hostile_{number}', type_name)
+        if number == 0:
+            told = "/m/hostile_0 refused: type 'unittest/__main__/X' is not installed"
+            assert told in field.until_refused('/m/recorder', 1)
+    field.until(lambda: field.count('/m/recorder', 'refused') >= len(HOSTILE), 'refusals')
+    field.node.create_publisher(String, '/m/latched', qos.LATCHED).publish(String(data='x'))
+    field.until(lambda: '/m/latched' in {each.topic for each in read_log(log)}, 'message')
+    assert field.count('/m/recorder', 'refused') == len(HOSTILE)
+    assert field.processes.stop() == {'/m/recorder': 0}
+    assert is_finished(log)
+    assert not any('hostile' in each.topic for each in read_log(log))
+    assert not planted.exists()
+
+
+def test_topics_of_invalid_names_are_refused_and_the_mission_goes_on(field):
+    log = field.folder / 'mission.mcap'
+    bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+    bare.announce('rt/m/2bad', 'std_msgs::msg::dds_::String_')
+    bare.announce('rt/m/2bad/report', 'kbnitp_msgs::msg::dds_::DeploymentReport_')
+    field.start_mission({**samples.FIELD, 'robots': 3, 'recorded': True}, '/m', log)
+    field.until(lambda: field.state('/m/planner').startswith('done'), 'end')
+    for node in ('/m/recorder', '/m/planner'):
+        assert "the graph refused: '/m/2bad" in field.said(node)
+    assert set(field.processes.stop().values()) == {0}
+    assert replay(log).reproduced
+
+
+def test_nodes_wait_while_a_name_is_not_utf8_and_say_so(field):
+    log = field.folder / 'mission.mcap'
+    bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+    bare.announce('rt/m/other', not_utf8('std_msgs::msg::é'))
+    field.start_mission({**samples.FIELD, 'robots': 3, 'recorded': True}, '/m', log)
+    told = r"the graph refused: the name b'std_msgs::msg::\xff\xff' is not UTF-8"
+    field.until(lambda: told in field.said('/m/recorder'), 'refusal')
+    bare.leave()
+    field.until(lambda: field.state('/m/planner').startswith('done'), 'end')
+    assert set(field.processes.stop().values()) == {0}
+    assert replay(log).reproduced
+
+
+@pytest.mark.parametrize('is_awaited', [False, True], ids=['unknown', 'awaited'])
+def test_a_topic_of_a_refused_type_is_recorded_when_one_of_another_type_comes(field, is_awaited):
+    log = field.folder / 'mission.mcap'
+    field.start('recorder', {'file': str(log)}, '/m')
+    if is_awaited:
+        # Its type is in the graph before anybody publishes it.
+        field.listen(String, '/m/text')
+    bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
+    bare.announce('rt/m/text', 'strangers::msg::dds_::Unknown_')
+    field.until_refused('/m/recorder', 1)
+    field.node.create_publisher(String, '/m/text', qos.LATCHED).publish(String(data='x'))
+    field.until(lambda: list(read_log(log, ['std_msgs/msg/String'])), 'message')
+    assert field.count('/m/recorder', 'refused') == 1
+
+
+# Two robots of one name that leave on one path, since neither knew of the other.
+
+
+def differing(key):
+    """Return what is said of two returns of one deployment."""
+    return (
+        f'reports of deployment {key} differ: that with more readings counts '
+        f'(do two robots have the name {key.agent}?)'
+    )
+
+
+@pytest.mark.processes
+def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
+    base = Base(field)
+    base.until_sent(1)
+    key, cells = read_path(BASE_GRID, 'scout_1', base.paths['scout_1'][-1])
+    other = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
+    # The three nodes of the base, and the test.
+    field.until(lambda: other.get_subscription_count() == 4, 'whole base')
+    base.come_back()
+    base.until_held(1)
+    base.until_sent(2)
+    # The other one turned back half way.
+    half = cells[: cells.size // 2]
+    walk = [*half, *half[-2::-1]]
+    home = Observation(walk, True, [True] * (len(walk) - 1))
+    other.publish(report_message(key, home, key.stamp + 2))
+    told = field.until_refused('/estimator', 1)
+    assert told == f'scout_1/report refused: {differing(key)}'
+    if FULL:
+        base.crash()
+        base.until_held(1)
+    # Nor does it end the deployment that its name is on now.
+    base.until_state('to be reported on /scout_1/report')
+    base.come_back()
+    base.until_held(2)
+    field.processes.stop(60)
+    report = replay(base.log)
+    assert report.reproduced
+    assert len(report.evidence.reports) == 2
+    # A recorder that was started again has heard it again.
+    (refused,) = set(report.evidence.refused)
+    assert refused == told.replace('scout_1/report refused', '/scout_1/report')
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('first, second', some([(5, 5), (5, 6), (6, 5)]))
+@pytest.mark.parametrize('heard', [(0, 1), (1, 0)], ids=['as recorded', 'the other way round'])
+def test_it_does_not_matter_whose_report_is_heard_first(field, heard, first, second):
+    """Live, replayed and resumed beliefs agree also if recorder and estimator heard otherwise."""
+    log = field.folder / 'mission.mcap'
+    field.start('recorder', {'file': str(log)}, '/m')
+    # What the estimator hears and when is up to the test.
+    parameters = {**samples.FIELD, 'await_nodes': ['test', 'recorder']}
+    field.start('estimator', parameters, '/m', {'scout_1/report': '/heard/report'})
+    beliefs = field.listen(BeliefMaps, '/m/belief')
+    paths = field.talk(Path, '/m/scout_1/path')
+    field.until(lambda: beliefs, 'prior')
+    paths.publish(samples.path(1))
+    key = samples.key(1)
+    walks = Observation(samples.HOME, True, [True] * 4), Observation([0, 4, 0], True, [False] * 2)
+    reports = [report_message(key, *each) for each in zip(walks, (first, second))]
+    for node, topic, order in (
+        ('/m/recorder', '/m/scout_1/report', (0, 1)),
+        ('/m/estimator', '/heard/report', heard),
+    ):
+        robots = [field.talk(DeploymentReport, topic) for _ in reports]
+        for number in order:
+            told = field.count(node, 'accepted') + field.count(node, 'refused')
+            robots[number].publish(reports[number])
+            field.until(
+                lambda node=node, told=told: (
+                    field.count(node, 'accepted') + field.count(node, 'refused') > told
+                ),
+                f'report {number} at {node}',
+            )
+    assert field.diagnosed('/m/estimator').message == f'scout_1/report refused: {differing(key)}'
+    # The shorter walk is replaced.
+    field.until(lambda: len(beliefs) == (2 if heard == (0, 1) else 3), 'belief in the longer walk')
+    for name, code in field.processes.stop(60).items():
+        assert code == 0, field.said(name)
+    told = replay(log)
+    assert told.reproduced, (told.mismatches, told.not_yet_held)
+    assert told.evidence.refused
+    resumed = field.listen(BeliefMaps, '/m/belief')
+    field.start('estimator', {**samples.FIELD, 'await_nodes': ['test'], 'resume': str(log)}, '/m')
+    field.until(lambda: resumed and resumed[-1].deployments == 1, 'resumed belief', may_end=True)
+    assert resumed[-1].joint == beliefs[-1].joint
+
+
+@pytest.mark.processes
+@pytest.mark.full
+@pytest.mark.campaign
+def test_of_two_robots_that_do_not_hear_each_other_one_moves(tmp_path):
+    robots = 4
+    with apart(tmp_path, robots, namesakes=2) as mission:
+        mission.until(lambda: len(mission.reports()) == robots, 'reports')
+        mission.until(lambda: mission.count('that the departure of scout_1 at'), 'wait')
+        assert mission.count('leaving on') == robots
+    told = replay(mission.log)
+    assert told.reproduced
+    assert len(told.evidence.reports) == robots
+    assert not told.evidence.refused

@@ -1,13 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot walks its orders by the actions of Nav2, and reports what truly happened."""
 
+from collections import Counter
 from functools import reduce
 from itertools import count
+import json
+from operator import itemgetter
+import os
+import signal
+import subprocess
 import time
 
-from extent import FULL, LONG, some
-from fleet import Fleet, moves, TARGETS
-from kbnitp_msgs.msg import AgentStatus
+from extent import FULL, LONG
+from fleet import FIELD, Fleet, moves, TARGETS
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps
+from kbnitp_ros.log.read import read_log
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.roles import REPORT
+from kbnitp_ros.messages.deployments import read_report
+from launches import interrupt, launched, nodes_of
+from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from sensor_msgs.msg import NavSatFix, NavSatStatus
@@ -15,30 +27,36 @@ from sensor_msgs.msg import NavSatFix, NavSatStatus
 ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
 
 
-@pytest.mark.parametrize(
-    'driver', some(['follow_path', 'follow_waypoints', 'navigate_through_poses'], 3)
-)
-def test_a_robot_reports_the_walk_that_it_was_driven(field, driver):
-    fleet, reports = Fleet.simulated(field)
-    fleet.start(driver=driver)
-    key = fleet.send(1, ROUND)
-    report = fleet.report_of(reports, key)
-    assert [cell for cell, _ in report.readings] == ROUND[1:]
-    fleet.see_that_it_is_true(report)
-    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
-
-
 DATUM = (55.944904, -3.186693, -0.8)
+TURNED = {'placed': (40.0, -7.0, 2.1), 'datum': DATUM}
+POSES = {'driver': 'navigate_through_poses'}
+
+# What is simulated, and what the robot is told: one of these is told by fixes alone where it is.
+WALKS = {
+    'follow_path': ({}, {'driver': 'follow_path'}),
+    'turned': (TURNED, POSES),
+    'fixes': (TURNED, {**POSES, 'position': 'fix', 'remapped': {'/tf': '/nobody'}}),
+    'pictures': ({'detection_type': 'detection2d_array'}, {**POSES, 'detection_class': 'target'}),
+    'waypoints': ({}, {'driver': 'follow_waypoints'}),
+    'poses': ({}, POSES),
+}
 
 
-# In the second case nobody tells where this frame is but fixes.
-@pytest.mark.parametrize('own', [{}, {'position': 'fix', 'remapped': {'/tf': '/nobody'}}])
-def test_a_robot_walks_a_turned_field(field, own):
-    fleet, reports = Fleet.simulated(field, placed=(40.0, -7.0, 2.1), datum=DATUM)
-    fleet.start(driver='navigate_through_poses', **own)
+@pytest.mark.parametrize('kind', [
+    *list(WALKS)[:4],
+    *(pytest.param(kind, marks=pytest.mark.full) for kind in list(WALKS)[4:]),
+])  # fmt: skip
+def test_a_robot_reports_the_walk_that_it_was_driven(field, kind):
+    simulated, told = WALKS[kind]
+    fleet, reports = Fleet.simulated(field, **simulated)
+    fleet.start(**told)
     report = fleet.report_of(reports, fleet.send(1, ROUND))
-    assert [cell for cell, _ in report.readings] == ROUND[1:]
     fleet.see_that_it_is_true(report)
+    # A detector of pictures tells no more than each moment where it was.
+    if kind != 'pictures':
+        assert [cell for cell, _ in report.readings] == ROUND[1:]
+    if 'placed' not in simulated:
+        assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
 BAD_FIXES = {
@@ -74,24 +92,6 @@ def test_bad_fixes_are_refused_by_name_and_counted(field):
         receiver.publish(fix)
         field.until_refused('/scout_1/robot', number)
         assert f'fix refused: {told}' in field.said('/scout_1/robot')
-
-
-def test_fixes_without_a_datum_are_refused_at_the_start(field):
-    assert Fleet(field).start(position='fix').wait(60) == 2
-    assert "parameter position is 'fix', and datum is empty" in field.said('/scout_1/robot')
-
-
-def test_a_datum_off_the_earth_is_refused_at_the_start(field):
-    assert Fleet(field, datum=(91.0, 0.0, 0.0)).start().wait(60) == 2
-    assert 'datum has latitude 91.0' in field.said('/scout_1/robot')
-
-
-def test_what_is_seen_in_a_picture_is_read_where_it_was_taken(field):
-    fleet, reports = Fleet.simulated(field, detection_type='detection2d_array')
-    fleet.start(driver='navigate_through_poses', detection_class='target')
-    report = fleet.report_of(reports, fleet.send(1, ROUND))
-    fleet.see_that_it_is_true(report)
-    assert all(reading == (cell in TARGETS) for cell, reading in report.readings[:-1])
 
 
 def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
@@ -264,3 +264,179 @@ def test_a_robot_waits_for_what_drives_it_and_says_so(field):
     fleet.end_simulator()
     fleet.simulate(scout_1=(0.5, 0.5))
     fleet.report_of(reports, key)
+
+
+# Missions of robots that Nav2's actions drive, in a simulator that is not ours
+
+MISSION = '/mission'
+NODES = ('recorder', 'estimator', 'planner')
+# When the base dies, in seconds after a path was sent, and how long it is gone.
+CRASHES = np.random.default_rng(4).uniform(0, [3.0, 5.0], (20, 2)).tolist()
+
+
+@pytest.mark.parametrize('driver, names, robots, max_steps, crashes', [
+    ('navigate_through_poses', ['scout_1'], 3, 8, [[0.7, 0.0]]),
+    pytest.param('follow_path', ['scout_1'], 21, 8, CRASHES, marks=pytest.mark.full),
+    *(
+        pytest.param(driver, ['scout_1', 'scout_2'], 10, 18, [], marks=LONG)
+        for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
+    ),
+])  # fmt: skip
+def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
+    field, driver, names, robots, max_steps, crashes
+):
+    """Also where its base dies while a robot is out, and goes on from the log."""
+    fleet = Fleet(field, names, mission=MISSION)
+    log = field.folder / 'log' / 'mission.mcap'
+    log.parent.mkdir()
+    base = {**FIELD, 'max_steps': max_steps, 'agents': names, 'recorded': True, 'robots': robots}
+    heard = {name: fleet.reports(name) for name in names}
+    paths = field.listen(Path, f'{MISSION}/scout_1/path')
+    beliefs = field.listen(BeliefMaps, f'{MISSION}/belief')
+    fleet.simulate()
+    for name in names:
+        fleet.start(name, driver=driver, await_nodes=['planner', 'estimator', 'recorder'])
+
+    def start_base(**own):
+        for name in NODES:
+            # A log can be replayed from the belief before the first deployment.
+            awaited = {'await_nodes': ['planner', 'recorder']} if name == 'estimator' else {}
+            field.start(name, {**base, **awaited, **own}, MISSION)
+
+    start_base(file=str(log))
+    where = Counter()
+    for number, (after, gone) in enumerate(crashes, 1):
+        field.until(lambda n=number: len({str(each.header) for each in paths}) == n, 'path')
+        if len(crashes) == 1:
+            field.until(lambda: 'driving' in fleet.state(), 'robot under way')
+        fleet.wait(after)
+        said = field.said(f'{MISSION}/scout_1/robot')
+        left, back = said.count('leaving on'), said.count('home from')
+        where['at home' if back == number else 'out' if left == number else 'not left'] += 1
+        for name in NODES:
+            field.processes.started[f'{MISSION}/{name}'].kill()
+        for name in NODES:
+            field.kill(f'{MISSION}/{name}')
+        fleet.wait(gone)
+        start_base(resume=str(log))
+    print(dict(where))
+    done = f'done: {robots} of {robots} robots deployed'
+    field.until(lambda: field.state(f'{MISSION}/planner') == done, done, 300)
+    # The planner may be heard before the belief that it is done by.
+    field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
+    said = ''.join(field.said(f'{MISSION}/{name}/robot') for name in names)
+    assert where['out'] >= len(crashes) // 3
+    assert said.count('leaving on') == robots
+    field.processes.stop()
+    told = replay(log)
+    assert told.reproduced
+    assert not told.evidence.refused
+    # What the recorder heard again says what it said before, and is what the robots said.
+    on_record = {read_report(logged.message) for logged in read_log(log, [REPORT])}
+    assert on_record == {read_report(message) for each in heard.values() for message in each}
+    assert len(on_record) == len({key for key, _ in on_record}) == robots
+    for name in names:
+        reports = [
+            report for key, report in sorted(on_record, key=itemgetter(0)) if key.agent == name
+        ]
+        fleet.see_that_all_is_true(reports, name=name)
+        assert all(report.survived for report in reports)
+        # Detections arrive: of no cell but the last is nothing known.
+        readings = [reading for each in reports for _, reading in each.readings[:-1]]
+        assert -1 not in readings
+
+
+# A robot that loses its power, in the field or at home, and what it had not synced with it.
+
+
+ORDERS = [0, 1, 2, 3, 16, 15, 14, 13, 0]
+
+# When the power is cut, in seconds after the robot has left: in the field, or at any time.
+CUTS = np.random.default_rng(6).uniform(0, 4.5, 100) if FULL else (0.7,)
+
+
+@pytest.fixture
+def synced(tmp_path, monkeypatch):
+    """Have processes that are started keep how much of each journal is on the disk."""
+    library = tmp_path / 'keep_synced.so'
+    source = Fleet.SOURCES / 'keep_synced.c'
+    subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
+    monkeypatch.setenv('LD_PRELOAD', str(library))
+
+
+def cut_power(fleet, rng):
+    """Cut the power of a robot: it is off, it stands, and what was not synced is gone."""
+    fleet.field.kill('/scout_1/robot')
+    fleet.inject('die')
+    fleet.inject('live')
+    journal = fleet.journal('scout_1')
+    content = journal.read_bytes()
+    synced = int(journal.with_name(f'{journal.name}.synced').read_text())
+    assert synced <= len(content)
+    # Of what was written and not synced, any part may be there, and blocks of zeros.
+    end = int(rng.integers(synced, len(content) + 1))
+    journal.write_bytes(content[:end] + bytes(int(rng.integers(0, 20))))
+
+
+@pytest.mark.processes
+@pytest.mark.interpreter
+@pytest.mark.usefixtures('synced')
+def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
+    field = request.getfixturevalue('field')
+    rng = np.random.default_rng(5)
+    fleet, reports = Fleet.simulated(field)
+
+    fleet.start()
+    where = {'in the field': 0, 'at home': 0}
+    for number, after in enumerate(CUTS, 1):
+        since = len(fleet.truth()['scout_1'])
+        key = fleet.send(number, ORDERS)
+        field.until(lambda: 'driving' in fleet.state(), 'robot under way')
+        fleet.wait(after)
+        is_home = any(each.deployment.sec == number for each in reports)
+        cut_power(fleet, rng)
+        fleet.start()
+        report = fleet.report_of(reports, key)
+        fleet.see_that_it_is_true(report, since)
+        where['at home' if is_home else 'in the field'] += 1
+        field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
+    print(where)
+    # Each start says again what all before it said, in the same words: `report_of` sees to that.
+    for number in range(1, len(CUTS) + 1):
+        told = {str(each.readings) for each in reports if each.deployment.sec == number}
+        assert len(told) == 1
+    assert where['in the field'] >= len(CUTS) // 3
+    assert 'it goes home' in field.said('/scout_1/robot')
+
+
+@pytest.mark.processes
+@pytest.mark.interpreter
+def test_a_launched_robot_that_is_killed_in_the_field_comes_home(field):
+    pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
+    fleet, reports = Fleet.simulated(field)
+    parameters = field.folder / 'robot.yaml'
+    given = {**FIELD, 'await_nodes': ['test'], 'stay_time': 0.3}
+    # JSON is YAML.
+    parameters.write_text(json.dumps({'/**/robot': {'ros__parameters': given}}))
+    arguments = {
+        'nav_namespace': 'scout_1',
+        'journal': fleet.journal('scout_1'),
+        'params_file': parameters,
+    }
+    robot = launched(
+        field.folder,
+        int(os.environ['ROS_DOMAIN_ID']),
+        *(f'{name}:={value}' for name, value in arguments.items()),
+        launch_file='robot',
+    )
+    try:
+        key = fleet.send(1, ORDERS)
+        field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
+        os.kill(nodes_of(robot)['/scout_1/robot'], signal.SIGKILL)
+        fleet.inject('die')
+        fleet.inject('live')
+        report = fleet.report_of(reports, key)
+    finally:
+        interrupt(robot)
+    assert robot.wait(60) == 0
+    fleet.see_that_it_is_true(report)

@@ -42,6 +42,8 @@ def complaints(said, told='[INFO]'):
     return [line for line in said.splitlines() if not line.startswith(told)]
 
 
+ROBOT = 'agent:=scout_1 journal:=FOLDER'
+
 # Parameters that a node refuses, and what of its only line says why.
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
@@ -82,6 +84,8 @@ CANNOT_START = [
     ('estimator', 'learn.numbers:=[lethalty]', "numbers is 'lethalty': did you mean lethality?"),
     ('estimator', 'hazards.move:=0.1', 'parameter hazards.move is 0.1 and hazards are static:'),
     ('estimator', 'filter.type:=0 filter.multiplier:=2.0', 'filter.base is 0.0 and'),
+    ('robot', f'{ROBOT}/1 position:=fix', "parameter position is 'fix', and datum is empty"),
+    ('robot', f'{ROBOT}/2 datum:=[91.0,0.0,0.0]', 'datum has latitude 91.0'),
     ('recorder', 'file:=7', 'parameter file is 7: it must be a text'),
     ('recorder', 'file:=/', "'/'"),
     ('recorder', 'file', "Couldn't parse parameter override rule"),
@@ -92,15 +96,16 @@ CANNOT_START = [
 
 
 @pytest.mark.processes
-def test_a_node_that_cannot_start_says_why_in_one_line(run):
+def test_a_node_that_cannot_start_says_why_in_one_line(run, tmp_path):
     files = [(name, 'no.yaml', 'parameter file no.yaml: No such file or') for name in NODES]
+    cannot = [given.replace('FOLDER', str(tmp_path)) for _, given, _ in CANNOT_START]
     commands = [
         [name, '--ros-args', '--disable-rosout-logs', '-p', *given.replace(' ', ' -p ').split()]
-        for name, given, _ in CANNOT_START
+        for (name, _, _), given in zip(CANNOT_START, cannot)
     ] + [[name, '--ros-args', '--params-file', file] for name, file, _ in files]
     for (name, given, told), (code, said) in zip([*CANNOT_START, *files], run(commands)):
         assert code == 2, given
-        (complaint,) = complaints(said, '[')
+        (complaint,) = complaints(said, ('[', '\x1b'))
         assert complaint.startswith(f'{name}: ')
         assert told in complaint
         assert 'Errno' not in complaint

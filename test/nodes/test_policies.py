@@ -1,25 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The security policies allow each node what it does in the graph, and nothing else."""
+"""Security policies and layouts of Foxglove name what nodes have in the graph, nothing else."""
 
 from collections import defaultdict
 from contextlib import suppress
+from fnmatch import fnmatchcase
+import json
 import os
+from pathlib import Path
+import re
 import subprocess
+import sys
 from xml.etree import ElementTree
 
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.cli.demo import observed
 from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.nodes.heard import message_class
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
-from policies import FILES, FOLDER, in_graph, not_allowed, not_used, read_policy
 import pytest
 import rclpy
 from rclpy._rclpy_pybind11 import NodeNameNonExistentError
+from rclpy.action import get_action_client_names_and_types_by_node
 from rosgraph_msgs.msg import Clock
 from samples import GRID
 from tf2_msgs.msg import TFMessage
+
+FOLDER = Path(__file__).parents[2] / 'security'
+FILES = sorted(FOLDER.glob('*.policy.xml'))
+
+# By what a policy allows: how the graph is asked for it.
+ASKED = {
+    'publish': 'get_publisher_names_and_types_by_node',
+    'subscribe': 'get_subscriber_names_and_types_by_node',
+    'reply': 'get_service_names_and_types_by_node',
+    'request': 'get_client_names_and_types_by_node',
+}
+
+
+def read_policy(path, replaced=('', '')):
+    """Return the enclave of a policy, the full name of its node, and what it allows."""
+    root = ElementTree.fromstring(path.read_text().replace(*replaced))
+    (enclave,) = root.iter('enclave')
+    (profile,) = enclave.findall('profiles/profile')
+    return enclave.get('path'), *_allowed(profile)
+
+
+def _allowed(profile):
+    above = profile.get('ns').rstrip('/') + '/'
+    node = above + profile.get('node')
+    allowed = defaultdict(set)
+    for group in profile.iter():
+        for verb, rule in group.items():
+            if rule == 'ALLOW':
+                allowed[verb] |= {_full_name(above, node, each.text) for each in group}
+    return node, allowed
+
+
+def _full_name(above, node, name):
+    if name.startswith('~'):
+        return node + name[1:]
+    return name if name.startswith('/') else above + name
+
+
+def in_graph(looking, full_name):
+    """Return what a node has in the graph, as another node sees it, by what it is allowed as."""
+    namespace, _, name = full_name.rpartition('/')
+    namespace = namespace or '/'
+    found = {
+        verb: {each for each, _ in getattr(looking, asked)(name, namespace)}
+        for verb, asked in ASKED.items()
+    }
+    actions = get_action_client_names_and_types_by_node(looking, name, namespace)
+    found['call'] = {each for each, _ in actions}
+    # An action is several topics and services, which are allowed with it.
+    return {
+        verb: {each for each in names if '/_action/' not in each} for verb, names in found.items()
+    }
+
+
+def not_allowed(found, allowed):
+    """Return what a node has in the graph and its policy does not allow."""
+    return {
+        (verb, name)
+        for verb, names in found.items()
+        for name in names
+        if not any(fnmatchcase(name, each) for each in allowed[verb])
+    }
+
+
+def not_used(found, allowed):
+    """Return what a policy allows and its node has not in the graph."""
+    return {
+        (verb, each)
+        for verb, expressions in allowed.items()
+        for each in expressions
+        if not any(fnmatchcase(name, each) for name in found[verb])
+    }
+
+
+# The security policies allow each node what it does in the graph, and nothing else.
+
 
 # All that a parameter can have a node publish or listen to; the map tells the field.
 PARAMETERS = {
@@ -186,3 +268,88 @@ def topics_of(verb, name):
             yield 'subscribe', f'rt{name}/_action/{topic}'
     else:
         yield verb, f'rt{name}'
+
+
+# The layouts of Foxglove name what a running mission has, and nothing else.
+
+
+ROOT = Path(__file__).parents[2]
+LAYOUTS = {1: 'kbnitp.json', 8: 'kbnitp_team.json'}
+PLACE = {'grid.width': 4, 'grid.height': 4, 'max_steps': 4, 'planner': 'relaxed', 'robots': 8}
+
+# What panels of 3D show, by how the layout sets it.
+SHOWN = {
+    'colorMode': 'nav_msgs/msg/OccupancyGrid',
+    'gradient': 'nav_msgs/msg/Path',
+    'visible': 'visualization_msgs/msg/Marker',
+}
+
+
+def panels(content):
+    """Yield the panels of a layout."""
+    if content['type'] == 'panel':
+        yield content
+    for item in content.get('items', ()):
+        yield from panels(item['content'])
+
+
+def named(layout):
+    """Return the topics that a layout names with their types or fields."""
+    topics, fields = {}, {}
+    for panel in panels(layout['content']):
+        config = panel['config']
+        for topic, settings in config.get('topics', {}).items():
+            topics[topic] = next(kind for each, kind in SHOWN.items() if each in settings)
+        for series in config.get('paths', ()):
+            topic, _, field = series['value'].partition('.')
+            fields.setdefault(topic, set()).add(field)
+        if 'topicToRender' in config:
+            topics[config['topicToRender']] = 'diagnostic_msgs/msg/DiagnosticArray'
+    return topics, fields
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('agents, name', LAYOUTS.items())
+def test_a_layout_is_made_of_the_topics(agents, name):
+    made = subprocess.run(
+        [sys.executable, ROOT / 'tools/foxglove_layout.py', str(agents)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert made == (ROOT / 'foxglove' / name).read_text()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize('agents, name', LAYOUTS.items())
+def test_a_layout_names_only_what_a_running_mission_has(field, agents, name):
+    topics, fields = named(json.loads((ROOT / 'foxglove' / name).read_text()))
+    team = [f'scout_{number}' for number in range(1, agents + 1)]
+    assert set(topics) == {
+        *(f'/belief/{each}' for each in ('hazard', 'target', 'kappa')),
+        *(f'/{agent}/{each}' for agent in team for each in ('path', 'readings')),
+        '/decision/lane',
+        '/diagnostics',
+    }
+    parameters = {**PLACE, 'agents': team}
+    for node, awaited in (
+        ('estimator', ['planner']),
+        ('agent', ['planner', 'estimator']),
+        ('planner', ['agent', 'estimator']),
+    ):
+        field.start(node, {**parameters, 'await_nodes': awaited})
+
+    def graph():
+        known = field.node.get_topic_names_and_types()
+        # Who only listens to a topic does not make it one that a mission has.
+        return {topic: types for topic, types in known if field.node.count_publishers(topic)}
+
+    wanted = {*topics, *fields}
+    field.until(lambda: wanted <= graph().keys(), f'topics of a mission with {agents} agents')
+    types = graph()
+    for topic, kind in topics.items():
+        assert types[topic] == [kind]
+    for topic, of_topic in fields.items():
+        (kind,) = types[topic]
+        assert of_topic <= message_class(kind).get_fields_and_field_types().keys()
+    assert all(re.fullmatch(r'\w+', each) for of_topic in fields.values() for each in of_topic)

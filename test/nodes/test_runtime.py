@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes use no shared memory, which a killed process leaves behind."""
+"""How nodes spin, and what they have of rclpy and of Fast DDS."""
 
 from contextlib import contextmanager
 import os
@@ -7,14 +7,145 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+from threading import Timer
+import time
 
+from ament_index_python.packages import get_package_share_directory
 from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.nodes.runtime.graph import deaf_to_server, PROFILES, udp_only
+from kbnitp_ros.nodes.runtime.node import MissionNode, spin_once
+from kbnitp_ros.nodes.runtime.qos import EVIDENCE
 import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_msgs.msg import Int32
+from std_srvs.srv import Trigger
+
+
+@pytest.fixture
+def here(field):
+    """Provide a node in the test and how to spin it until something holds."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = MissionNode('estimator')
+    executor = node.make_executor()
+    executor.add_node(node)
+
+    def until(condition):
+        def spun():
+            spin_once(node, executor, 0.05)
+            return condition()
+
+        field.until(spun, 'what is spun for')
+
+    yield node, until
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def fail(*_):
+    raise OSError('the disk is full')
+
+
+def ask(node, until):
+    """Call a service, and return what its answer comes to."""
+    client = node.create_client(Trigger, 'how')
+    until(client.service_is_ready)
+    return client.call_async(Trigger.Request())
+
+
+def fail_in_a_subscription(node, _):
+    node.create_subscription(Int32, 'numbers', fail, EVIDENCE)
+    node.create_publisher(Int32, 'numbers', EVIDENCE).publish(Int32())
+
+
+def fail_in_a_service(node, until):
+    node.create_service(Trigger, 'how', fail)
+    ask(node, until)
+
+
+def fail_at_an_answer(node, until):
+    node.create_service(Trigger, 'how', lambda _, response: response)
+    ask(node, until).add_done_callback(node.guarded(fail))
+
+
+@pytest.mark.parametrize('fail_in', [
+    lambda node, _: node.create_timer(0.01, fail),
+    fail_in_a_subscription,
+    fail_in_a_service,
+    fail_at_an_answer,
+    lambda node, _: Timer(0.1, node.call_next, [fail]).start(),
+])  # fmt: skip
+def test_an_error_in_a_callback_is_raised(here, fail_in):
+    node, until = here
+    fail_in(node, until)
+    with pytest.raises(OSError, match='the disk is full'):
+        until(lambda: False)
+
+
+def test_another_thread_does_not_wait_for_a_callback(here):
+    node, _ = here
+    called = []
+    begun = time.monotonic()
+    Timer(0.3, node.call_next, [lambda: called.append(time.monotonic())]).start()
+    while not called:
+        spin_once(node, node.executor, 60.0)
+    assert 0.3 <= called[0] - begun < 5.0
+
+
+def test_a_service_may_answer_later(here):
+    node, until = here
+    answer = Future()
+    node.create_service(Trigger, 'how', lambda *_: answer)
+    heard = ask(node, until)
+    node.create_poll(lambda: answer.set_result(Trigger.Response(message='well')), 0.2)
+    until(heard.done)
+    assert heard.result().message == 'well'
+
+
+@pytest.mark.processes
+def test_a_node_that_cannot_leave_the_graph_ends_as_it_would_have():
+    program = """
+import ctypes, os, signal
+from kbnitp_ros.nodes import estimator
+from kbnitp_ros.nodes.runtime import process
+process.TEARDOWN = 1
+estimator.EstimatorNode.destroy_node = lambda self: ctypes.PyDLL(None).pause()
+estimator.EstimatorNode.create_poll = lambda self, look: os.kill(os.getpid(), signal.SIGTERM)
+estimator.main()
+"""
+    with free_domain() as domain:
+        ended = subprocess.run(
+            [sys.executable, '-c', program],
+            env=environment(domain),
+            timeout=60,
+            capture_output=True,
+        )
+    assert ended.returncode == 0, ended.stderr
+
+
+# The parts of rclpy that are private or experimental and used here are as they were.
+
+
+def test_rclpy_is_of_jazzy():
+    text = Path(get_package_share_directory('rclpy'), 'package.xml').read_text()
+    assert '<version>7.1.' in text, 'rclpy.experimental may be another'
+
+
+def test_nodes_hold_what_they_held():
+    rclpy.init(args=[])
+    node = rclpy.create_node('here')
+    assert node._parameter_overrides == {}, 'see nodes/runtime/declared.py'
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+# Nodes use no shared memory, which a killed process leaves behind.
+
 
 CONFIG = Path(__file__).parents[2] / 'config'
 
-pytestmark = pytest.mark.processes
 
 PROGRAM = """
 import rclpy
@@ -64,6 +195,7 @@ def shared_memory(process):
     return {line.split()[-1] for line in lines if '/dev/shm/fastrtps' in line}
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('said', LOCAL)
 def test_robots_that_are_killed_leave_no_shared_memory_and_are_found_again(said):
     with free_domain() as domain:
@@ -78,6 +210,7 @@ def test_robots_that_are_killed_leave_no_shared_memory_and_are_found_again(said)
             assert shared_memory(listener) == set()
 
 
+@pytest.mark.processes
 def test_the_demo_uses_none_whatever_the_user_has_set(monkeypatch):
     for variables in LOCAL:
         for name, value in variables.items():
@@ -86,6 +219,7 @@ def test_the_demo_uses_none_whatever_the_user_has_set(monkeypatch):
         assert shared_memory(talker) == set()
 
 
+@pytest.mark.processes
 def test_a_tool_on_localhost_hears_nodes_without_shared_memory():
     with free_domain() as domain:
         user = of_user(domain, **LOCAL[0])
@@ -94,6 +228,7 @@ def test_a_tool_on_localhost_hears_nodes_without_shared_memory():
             assert tool.stdout.readline() == 'heard\n'
 
 
+@pytest.mark.processes
 def test_what_the_user_decides_is_left_alone():
     assert udp_only({PROFILES: 'mine.xml', **LOCAL[0]}, CONFIG) == {}
     for far in (
@@ -107,6 +242,7 @@ def test_what_the_user_decides_is_left_alone():
         }
 
 
+@pytest.mark.processes
 def test_a_node_says_when_a_discovery_server_would_have_it_wait_for_ever(tmp_path):
     server = {'ROS_DISCOVERY_SERVER': '127.0.0.1:11811'}
     told = deaf_to_server(server)

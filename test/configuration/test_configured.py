@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Goals, priors and worlds are what parameters and files say, or are refused."""
+
+from dataclasses import replace
+
+from kbnitp_ros.configuration import goal_of, grid_of, TABLE
+from kbnitp_ros.configuration.field import read_world
+from kbnitp_ros.configuration.mission import check_goal, prior_of, search_options, stop_of
+from kbnitp_ros.core import Area, Belief, Grid, Lane, Stop
+from laws import for_each
+from mission_log import GRID, Mission, mission, record
+import numpy as np
+from PIL import Image
+import pytest
+
+SMALL = {
+    'grid.width': 3, 'grid.height': 2, 'grid.resolution': 0.5, 'max_steps': 2, 'robots': 4,
+}  # fmt: skip
+
+
+def checked(**given):
+    """Return the goal of a planner with these parameters, once it took them."""
+    changed = {name.replace('__', '.'): value for name, value in given.items()}
+    values = {parameter.name: parameter.default for parameter in TABLE} | SMALL | changed
+    grid = grid_of(values)
+    goal = goal_of(values, grid)
+    check_goal(values, grid, [search_options(values)])
+    return goal, stop_of(values)
+
+
+def mask(folder, occupied, resolution=0.5):
+    """Write a map in which these pixels are occupied, the highest row first; return its file."""
+    pixels = np.where(np.array(occupied, dtype=bool), 0, 254).astype(np.uint8)
+    Image.fromarray(pixels).save(folder / 'mask.png')
+    file = folder / 'mask.yaml'
+    file.write_text(
+        f'image: mask.png\nresolution: {resolution}\norigin: [0, 0, 0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.2\n'
+    )
+    return str(file)
+
+
+def test_cells_are_given_by_number_by_position_or_by_a_mask(tmp_path):
+    assert checked() == (None, Stop())
+    assert checked(goal__kind='lane', goal__cells=[4]) == (Lane(4), Stop())
+    assert checked(goal__kind='lane', goal__position=[0.6, 0.9]) == (Lane(4), Stop())
+    assert checked(goal__kind='area', goal__cells=[4, 1]) == (Area([1, 4]), Stop())
+    drawn = mask(tmp_path, [[0, 1, 0], [0, 1, 0]])
+    assert checked(goal__kind='area', goal__mask=drawn) == (Area([1, 4]), Stop())
+
+
+def test_stops_are_those_of_the_parameters():
+    sure = checked(goal__kind='lane', goal__cells=[4], stop__confidence=0.9, stop__losses=2)
+    assert sure == (Lane(4, 0.9), Stop(losses=2))
+    assert checked(stop__gain=0.3) == (None, Stop(gain=0.3))
+
+
+@for_each('given, complaint', [
+    ({'goal__cells': [4]}, 'goal map has no such thing as cells'),
+    ({'stop__confidence': 0.9}, 'goal map has no such thing as a confidence'),
+    ({'goal__kind': 'lane'}, 'goal lane has 0 cells'),
+    ({'goal__kind': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
+    ({'goal__kind': 'lane', 'goal__cells': [6]}, 'off the map'),
+    ({'goal__kind': 'lane', 'goal__cells': [0]}, 'the base'),
+    ({'goal__kind': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
+    ({'goal__kind': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
+    ({'goal__kind': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
+    ({'goal__kind': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of'),
+    ({'goal__kind': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
+    ({'goal__kind': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 ind'),
+    ({'stop__losses': 5}, 'stop.losses is 5'),
+])  # fmt: skip
+def test_what_cannot_be_sought_is_refused(given, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        checked(**given)
+
+
+@for_each('occupied, resolution, complaint', [
+    ([[0, 1]], 0.5, '2 x 1 pixels of 0.5 m, and the field 3 x 2 cells'),
+    ([[0, 1], [0, 1], [0, 0]], 0.5, '2 x 3 pixels'),
+    ([[0, 1, 0], [0, 1, 0]], 0.25, 'pixels of 0.25 m, .* cells of 0.5 m'),
+    ([[0, 0, 0], [0, 0, 0]], 0.5, 'without cells'),
+])  # fmt: skip
+def test_a_mask_that_is_none_of_the_field_is_refused(occupied, resolution, complaint, tmp_path):
+    drawn = mask(tmp_path, occupied, resolution)
+    with pytest.raises(ValueError, match=complaint):
+        checked(goal__kind='area', goal__mask=drawn)
+
+
+def test_a_goal_stays_while_a_planner_runs():
+    of_goals = {
+        parameter.name: parameter.read_only
+        for parameter in TABLE
+        if parameter.name.startswith('goal')
+    }
+    assert of_goals == dict.fromkeys(
+        ('goal.kind', 'goal.cells', 'goal.position', 'goal.mask'), True
+    )
+
+
+# What is believed before the first deployment comes from numbers, maps or an earlier mission.
+
+
+VALUES = {parameter.name: parameter.default for parameter in TABLE}
+FIELD = {
+    'grid.width': 5, 'grid.height': 4, 'grid.base': 2, 'grid.resolution': 0.1,
+    'grid.origin': [-1.3, 0.7], 'grid.blocked': [8, 9],
+}  # fmt: skip
+
+
+def write(path, values):
+    """Write probabilities, rows from the bottom, and return the file's name."""
+    np.save(path, np.asarray(values, dtype=float))
+    return str(path)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return the log of a mission and its last belief, which is not the one recorded last."""
+    whole = mission()
+    known = whole.ledger.belief
+    whole.start_estimator()
+    return str(record(tmp_path / 'mission.mcap', whole.sent)), known
+
+
+def test_numbers_are_the_same_everywhere():
+    prior = prior_of(VALUES, GRID)
+    assert prior.joint.tobytes() == Belief.prior(GRID, 0.5, 0.45, 0.8).joint.tobytes()
+
+
+def test_maps_say_it_cell_by_cell_and_numbers_elsewhere(tmp_path):
+    # Seen from above, a map of two by one cells of 0.2 m over the lower left of the grid.
+    Image.fromarray(np.array([[255, 51]], dtype=np.uint8)).save(tmp_path / 'hazard.png')
+    (tmp_path / 'hazard.yaml').write_text(
+        'image: hazard.png\nresolution: 0.2\norigin: [-1.3, 0.7, 0.0]\nnegate: 0\n'
+        'occupied_thresh: 1.0\nfree_thresh: 0.0\nmode: scale\n'
+    )
+    target = np.linspace(0.4, 0.59, 20)
+    given = {
+        'prior.hazard': 0.3,
+        'prior.hazard_map': str(tmp_path / 'hazard.yaml'),
+        'prior.target_map': write(tmp_path / 'target.npy', target.reshape(4, 5)),
+        'prior.kappa': 0.5,
+    }
+    hazard = np.full(20, 0.3)
+    hazard[[0, 1, 5, 6]] = 0.0
+    hazard[[2, 3, 7, 8]] = 0.8
+    prior = prior_of(VALUES | given, GRID)
+    expected = Belief.prior(GRID, hazard, target, 0.5)
+    assert prior.joint == pytest.approx(expected.joint, abs=1e-7)
+    assert prior.hazard[GRID.base] == 0.0
+    assert prior.joint[8].tolist() == [[1.0, 0.0], [0.0, 0.0]]
+
+
+def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp_path):
+    hazard = np.linspace(0.0, 0.99, 20)
+    given = {'prior.hazard_map': write(tmp_path / 'hazard.npy', hazard.reshape(4, 5))}
+    prior = prior_of(VALUES | given, GRID)
+    free = GRID.may_be_hazardous & (hazard > 0.0)
+    assert prior.hazard[free] == pytest.approx(hazard[free])
+    assert prior.kappa[free] == pytest.approx(0.8)
+    # The numbers 0.5, 0.45 and 0.8 leave 0.1 for targets where no hazard is.
+    background = prior.joint[free, 0, 1] / prior.joint[free, 0].sum(axis=1)
+    assert background == pytest.approx(0.1)
+
+
+def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path):
+    given = {
+        'prior.kappa_map': write(tmp_path / 'kappa.npy', np.full((8, 10), 0.7)),
+        'prior.resample': True,
+    }
+    assert prior_of(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
+
+
+@for_each('name, values, told', [
+    ('hazard', [[0.5, 1.5]], '1.5 in row 0, column 1: a probability must be from 0 to 1'),
+    ('target', [[float('nan')]], 'nan in row 0'),
+    ('kappa', [0.5], 'rows and columns'),
+    ('target', np.zeros((4, 5)), 'no joint distribution at cell 0: .*; likewise at cells 1, 2'),
+    ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
+    ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
+])  # fmt: skip
+def test_what_no_prior_can_be_is_refused(tmp_path, name, values, told):
+    given = {f'prior.{name}_map': write(tmp_path / 'prior.npy', values)}
+    with pytest.raises(ValueError, match=told):
+        prior_of(VALUES | given, GRID)
+
+
+def test_an_earlier_mission_is_a_prior(log):
+    path, known = log
+    prior = prior_of(VALUES | {'prior.log': path}, GRID)
+    assert prior.joint == pytest.approx(known.joint, abs=1e-15)
+    moved = prior_of(VALUES | {'prior.log': path}, replace(GRID, base=12))
+    assert moved.hazard[12] == 0.0
+    assert moved.target[12] == pytest.approx(known.joint[12, 0, 1] / known.joint[12, 0].sum())
+    others = np.arange(20) != 12
+    assert moved.joint[others] == pytest.approx(known.joint[others], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    'change', [{'blocked': (8,)}, {'resolution': 0.2}, {'origin': (0.0, 0.7)}]
+)
+def test_a_mission_in_another_field_is_none(log, change):
+    with pytest.raises(ValueError, match=r'is of a mission on Grid\(.*: the parameters say Grid'):
+        prior_of(VALUES | {'prior.log': log[0]}, replace(GRID, **change))
+
+
+def test_logs_that_tell_no_belief_are_refused(log, tmp_path):
+    path, _ = log
+    bare = Mission()
+    bare.sent.clear()
+    bare.send_out([2, 7, 2])
+    silent = str(record(tmp_path / 'silent.mcap', bare.sent))
+    for file, told in (('nowhere.mcap', 'nowhere.mcap'), (silent, 'no belief on record')):
+        with pytest.raises((ValueError, OSError), match=told):
+            prior_of(VALUES | {'prior.log': file}, GRID)
+    with pytest.raises(ValueError, match='prior.log is given with a map'):
+        prior_of(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
+
+
+# A hidden world drawn as two pictures.
+
+
+SMALL_GRID = Grid(3, 2, blocked=[5])
+
+
+@pytest.fixture
+def write_world(tmp_path):
+    """Write a world file and return its path."""
+
+    def write_world(text):
+        path = tmp_path / 'world.yaml'
+        path.write_text(text)
+        return path
+
+    return write_world
+
+
+def test_the_first_row_is_the_top_row(write_world):
+    world = read_world(write_world('hazard: [x.., ..x]\ntarget: ["...", .x.]'), SMALL_GRID)
+    assert world.hazard.tolist() == [False, False, True, True, False, False]
+    assert world.target.tolist() == [False, True, False, False, False, False]
+
+
+@for_each('text, told', [
+    ('hazard: ["...", "..."', 'is not YAML'),
+    ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
+    ('', 'must have hazard and target and nothing else'),
+    ('- 1', 'must have hazard and target and nothing else'),
+    ('hazard: ["...", "..."]', 'must have hazard and target and nothing else'),
+    ('hazard: ["...", "..."]\ntarget: 3', 'target is 3: it must be a list of texts'),
+    ('hazard: ["...", 100]\ntarget: []', "hazard is ['...', 100]: it must be a list of texts"),
+    ('hazard: ["..."]\ntarget: []', 'hazard has 1 rows: the grid has 2'),
+    ('hazard: ["...", "...."]\ntarget: []', 'hazard has 4 cells in row 2 from the top: the'),
+    ('hazard: ["...", "..#"]\ntarget: []', "hazard has '..#' in row 2 from the top: cells"),
+    ('hazard: ["...", "x.."]\ntarget: ["...", "..."]', 'hazard at the base 0'),
+    ('hazard: ["..x", "..."]\ntarget: ["...", "..."]', 'cell 5: that cell is blocked'),
+])  # fmt: skip
+def test_what_is_no_world_is_refused(write_world, text, told):
+    path = write_world(text)
+    with pytest.raises(ValueError) as refusal:
+        read_world(path, SMALL_GRID)
+    assert str(path) in str(refusal.value)
+    assert told in str(refusal.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(OSError, match=r'nowhere\.yaml'):
+        read_world(tmp_path / 'nowhere.yaml', SMALL_GRID)
