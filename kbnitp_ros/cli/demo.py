@@ -459,7 +459,7 @@ def conclude(log: Path, note: str) -> int:
     mission = report(log, folder, note)
     first, last = mission.moments[0], mission.moments[-1]
     say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
-    for name, known in last.learnt.items():
+    for name, known in last.state.numbers.items():
         low, _, middle, _, high = known.quantiles
         is_known = f'; it is {mission.numbers[name]:.3g}' if name in mission.numbers else ''
         say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record
-from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import numerical_environment, recorded_environment
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.mcap_file import repair
@@ -99,7 +98,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
         f'method {report.method or "not on record"}'
     )
-    for action in report.actions:
+    for action in evidence.operator.actions.values():
         yield f'the operator {action}, at {action.when}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:
@@ -127,21 +126,17 @@ def lines(report: ReplayReport) -> Iterator[str]:
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
     for key in evidence.without_report:
-        yield f'deployment {key} has no report on record: {where_robot_was(report, key)}'
+        where = 'the robot was still out'
+        if evidence.departures.is_at_base(key):
+            status = evidence.departures.status(key)
+            where = 'the robot was at the base'
+            where += f', and refused: {status.reason}' if status and status.reason else ''
+        yield f'deployment {key} has no report on record: {where}'
     for key in evidence.without_path:
         yield f'deployment {key} has no path on record'
     yield from first_few('refused', evidence.refused, REFUSALS)
     if not report.finished:
         yield 'the log is unfinished: it was still being written, or its end is missing'
-
-
-def where_robot_was(report: ReplayReport, key: DeploymentKey) -> str:
-    """Return in words what a log tells last of a robot that was not reported."""
-    if not report.departures.is_at_base(key):
-        return 'the robot was still out'
-    status = report.departures.status(key)
-    why = f', and refused: {status.reason}' if status and status.reason else ''
-    return f'the robot was at the base{why}'
 
 
 def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:

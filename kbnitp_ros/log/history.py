@@ -4,33 +4,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
-from math import isnan
+from math import isnan, nan
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from kbnitp_ros.core import (
     Belief,
     Decision,
     deployment_order,
-    DeploymentKey,
     deployments_table,
-    Grid,
     Observation,
+    ORDINARY,
+    SensorModel,
     World,
 )
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
-from kbnitp_ros.log.record import Departures, Evidence, required_belief
-from kbnitp_ros.log.roles import mission_log, MissionLog, Role, TRUTH
+from kbnitp_ros.log.record import RecordedMission, required_belief
+from kbnitp_ros.log.roles import mission_log, MissionLog, TRUTH
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.deployments import key_of_path, read_report, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import Known, ModelState, read_decision, read_model_belief
-import numpy as np
-from numpy.typing import NDArray
+from kbnitp_ros.messages.progress import (
+    Known,
+    ModelState,
+    NOTHING_LEARNT,
+    read_decision,
+    read_model_belief,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -39,37 +41,55 @@ ROLES = ('belief', 'decision', 'model', 'path', 'progress', 'report', 'status', 
 
 
 @dataclass(frozen=True, eq=False)
-class HeardBelief:
-    """A belief on record."""
+class Moment:
+    """A belief on record: what was believed after a report was taken in; at first, before any."""
 
-    # What it says.
     snapshot: Snapshot
     # When it was received, in nanoseconds.
     time: int
     # How far into the log it stands, in bytes.
     position: int
+    # Whose report was taken in last, by its place among the deployments; None at first.
+    deployment: int | None = None
+    # What that report told; None at first.
+    outcome: Observation | None = None
+    # Whether it replaced a report of the same deployment.
+    is_late: bool = False
+    # Whether beliefs are missing before it.
+    is_after_gap: bool = False
+    # Learnt numbers, kinds of hazard, and the check of the model.
+    state: ModelState = NOTHING_LEARNT
+    # What no path was worth more than, nats; NaN where it was not computed.
+    upper_bound: float = nan
+
+    @property
+    def belief(self) -> Belief:
+        """Given the deployments held."""
+        return self.snapshot.belief
+
+    @property
+    def held(self) -> int:
+        """How many deployments the belief holds."""
+        return self.snapshot.deployments
+
+    def model_of(self, agent: str) -> SensorModel:
+        """Return what the robots of an agent were believed to be like."""
+        own = self.snapshot.robot_types.get(agent, ORDINARY)
+        return own.model(self.snapshot.model)
 
 
 @dataclass(eq=False)
 class History:
     """What a log tells of its mission."""
 
-    # The field.
-    grid: Grid
     # The deployments on record.
-    evidence: Evidence
+    evidence: RecordedMission
     # The beliefs on record, the prior first; what an estimator told again comes again.
-    heard: list[HeardBelief] = field(default_factory=list)
-    # When the path of a deployment was received, in nanoseconds.
-    sent: dict[DeploymentKey, int] = field(default_factory=dict)
-    # When the report of a deployment with this stamp was received, in nanoseconds.
-    reported: dict[tuple[DeploymentKey, int], int] = field(default_factory=dict)
+    moments: list[Moment] = field(default_factory=list)
     # Learnt numbers, kinds of hazard, and model check, by the stamp of the belief, nanoseconds.
     models: dict[int, ModelState] = field(default_factory=dict)
     # What no path was worth more than given the belief of a stamp, nats, where that was computed.
     bounds: dict[int, float] = field(default_factory=dict)
-    # What agents said of their orders.
-    departures: Departures = field(default_factory=Departures)
     # The last one on record: what may be relied on of the goal.
     decision: Decision | None = None
     # The hidden truth, if the agent published it.
@@ -80,11 +100,11 @@ class History:
     @property
     def beliefs(self) -> list[Belief]:
         """Those on record, the prior first."""
-        return [each.snapshot.belief for each in self.heard]
+        return [each.belief for each in self.moments]
 
     def to_dataframe(self) -> DataFrame:
         """Return one row a deployment that ended, as `kbnitp_ros.core.deployments_table`."""
-        first = {each.snapshot.deployments: each.snapshot.belief for each in reversed(self.heard)}
+        first = {each.held: each.belief for each in reversed(self.moments)}
         ended = sorted(self.evidence.reports, key=deployment_order)
         beliefs = [first.get(number) for number in range(1, len(ended) + 1)]
         table = deployments_table(self.observations, beliefs, [self.world] * len(ended))
@@ -111,57 +131,32 @@ def read_history(
     """Read what happened in a mission."""
     log = mission_log(log)
     first = required_belief(log)
-    history = History(first.grid, Evidence(first.grid, first.max_steps, first.robot_types))
-    truth = {}
+    evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
+    history, truth = History(evidence), {}
     for role, logged in log.read(*ROLES, corrupt=history.corrupt, progress=progress):
         with log.leaving_out(role, logged):
             message = logged.message
             stamp = from_stamp(message.header.stamp)
-            if role.name in ('path', 'report'):
-                take_evidence(history, role, logged)
-            elif role.name == 'status':
-                history.departures.take(*read_status(message, role.agent))
+            if role.name in ('path', 'report', 'status'):
+                evidence.take(role, logged)
             elif role.name == 'belief':
-                take_belief(history, logged)
+                snapshot = read_belief_maps(message)
+                if snapshot.grid != first.grid:
+                    raise ValueError(f'it is on {snapshot.grid}, and the first on {first.grid}')
+                history.moments.append(Moment(snapshot, logged.log_time, logged.position))
+                evidence.take(role, logged)
             elif role.name == 'model':
                 history.models[stamp] = read_model_belief(message)
             elif role.name == 'decision':
                 history.decision = read_decision(first.grid, message)
             elif role.name in TRUTH:
-                truth[role.name] = read_truth(first.grid, message)
+                shown = read_occupancy_grid(message) > 0.0
+                if shown.size != first.grid.cells:
+                    raise ValueError(f'it has {shown.size} cells: the grid has {first.grid.cells}')
+                truth[role.name] = shown
             elif not isnan(message.upper_bound):
                 history.bounds[stamp] = message.upper_bound
-    history.evidence.refused += map(str, log.left_out.values())
+    evidence.refused += map(str, log.left_out.values())
     if len(truth) == len(TRUTH):
         history.world = World(*(truth[name] for name in TRUTH))
     return history
-
-
-def read_truth(grid: Grid, message: Any) -> NDArray[np.bool_]:
-    """Return where a map of the hidden truth shows something, shape (cells,)."""
-    shown = read_occupancy_grid(message) > 0.0
-    if shown.size != grid.cells:
-        raise ValueError(f'it has {shown.size} cells: the grid has {grid.cells}')
-    return shown
-
-
-def take_belief(history: History, logged: LoggedMessage) -> None:
-    """Add a belief to the history."""
-    snapshot = read_belief_maps(logged.message)
-    if snapshot.grid != history.grid:
-        raise ValueError(f'it is on {snapshot.grid}, and the first on {history.grid}')
-    history.heard.append(HeardBelief(snapshot, logged.log_time, logged.position))
-    history.evidence.allow(snapshot.max_steps, snapshot.robot_types)
-
-
-def take_evidence(history: History, role: Role, logged: LoggedMessage) -> None:
-    """Add a path or a report to the history, or note that it is refused."""
-    history.evidence.take(role, logged)
-    if role.name == 'path':
-        key = key_of_path(role.agent, logged.message)
-        if key in history.evidence.paths:
-            history.sent.setdefault(key, logged.log_time)
-    else:
-        with suppress(ValueError):
-            key, report = read_report(logged.message, role.agent)
-            history.reported.setdefault((key, report.stamp), logged.log_time)

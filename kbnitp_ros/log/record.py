@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -38,9 +38,8 @@ from kbnitp_ros.messages.deployments import (
     read_status,
 )
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, read_stamp
-from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from kbnitp_ros.messages.operator_actions import OperatorState, read_operator_action
+from numpy.typing import ArrayLike
 
 
 class AtBaseError(ValueError):
@@ -95,7 +94,7 @@ class Departures:
         self._reported[key] = self._reported.get(key) if reported is None else reported
         self.out.discard(key)
         if self.is_refused(key):
-            # Whoever comes back has been away.
+            # A returned robot must have departed.
             del self._statuses[key]
 
     def status(self, key: DeploymentKey) -> AgentStatus | None:
@@ -193,24 +192,36 @@ def check_same_field(
 
 
 class GapError(ValueError):
-    """A belief on record that nothing can be compared with, since the log lacks something."""
+    """The log lacks evidence needed to recompute a belief."""
 
 
-class Evidence(MissionRecord):
-    """The deployments of a log, judged as the estimator judges them."""
+class RecordedMission(MissionRecord):
+    """The evidence of a mission on record, orders and the operator's actions: one pass over it."""
 
     def __init__(
         self,
         grid: Grid,
         max_steps: int,
         robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+        mission: int | None = None,
     ) -> None:
         super().__init__(grid, max_steps, robot_types)
+        # When the mission began whose paths are taken, nanoseconds; None for those of all.
+        self.mission = mission
+        # Its first belief, where that was read.
+        self.prior: Snapshot | None = None
         # The most steps of all robots, and of those that have a number of their own.
         self._rules = [(max_steps, own_steps(robot_types))]
         # By deployment, in the order in which they were reported: the reports that count.
         self.reports: dict[DeploymentKey, Report] = {}
-        # What no estimator takes, and why.
+        self.departures = Departures()
+        self.operator = OperatorState()
+        # Paths by deployment, and actions of the operator by stamp, as they came off the wire.
+        self.messages: dict[DeploymentKey | int, bytes] = {}
+        # When the path of a deployment, and its report of a stamp, were received, nanoseconds.
+        self.sent: dict[DeploymentKey, int] = {}
+        self.reported: dict[tuple[DeploymentKey, int], int] = {}
+        # Messages that no estimator takes, and why.
         self.refused: list[str] = []
         # All that was read, by the hashes of the messages; by their times, the reports that fit.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
@@ -223,35 +234,50 @@ class Evidence(MissionRecord):
             self._rules.append(rules)
         self.max_steps = max(self.max_steps, max_steps)
 
-    def pass_belief(self, belief: Any) -> None:
-        """Go past a kbnitp_msgs/BeliefMaps; if it is none that is said when it is read."""
-        with suppress(ValueError):
-            self.allow(belief.max_steps, read_robot_types(belief.own))
-
     def most_steps(self, key: DeploymentKey) -> int:
         """Return the most steps that the path of a deployment may have."""
         return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
-        """Take note of a path or a report, or of why it is refused."""
-        with self.refusals(logged.topic):
-            record(self, role, logged.message)
+        """Record a path, report, status, action or the rules of a belief, or why it is refused."""
+        message = logged.message
+        if role.name == 'operator':
+            action = read_operator_action(self.grid, message)
+            if self.operator.apply(action):
+                self.messages[action.stamp] = logged.data
+        elif role.name == 'belief':
+            # What is wrong with a belief is said when it is compared.
+            with suppress(ValueError):
+                self.allow(message.max_steps, read_robot_types(message.own))
+        elif is_of_mission(role, message, self.mission):
+            try:
+                self._take_evidence(role, logged)
+            except ValueError as error:
+                self.refused.append(f'{logged.topic}: {error}'[:LONGEST])
 
-    @contextmanager
-    def refusals(self, topic: str) -> Iterator[None]:
-        """Take note of why a message is refused."""
-        try:
-            yield
-        except ValueError as error:
-            self.refused.append(f'{topic}: {error}'[:LONGEST])
+    def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
+        message = logged.message
+        if role.name == 'status':
+            self.departures.take(*read_status(message, role.agent))
+        elif role.name == 'path':
+            try:
+                record(self, role, message)
+            finally:
+                key = key_of_path(role.agent, message)
+                if key in self.paths and key not in self.sent:
+                    self.sent[key], self.messages[key] = logged.log_time, logged.data
+        else:
+            key, report = read_report(message, role.agent)
+            self.reported.setdefault((key, report.stamp), logged.log_time)
+            self.record_report(key, replace(report, content=content_hash(message)))
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Take note of a path, also of one that is not the first of its deployment."""
+        """Record a path, also one that is not the first of its deployment."""
         self._paths_read.setdefault((key, content), path)
         return super().record_path(key, path, content)
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Take note of a report, also of one that does not count."""
+        """Record a report, also one that does not count."""
         self._reports_read.setdefault((key, report.content), report)
         return super().record_report(key, report)
 
@@ -262,6 +288,8 @@ class Evidence(MissionRecord):
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         self.reports[key] = report
+        if report.survived:
+            self.departures.end(key, report.stamp)
         if key in self.contradicted:
             self.refused.append(self.contradicted[key][:LONGEST])
 
@@ -280,6 +308,21 @@ class Evidence(MissionRecord):
         if min(self._by_stamp[key], default=stamp) > stamp:
             raise GapError(f'{missing}, but a later one')
         raise ValueError(missing)
+
+    @property
+    def orders(self) -> list[DeploymentKey]:
+        """Return the deployments whose path is on record, in the order they were made."""
+        return sorted(self.paths, key=deployment_order)
+
+    def outcome(self, key: DeploymentKey) -> Observation | None:
+        """Return what came of a robot; None if it was still out, or stays at the base."""
+        return None if self.departures.is_refused(key) else self.outcomes.get(key)
+
+    def has_departed(self, key: DeploymentKey) -> bool:
+        """Return whether a robot is known to have left the base."""
+        status = self.departures.status(key)
+        says_so = status is not None and status.state is OrderState.DEPARTED
+        return says_so or self.outcome(key) is not None
 
     @property
     def survived(self) -> int:
@@ -306,96 +349,30 @@ def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
     }
 
 
-@dataclass(frozen=True)
-class RecordedDeployment:
-    """What a log has of a deployment."""
-
-    # Its cells. Shape (steps + 1,).
-    path: NDArray[np.intp]
-    # The nav_msgs/Path, as it came off the wire.
-    message: bytes
-    # Hash of what it says.
-    content: int
-    # What came of it; None if the robot was still out.
-    observation: Observation | None = None
-    # When the base learnt that, in nanoseconds.
-    reported: int = 0
-    # What its agent said last of it; None if nothing.
-    status: AgentStatus | None = None
-
-    @property
-    def is_refused(self) -> bool:
-        """Whether its robot stays at the base."""
-        return self.status is not None and self.status.state is OrderState.REFUSED
-
-    @property
-    def has_departed(self) -> bool:
-        """Whether its robot is known to have left the base."""
-        says_so = self.status is not None and self.status.state is OrderState.DEPARTED
-        return says_so or self.observation is not None
-
-
-class RecordedMission:
-    """What a log has of a mission, to go on with: one pass over it."""
-
-    def __init__(
-        self,
-        log: MissionLog,
-        grid: Grid,
-        max_steps: int,
-        robot_types: Mapping[str, RobotType] = MappingProxyType({}),
-    ) -> None:
-        self.log = log
-        self.prior = check_same_field(log, grid, robot_types)
-        # When it began, in nanoseconds; None as long as no belief is on record.
-        self.mission = read_mission(log)
-        self.evidence = Evidence(grid, max_steps, robot_types)
-        if self.prior:
-            self.evidence.allow(self.prior.max_steps, self.prior.robot_types)
-        self._departures = Departures()
-        # The actions of the operator, each with its message as it came off the wire.
-        self.actions: list[tuple[OperatorAction, bytes]] = []
-        # The path of each deployment as it came, and the hash of what it says.
-        self._sent: dict[DeploymentKey, tuple[bytes, int]] = {}
-        for role, logged in log.read('path', 'report', 'status', 'operator'):
-            with log.leaving_out(role, logged):
-                self._take(role, logged)
-
-    def _take(self, role: Role, logged: LoggedMessage) -> None:
-        message = logged.message
-        if role.name == 'operator':
-            self.actions.append((read_operator_action(self.evidence.grid, message), logged.data))
-        elif role.name == 'status':
-            self._departures.take(*read_status(message, role.agent))
-        elif is_of_mission(role, message, self.mission):
-            self.evidence.take(role, logged)
-            key = key_of_path(role.agent, message) if role.name == 'path' else None
-            if key in self.evidence.paths:
-                self._sent.setdefault(key, (logged.data, content_hash(message)))
-
-    @property
-    def deployments(self) -> dict[DeploymentKey, RecordedDeployment]:
-        """Return those that the estimator takes, in the order they were made."""
-        return {key: self._deployment(key) for key in sorted(self._sent, key=deployment_order)}
-
-    def _deployment(self, key: DeploymentKey) -> RecordedDeployment:
-        evidence, status = self.evidence, self._departures.status(key)
-        report, path = evidence.reports.get(key), evidence.paths[key]
-        if report and report.survived and self._departures.is_refused(key):
-            # Whoever comes back has been away.
-            status = None
-        if report is None or (status is not None and status.state is OrderState.REFUSED):
-            return RecordedDeployment(path, *self._sent[key], status=status)
-        seen = evidence.outcomes[key]
-        return RecordedDeployment(path, *self._sent[key], seen, report.stamp, status)
+def read_resumed(
+    log: MissionLog,
+    grid: Grid,
+    max_steps: int,
+    robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+) -> RecordedMission:
+    """Return what a log has of its mission, to go on with by these rules."""
+    prior = check_same_field(log, grid, robot_types)
+    record = RecordedMission(grid, max_steps, robot_types, read_mission(log))
+    record.prior = prior
+    if prior:
+        record.allow(prior.max_steps, prior.robot_types)
+    for role, logged in log.read('path', 'report', 'status', 'operator'):
+        with log.leaving_out(role, logged):
+            record.take(role, logged)
+    return record
 
 
 def read_newest_round(
-    log: MissionLog, deployments: dict[DeploymentKey, RecordedDeployment]
+    log: MissionLog, record: RecordedMission
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the recorded belief that the newest deployments were planned on, and their keys."""
     # Nobody waits for an order that was refused: no belief holds it.
-    keys = [key for key, each in deployments.items() if not each.is_refused]
+    keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
     for _, logged in log.read('belief'):
         held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
@@ -408,8 +385,8 @@ def read_newest_round(
     newest = {*keys[first:]}
     return snapshot, [
         key
-        for key, each in deployments.items()
-        if key in newest or (each.is_refused and key.stamp >= snapshot.stamp)
+        for key in record.orders
+        if key in newest or (key not in keys and key.stamp >= snapshot.stamp)
     ]
 
 

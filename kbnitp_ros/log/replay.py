@@ -21,7 +21,7 @@ from kbnitp_ros.core.inference.record import ending_of
 from kbnitp_ros.log.configuration import read_changes
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import is_finished, LoggedMessage
-from kbnitp_ros.log.record import begun, Evidence, GapError, required_belief
+from kbnitp_ros.log.record import begun, GapError, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,
     differences,
@@ -41,9 +41,7 @@ from kbnitp_ros.messages.beliefs import (
     read_joint,
     Snapshot,
 )
-from kbnitp_ros.messages.deployments import read_status
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
-from kbnitp_ros.messages.operator_actions import OperatorState, read_operator_action
 from kbnitp_ros.messages.progress import MissionState, Standing
 
 # What is computed from the evidence, and what is read besides before the beliefs.
@@ -59,29 +57,20 @@ def replay(
     """Compute a log's beliefs again, and decisions, and compare them with those on record."""
     log = mission_log(log)
     first = required_belief(log)
-    evidence = Evidence(first.grid, first.max_steps, first.robot_types)
+    evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     report = ReplayReport(evidence, finished=is_finished(log.path))
     fold = Fold(report, log.roles.names['belief'], asked)
-    operator = OperatorState()
     for role, logged in log.read(*READ, corrupt=report.corrupt, progress=progress):
         message = logged.message
-        if role.name == 'belief':
-            evidence.pass_belief(message)
-        elif role.name == 'progress':
+        if role.name == 'progress':
             report.standing = Standing(MissionState(message.state), message.reason)
         elif role.type_name in (GRID, MODEL):
             fold.views.note(role, logged)
-        elif role.name == 'status':
-            with evidence.refusals(logged.topic):
-                report.departures.take(*read_status(message, role.agent))
         elif role.name == 'decision':
             fold.decisions.note(logged)
-        elif role.name == 'operator':
-            with log.leaving_out(role, logged):
-                operator.apply(read_operator_action(evidence.grid, message))
         else:
-            evidence.take(role, logged)
-    report.actions = list(operator.actions.values())
+            with log.leaving_out(role, logged):
+                evidence.take(role, logged)
     report.changes = list(read_changes(log.path, log.roles.is_node))
     for _, logged in log.read('belief', corrupt=[], progress=progress):
         fold.take(logged)
@@ -160,7 +149,7 @@ class Fold:
     def _begin(self, prior: Snapshot) -> None:
         """Begin with the prior of an estimator."""
         self._ledger = begun(prior)
-        self.report.prior = prior
+        self.report.evidence.prior = prior
         self._assimilated = {}
 
     def _assimilate(
@@ -172,8 +161,8 @@ class Fold:
             raise ValueError(f'taken_in does not name {newest}, which it assimilated last')
         if is_complete and self._assimilated.items() - of.items():
             # An estimator that was restarted may hold less, or other reports of a deployment.
-            assert self.report.prior is not None
-            self._begin(self.report.prior)
+            assert self.report.evidence.prior is not None
+            self._begin(self.report.evidence.prior)
         assert self._ledger is not None
         for key, each in of.items():
             if key != newest and self._assimilated.get(key) == each:
@@ -192,10 +181,11 @@ class Fold:
     def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
         """Compare a belief with that of the ledger, and remember the views of it."""
         assert self._ledger is not None
-        assert self.report.prior is not None
+        prior = self.report.evidence.prior
+        assert prior is not None
         # That of the paths, which may state none.
         states_mission = read_stamp('mission', belief.mission) != NO_MISSION
-        mission = self.report.prior.mission if states_mission else NO_MISSION
+        mission = prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
         # What it was computed from.
         del computed.since, computed.taken_in

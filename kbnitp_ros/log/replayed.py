@@ -14,12 +14,10 @@ from typing import Any
 from kbnitp_ros.core import DeploymentKey, Goal, Grid, HazardDraws, Ledger, ModelCheck
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
-from kbnitp_ros.log.record import Departures, Evidence
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
-from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp
-from kbnitp_ros.messages.operator_actions import OperatorAction
 from kbnitp_ros.messages.progress import decision_fields, model_fields, NOT_KNOWN, Standing
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -164,17 +162,11 @@ class ReplayReport:
     """What a replay found."""
 
     # The deployments on record.
-    evidence: Evidence
-    # What agents said of their orders.
-    departures: Departures = field(default_factory=Departures)
-    # What the operator did, in the order on record.
-    actions: list[OperatorAction] = field(default_factory=list)
+    evidence: RecordedMission
     # How the mission stood last, as far as that is on record.
     standing: Standing = NOT_KNOWN
     # Which parameters of nodes changed, in words.
     changes: list[str] = field(default_factory=list)
-    # The last prior on record.
-    prior: Snapshot | None = None
     # Probability of each kind of hazard in the end, and the check of the model.
     kinds: Mapping[str, float] = field(default_factory=dict)
     check: ModelCheck | None = None
@@ -203,7 +195,7 @@ class ReplayReport:
     @property
     def method(self) -> str:
         """Return the method of the estimator; empty if no prior is on record."""
-        return '' if self.prior is None else self.prior.method
+        return '' if self.evidence.prior is None else self.evidence.prior.method
 
     @property
     def grade(self) -> Grade:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sys
 
 from kbnitp_ros.configuration.agents import robot_types_of
-from kbnitp_ros.log.record import RecordedMission
+from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -23,27 +23,21 @@ class AgentNode(FieldNode):
         resume = self.values['resume']
         log = resumed_log(resume, self.roles) if resume else None
         rules = self.grid, self.values['max_steps'], robot_types_of(self.values, self.grid)
-        record = RecordedMission(log, *rules) if log else None
-        recorded = record.deployments if record else {}
-        mission = record.mission if record else None
-        self._simulation = simulation = Simulation(self, recorded)
-        played = self._agents_played(simulation.agents)
-        self._agents = [SimulatedAgent(simulation, name, mission, recorded) for name in played]
-        # Robots of other nodes change the field as well, unless hazards stay.
-        others = () if simulation.field.is_static else set(simulation.agents).difference(played)
-        self._others = [AgentPaths(simulation, name, mission) for name in sorted(others)]
-        self._is_deaf = True
-        self.create_poll(self._look)
-
-    def _agents_played(self, team: Sequence[str]) -> Sequence[str]:
-        """Return the names of the agents that this node plays."""
-        name = self.values['agent']
+        record = read_resumed(log, *rules) if log else RecordedMission(*rules)
+        self._simulation = simulation = Simulation(self, record)
+        name, team = self.values['agent'], simulation.agents
         if name and name not in team:
             raise ValueError(
                 f'parameter agent is {name}: it must be one of agents, {", ".join(team)}, '
                 'or empty for all of them'
             )
-        return [name] if name else team
+        played = [name] if name else team
+        self._agents = [SimulatedAgent(simulation, name, record) for name in played]
+        # Robots of other nodes change the field as well, unless hazards stay.
+        others = () if simulation.field.is_static else set(team).difference(played)
+        self._others = [AgentPaths(simulation, name, record.mission) for name in sorted(others)]
+        self._is_deaf = True
+        self.create_poll(self._look)
 
     def _look(self) -> None:
         """Take paths, which are kept until then, as soon as somebody takes the reports."""

@@ -55,9 +55,9 @@ class Decisions:
         """Take in the prior and the evidence on record."""
         if record.prior:
             self.knowledge.begin(record.prior)
-        for key, deployment in record.deployments.items():
-            self.knowledge.note_path(key, deployment.path, deployment.content)
-            if report := record.evidence.reports.get(key):
+        for key in record.orders:
+            self.knowledge.note_path(key, record.paths[key], record.path_contents[key])
+            if report := record.reports.get(key):
                 self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:

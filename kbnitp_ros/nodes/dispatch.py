@@ -71,15 +71,16 @@ class Dispatch:
 
     def restore(self, resumed: Resumption) -> None:
         """Publish the paths on record again: those sent before are known to nobody else now."""
-        for key, recorded in resumed.deployments.items():
-            if not recorded.is_refused:
-                self._paths[key.agent].publish(recorded.message)
+        record = resumed.record
+        for key in resumed.orders:
+            if not record.departures.is_refused(key):
+                self._paths[key.agent].publish(record.messages[key])
         resumed.note(self.in_flight, self._rounds)
         for key, report in resumed.losses():
             self._losses[key.agent].publish(report)
-            self.late.expect(key, resumed.deployments[key].path)
+            self.late.expect(key, record.paths[key])
         self.last_stamp = resumed.last_stamp
-        for key, steps_survived in resumed.operator.given_up.items():
+        for key, steps_survived in record.operator.given_up.items():
             if key in self.in_flight and self.in_flight.has_departed(key):
                 self.give_up(key, Source.OPERATOR, steps_survived)
 

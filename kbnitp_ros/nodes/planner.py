@@ -105,10 +105,11 @@ class PlannerNode(FieldNode):
 
     def _restore(self, resumed: Resumption) -> None:
         """Go on with the mission of a log."""
-        for action, message in resumed.record.actions:
-            self._operator.restore(action, message)
+        record = resumed.record
+        for stamp, action in record.operator.actions.items():
+            self._operator.restore(action, record.messages[stamp])
         self._dispatch.restore(resumed)
-        self._beliefs.tracker.mission = resumed.record.mission
+        self._beliefs.tracker.mission = record.mission
         if missing := resumed.missing(self._rounds):
             self._send(*missing)
 

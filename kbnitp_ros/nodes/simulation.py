@@ -28,7 +28,7 @@ from kbnitp_ros.core import (
     Traverse,
     World,
 )
-from kbnitp_ros.log.record import RecordedDeployment
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
@@ -150,7 +150,7 @@ class HiddenField:
 class Simulation:
     """The field as it really is, the same for all agents of a team."""
 
-    def __init__(self, node: FieldNode, recorded: dict[DeploymentKey, RecordedDeployment]) -> None:
+    def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
         self.grid = node.grid
         common = sensor_model_of(node.values)
@@ -158,9 +158,19 @@ class Simulation:
         self.agents = agents_of(node.values, self.grid)
         dynamics = true_dynamics(node.values)
         self._seeds = np.random.SeedSequence(node.values['seed'])
+        if file := node.values['world.file']:
+            world = read_world(file, self.grid)
+        else:
+            world = World.random(
+                self.grid,
+                np.random.default_rng(self._seeds),
+                node.values['world.hazard_density'],
+                node.values['world.kappa'],
+                node.values['world.target_background'],
+            )
         self.field = HiddenField(
             self.grid,
-            self._hidden_world(),
+            world,
             dynamics,
             execution_of(node.values),
             {agent: robot_type.model(common) for agent, robot_type in robot_types.items()},
@@ -176,25 +186,13 @@ class Simulation:
         # that is known.
         self._out: dict[DeploymentKey, Traverse] = {}
         self._moving: set[DeploymentKey] = set()
-        for key, deployment in recorded.items():
-            self._restore(key, deployment)
+        for key in record.orders:
+            self._restore(key, record)
         self._publish_truth()
         # What becomes of robots that leave, by agent; of those of other nodes nothing is told.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
         if not self.field.is_static:
             node.create_poll(self._leave_all)
-
-    def _hidden_world(self) -> World:
-        values = self.node.values
-        if values['world.file']:
-            return read_world(values['world.file'], self.grid)
-        return World.random(
-            self.grid,
-            np.random.default_rng(self._seeds),
-            values['world.hazard_density'],
-            values['world.kappa'],
-            values['world.target_background'],
-        )
 
     def _publish_truth(self) -> None:
         for name, publisher in self._truth.items():
@@ -219,22 +217,22 @@ class Simulation:
             if key.agent in self.leave:
                 self.leave[key.agent](key, made)
 
-    def is_over(self, deployment: RecordedDeployment) -> bool:
-        """Whether nothing more is to be heard of a robot on record."""
+    def is_over(self, observation: Observation | None) -> bool:
+        """Return whether nothing more is to be heard of a robot on record."""
         # A silent robot was only given up: it may be on its way home.
-        observation = deployment.observation
         return observation is not None and (
             observation.survived or not self.node.values['silent_loss']
         )
 
-    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
-        """Take note of a deployment on record, unless its robot is still to depart."""
-        if deployment.is_refused or (self.field.is_static and not deployment.has_departed):
+    def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
+        """Take in a deployment on record, unless its robot is still to depart."""
+        is_static = self.field.is_static
+        if record.departures.is_refused(key) or (is_static and not record.has_departed(key)):
             return
-        if self.field.is_static and self.is_over(deployment):
+        if is_static and self.is_over(record.outcome(key)):
             self.field.pass_over(key.agent)
             return
-        self.field.take(key, deployment.path)
+        self.field.take(key, record.paths[key])
         self._out |= self.field.leaving()
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
@@ -306,10 +304,9 @@ class SimulatedAgent(AgentPaths):
         self,
         simulation: Simulation,
         name: str,
-        mission: int | None,
-        recorded: dict[DeploymentKey, RecordedDeployment],
+        record: RecordedMission,
     ) -> None:
-        super().__init__(simulation, name, mission)
+        super().__init__(simulation, name, record.mission)
         simulation.leave[name] = self._leave
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
@@ -317,25 +314,23 @@ class SimulatedAgent(AgentPaths):
         # Those whose robots may not depart yet.
         self._at_home: list[DeploymentKey] = []
         # Those whose robots have, by the log.
-        self._departed = {key for key, each in recorded.items() if each.has_departed}
+        self._departed = {key for key in record.orders if record.has_departed(key)}
         self._hold = Hold(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
-        for key, deployment in recorded.items():
-            if key.agent == name and simulation.is_over(deployment):
-                self._restore(key, deployment)
+        for key in record.orders:
+            outcome = record.outcome(key)
+            if key.agent == name and outcome is not None and simulation.is_over(outcome):
+                # Its report is published again, and that deployment is not made once more.
+                self._known[key] = record.paths[key]
+                self._say(key, OrderState.DEPARTED)
+                stamp = record.reports[key].stamp
+                self.reports.publish(report_message(key, outcome, stamp))
 
     def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
         name = f'{self._node.above}/{self.name}/{topic}'
         return self._node.create_publisher(message_type, name, profile)
-
-    def _restore(self, key: DeploymentKey, deployment: RecordedDeployment) -> None:
-        """Publish a report on record again, and do not make that deployment once more."""
-        self._known[key] = deployment.path
-        assert deployment.observation
-        self._say(key, OrderState.DEPARTED)
-        self.reports.publish(report_message(key, deployment.observation, deployment.reported))
 
     @property
     def pending(self) -> int:

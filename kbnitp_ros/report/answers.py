@@ -68,7 +68,7 @@ def findings_of(mission: Mission) -> list[Finding]:
     belief, grid = mission.moments[-1].belief, mission.grid
     known = {
         each.cell: each
-        for each in targets(belief, mission.moments[-1].model, mission.ended)
+        for each in targets(belief, mission.moments[-1].snapshot.model, mission.ended)
         if grid.free[each.cell]
     }
     suspected = np.flatnonzero(cells_of(mission).suspected).tolist()
@@ -273,9 +273,9 @@ def survived(decision: Decision) -> str:
 def risk(mission: Mission) -> str:
     """Return how lethal a hazard is believed to be."""
     last = mission.moments[-1]
-    if 'lethality' not in last.learnt:
-        return f'Lethality: {100.0 * last.model.lethality:.0f} % (given).'
-    low, _, middle, _, high = (100.0 * each for each in last.learnt['lethality'].quantiles)
+    if 'lethality' not in last.state.numbers:
+        return f'Lethality: {100.0 * last.snapshot.model.lethality:.0f} % (given).'
+    low, _, middle, _, high = (100.0 * each for each in last.state.numbers['lethality'].quantiles)
     return f'Lethality: {middle:.0f} % (learnt, {low:.0f} to {high:.0f} %).'
 
 

@@ -312,7 +312,7 @@ def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
             'robots lost': curves.lost.astype(np.float64),
         }.items():
             panels.setdefault(label, {})[side] = values
-    for name in first.mission.moments[-1].learnt | second.mission.moments[-1].learnt:
+    for name in first.mission.moments[-1].state.numbers | second.mission.moments[-1].state.numbers:
         panels[f'{name.replace("_", " ")} (median)'] = {
             side: quantiles_of(pair.mission, name)[:, 2]
             for side, pair in zip(SIDES, (first, second))

@@ -69,7 +69,7 @@ def panels_of(curves: Curves) -> list[Panel]:
 def progress_figure(mission: Mission, curves: Curves) -> Figure:
     """Return the picture of entropy, log loss, information and losses after each deployment."""
     panels = panels_of(curves)
-    names = list(mission.moments[-1].learnt)
+    names = list(mission.moments[-1].state.numbers)
     rows = -(-(len(panels) + len(names)) // COLUMNS)
     figure = Figure(figsize=(7.2, 2.4 * rows + 0.3), layout='constrained')
     grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
@@ -104,7 +104,7 @@ def quantiles_of(mission: Mission, name: str) -> NDArray[np.float64]:
     """Return the quantiles of a number that was learnt, shape (moments, 5); NaN if unknown."""
     return np.array(
         [
-            each.learnt[name].quantiles if name in each.learnt else [np.nan] * 5
+            each.state.numbers[name].quantiles if name in each.state.numbers else [np.nan] * 5
             for each in mission.moments
         ]
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from math import ceil, nan
@@ -13,28 +13,23 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import (
-    Belief,
     Decision,
-    deployment_order,
     DeploymentKey,
     Grid,
     Observation,
     observation_of,
-    ORDINARY,
-    RobotType,
-    SensorModel,
     World,
 )
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import RUN
 from kbnitp_ros.log.files import LogError, parts_of
-from kbnitp_ros.log.history import HeardBelief, History, read_history
+from kbnitp_ros.log.history import History, Moment, read_history
 from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata
-from kbnitp_ros.log.record import Evidence
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import Datum, MapError, read_site, Site
 from kbnitp_ros.messages.grids import rounded_yaw
-from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT
+from kbnitp_ros.messages.progress import NOTHING_LEARNT
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,42 +74,6 @@ def lies_under(site: Site, grid: Grid) -> bool:
 
 # How many of the messages that nobody took are told one by one.
 REFUSALS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """What was believed after a report was taken in; at first, before any was."""
-
-    belief: Belief
-    # What robots and sensors were believed to be like.
-    model: SensorModel
-    # What the robots of agents have of their own.
-    robot_types: Mapping[str, RobotType]
-    # How many deployments the belief holds.
-    held: int
-    # When it was received, in nanoseconds.
-    time: int
-    # Whose report was taken in last, by its place among the deployments; None at first.
-    deployment: int | None = None
-    # What that report told; None at first.
-    outcome: Observation | None = None
-    # Whether it replaced a report of the same deployment.
-    is_late: bool = False
-    # Whether beliefs are missing before it.
-    is_after_gap: bool = False
-    # Learnt numbers, kinds of hazard, and the check of the model.
-    state: ModelState = NOTHING_LEARNT
-    # What no path was worth more than, nats; NaN where it was not computed.
-    upper_bound: float = nan
-
-    @property
-    def learnt(self) -> dict[str, Known]:
-        """Return what was known of the numbers that are learnt, by name."""
-        return self.state.numbers
-
-    def model_of(self, agent: str) -> SensorModel:
-        """Return what the robots of an agent were believed to be like."""
-        return self.robot_types.get(agent, ORDINARY).model(self.model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,17 +174,18 @@ def read_mission(
     log = MissionLog(path, namespace)
     history = read_history(log, progress)
     evidence = history.evidence
+    grid = evidence.grid
     if not evidence.paths and evidence.refused:
         raise LogError(f'{path}: nothing to report, since refused was {evidence.refused[0]}')
-    keys = sorted(evidence.paths, key=deployment_order)
+    keys = evidence.orders
     moments, notes = moments_of(log, history, keys)
-    first = history.heard[0].snapshot
-    in_flight = sum(not history.departures.is_at_base(key) for key in evidence.without_report)
+    first = history.moments[0].snapshot
+    in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
     parameters = log.parameters
-    site, unseen = site_of(parameters, history.grid)
+    site, unseen = site_of(parameters, grid)
     return Mission(
         log=log.path,
-        grid=history.grid,
+        grid=grid,
         rules={
             'method': first.method,
             'seed': first.seed,
@@ -257,9 +217,9 @@ def moments_of(
     notes = []
     taken = set()
     known: set[DeploymentKey] = set()
-    before: HeardBelief | None = None
+    before: Moment | None = None
     is_restarted = False
-    for heard in history.heard:
+    for heard in history.moments:
         said = heard.snapshot
         name = said.deployments, said.newest, said.stamp
         if moments and (said.deployments < max(moments[-1].held, 1) or name in taken):
@@ -285,14 +245,10 @@ def moments_of(
                 'were restarted, or began later, or it is refused.'
             )
         moments.append(
-            Moment(
-                said.belief,
-                said.model,
-                said.robot_types,
-                said.deployments,
-                heard.time,
-                place.get(said.newest) if said.newest else None,
-                outcome_of(history.evidence, said.newest, said.stamp),
+            replace(
+                heard,
+                deployment=place.get(said.newest) if said.newest else None,
+                outcome=outcome_of(history.evidence, said.newest, said.stamp),
                 is_late=said.newest in known,
                 is_after_gap=missing > 0,
                 state=history.models.get(said.stamp, NOTHING_LEARNT),
@@ -305,7 +261,9 @@ def moments_of(
     return moments, notes
 
 
-def outcome_of(evidence: Evidence, key: DeploymentKey | None, stamp: int) -> Observation | None:
+def outcome_of(
+    evidence: RecordedMission, key: DeploymentKey | None, stamp: int
+) -> Observation | None:
     """Return what the report of this stamp told; None if it is not on record."""
     if key not in evidence.reports or key not in evidence.paths:
         return None
@@ -322,7 +280,7 @@ def deployments_of(
     evidence = history.evidence
     last = {moment.deployment: place for place, moment in enumerate(moments)}
     reported: dict[DeploymentKey, int] = {}
-    for (key, _), time in history.reported.items():
+    for (key, _), time in evidence.reported.items():
         reported[key] = min(time, reported.get(key, time))
     # Of what was reported while no belief is on record, the first one after it tells.
     return [
@@ -330,7 +288,7 @@ def deployments_of(
             key,
             evidence.paths[key],
             evidence.outcomes.get(key),
-            history.sent.get(key),
+            evidence.sent.get(key),
             reported.get(key),
             last.get(place, moment_after(moments, reported.get(key))),
         )

@@ -436,7 +436,7 @@ def facts_of(
     yield 'lost so far', str(curves.lost[place])
     agents = [f'{mission.deployments[each].key.agent} (no. {each + 1})' for each in out]
     yield 'out', ', '.join(agents) or 'nobody'
-    for name, known in moment.learnt.items():
+    for name, known in moment.state.numbers.items():
         low, _, middle, _, high = known.quantiles
         yield name.replace('_', ' '), f'{middle:.2f} ({low:.2f} to {high:.2f})'
 

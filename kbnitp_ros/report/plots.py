@@ -182,7 +182,7 @@ def curve_plots(
     for panel in panels_of(curves):
         lines = {name: (kept, values[kept]) for name, values in panel.lines.items()}
         yield panel.label, lines_plot(panel.label, lines)
-    for name in mission.moments[-1].learnt:
+    for name in mission.moments[-1].state.numbers:
         low, _, middle, _, high = quantiles_of(mission, name)[kept].T
         known = {'x': kept, 'mode': 'lines', 'hovertemplate': '%{y:.3f}'}
         thin = {'color': '#888888', 'width': 1}

@@ -456,7 +456,7 @@ def test_a_mission_on_a_map(on_a_map, tmp_path):
     done = run_demo(*on_a_map, *at, '--out', tmp_path / 'out')
     assert done.returncode == 0, done.stdout + done.stderr
     history = read_history(tmp_path / 'out' / 'mission.mcap')
-    assert history.grid == Grid(4, 3, 3, 0.2, (3.0, -1.0), (5, 6), through_corners=False)
+    assert history.evidence.grid == Grid(4, 3, 3, 0.2, (3.0, -1.0), (5, 6), through_corners=False)
     assert len(history.observations) == 3
 
 

@@ -6,7 +6,7 @@ from itertools import product
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import RecordedMission
+from kbnitp_ros.log.record import read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import path_message, report_message
@@ -59,10 +59,10 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
         back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
         whole.publish('scout_1/report', back)
     log = record(tmp_path / 'mission.mcap', whole.sent)
-    deployments = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments
-    assert deployments.keys() == {lost, out}
-    assert not deployments[lost].observation.survived
-    assert deployments[out].observation is None
+    resumed = read_resumed(MissionLog(log), GRID, MAX_STEPS)
+    assert {*resumed.orders} == {lost, out}
+    assert not resumed.outcome(lost).survived
+    assert resumed.outcome(out) is None
     report = replay(log)
     assert report.reproduced
     assert report.not_yet_held == []
@@ -116,18 +116,18 @@ def test_a_refused_report_displaces_no_other(tmp_path, what, when):
     if when == 'after the loss':
         whole.publish('scout_1/report', refused)
     log = record(tmp_path / 'mission.mcap', whole.sent)
-    deployment = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments[key]
-    assert deployment.path.tolist() == NEAR
+    resumed = read_resumed(MissionLog(log), GRID, MAX_STEPS)
+    assert resumed.paths[key].tolist() == NEAR
     report = replay(log)
     assert report.reproduced
     assert report.evidence.survived == 1
     assert len(report.evidence.refused) == 1
     if when == 'alone':
-        assert deployment.observation is None
+        assert resumed.outcome(key) is None
         assert told(log) == [(FAR, True, [True, False, False, True])]
         assert report.evidence.without_report == [key]
     else:
-        assert not deployment.observation.survived
+        assert not resumed.outcome(key).survived
         assert told(log)[1:] == [(NEAR, False, None)]
         assert len(report.evidence.reports) == 2
 
@@ -142,9 +142,10 @@ def test_a_refused_path_displaces_no_other(tmp_path):
     whole.assimilate(NEAR, *whole.come_back(key, Observation(NEAR, True, [True, False])))
     log = record(tmp_path / 'mission.mcap', whole.sent)
     assert told(log) == [(NEAR, True, [True, False])]
-    (deployment,) = RecordedMission(MissionLog(log), GRID, MAX_STEPS).deployments.values()
-    assert deployment.path.tolist() == NEAR
-    assert deserialize_message(deployment.message, Path) == path_message(GRID, NEAR, key.stamp)
+    resumed = read_resumed(MissionLog(log), GRID, MAX_STEPS)
+    assert resumed.orders == [key]
+    assert resumed.paths[key].tolist() == NEAR
+    assert deserialize_message(resumed.messages[key], Path) == path_message(GRID, NEAR, key.stamp)
     report = replay(log)
     assert report.reproduced
     assert len(report.evidence.refused) == 3
@@ -153,7 +154,7 @@ def test_a_refused_path_displaces_no_other(tmp_path):
 def test_a_mission_on_another_grid_is_not_gone_on_with(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
     with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
-        RecordedMission(MissionLog(log), Grid(9, 9), MAX_STEPS)
+        read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 
 def test_maps_of_others_are_no_truth(whole_mission, tmp_path):

@@ -2,7 +2,7 @@
 """The mission of a log is the one that its beliefs state, whatever paths came before."""
 
 from kbnitp_ros.core import Belief, DeploymentKey, Estimator, Grid, Ledger, SensorModel
-from kbnitp_ros.log.record import read_mission, RecordedMission
+from kbnitp_ros.log.record import read_mission, read_resumed
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
@@ -50,6 +50,6 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
             writer.add_topic(topic, kind, '[]')
             writer.write(topic, serialize_message(message), time, time)
     assert read_mission(MissionLog(log)) == mission
-    assert list(RecordedMission(MissionLog(log), GRID, 4).deployments) == [
+    assert read_resumed(MissionLog(log), GRID, 4).orders == [
         DeploymentKey('scout', each) for each in paths
     ]

@@ -18,7 +18,7 @@ import sys
 
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import RecordedMission
+from kbnitp_ros.log.record import read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
@@ -54,7 +54,7 @@ for log in sys.argv[1:]:
     found = replay(log)
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))
     mission = read_mission(log)
-    if mission.moments[-1].learnt:
+    if mission.moments[-1].state.numbers:
         write_report(Path(log).parent / 'report', mission, curves_of(mission))
 """
 
@@ -96,7 +96,7 @@ def test_it_is_reproduced(name, tmp_path):
     beliefs = 7 if name == 'late_return' else 9
     assert report.compared == Counter(
         dict.fromkeys(('/belief', '/belief/hazard', '/belief/target', '/belief/kappa'), beliefs)
-        | ({'/model': beliefs} if report.prior.unknowns.priors else {})
+        | ({'/model': beliefs} if report.evidence.prior.unknowns.priors else {})
     )
 
 
@@ -104,11 +104,11 @@ def test_it_is_reproduced(name, tmp_path):
 def test_its_deployments_can_be_gone_on_with(name, tmp_path):
     path = log(name, tmp_path)
     history = read_history(path)
-    deployments = RecordedMission(MissionLog(path), history.grid, 8).deployments
-    assert len(history.observations) == len(deployments) >= 5
+    resumed = read_resumed(MissionLog(path), history.evidence.grid, 8)
+    assert len(history.observations) == len(resumed.orders) >= 5
     assert {each.survived for each in history.observations} == {True, False}
-    for each, deployment in zip(history.observations, deployments.values()):
-        assert each.path.tolist() == deployment.path.tolist()
+    for each, key in zip(history.observations, resumed.orders):
+        assert each.path.tolist() == resumed.paths[key].tolist()
 
 
 def answers(script, paths, **environment):

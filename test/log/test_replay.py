@@ -28,7 +28,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.log import write as writer
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import LogError
-from kbnitp_ros.log.record import read_newest_round, RecordedMission
+from kbnitp_ros.log.record import read_newest_round, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import BELIEF, MissionLog, PATH, REPORT
@@ -791,12 +791,12 @@ def rewritten(path, sent, edit):
     return path
 
 
-def deployments(path):
-    return RecordedMission(MissionLog(path), GRID, MAX_STEPS).deployments
+def resumed(path):
+    return read_resumed(MissionLog(path), GRID, MAX_STEPS)
 
 
 def newest_round(path):
-    return read_newest_round(MissionLog(path), deployments(path))
+    return read_newest_round(MissionLog(path), resumed(path))
 
 
 class Later:
@@ -810,7 +810,7 @@ class Later:
         return getattr(self._belief, name)
 
 
-@for_each('read', [replay, read_history, deployments])
+@for_each('read', [replay, read_history, resumed])
 @for_each('edit, told', [
     (lambda definition: re.sub(r'\nuint32 method_version .*', '', definition),
      'recorded before version 0.3.0, its beliefs have no method_version: kbnitp_ros 0.2.0 '
@@ -835,8 +835,8 @@ def test_a_log_of_another_version_is_refused_and_told_what_reads_it(
     (replay, PATH, 'geometry_msgs/PoseStamped[] poses', 'uint32 poses'),
     (read_history, PATH, 'geometry_msgs/PoseStamped[] poses', 'uint32 poses'),
     (read_history, BELIEF, 'std_msgs/Header header', 'std_msgs/Header head'),
-    (deployments, PATH, 'std_msgs/Header header', 'std_msgs/Header head'),
-    (deployments, REPORT, 'string agent', 'string name'),
+    (resumed, PATH, 'std_msgs/Header header', 'std_msgs/Header head'),
+    (resumed, REPORT, 'string agent', 'string name'),
     (newest_round, BELIEF, 'std_msgs/Header header', 'std_msgs/Header head'),
     (newest_round, BELIEF, 'uint32 deployments', 'float32 deployments'),
 ])  # fmt: skip

@@ -16,7 +16,7 @@ from kbnitp_ros.cli.replay import main as replay_main
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import read_ledger, RecordedMission
+from kbnitp_ros.log.record import read_ledger, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog, RECORD, resumed_log, Roles
 from kbnitp_ros.log.write import LogWriter
@@ -64,16 +64,16 @@ def shown(value):
 def read(path):
     """Return what each reader of a log takes from it, and what they leave out."""
     log = MissionLog(path)
-    record = RecordedMission(log, GRID, MAX_STEPS)
+    record = read_resumed(log, GRID, MAX_STEPS)
     report, history, page = replay(log), read_history(log), read_mission(path)
     taken = {
         'replay': [
-            report.grade, report.compared, report.actions, report.standing, report.not_yet_held,
-            report.evidence.reports, report.departures,
+            report.grade, report.compared, report.evidence.operator, report.standing, report.not_yet_held,
+            report.evidence.reports, report.evidence.departures,
         ],
         'history': [history.observations, history.beliefs, history.models, history.decision,
                     history.world, history.bounds],
-        'resumed': [record.deployments, record.actions, record.mission],
+        'resumed': [record.paths, record.outcomes, record.departures, record.operator, record.mission],
         'ledger': read_ledger(log).belief.joint,
         'page': [[each.held for each in page.moments], page.deployments, page.world],
     }  # fmt: skip

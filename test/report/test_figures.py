@@ -176,7 +176,7 @@ def test_a_learnt_number_of_any_name_is_drawn(tmp_path):
         if each.topic == '/model':
             each.message.name = names
     shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
-    assert list(shown.moments[-1].learnt) == names
+    assert list(shown.moments[-1].state.numbers) == names
     figure = progress_figure(shown, curves_of(shown))
     for file in save(figure, tmp_path / 'progress.png', 'png', 'svg'):
         assert file.stat().st_size > 1000
