@@ -107,10 +107,6 @@ class MissionTracker:
             self._rules = snapshot.rules()
         return is_newest
 
-    def forget_newest(self) -> None:
-        """Take the next belief of the same estimator for the newest, whatever it holds."""
-        self.newest = None
-
 
 class Resumption:
     """The mission of a log, to go on with."""
@@ -148,7 +144,7 @@ class Resumption:
                 in_flight.restore(key, status)
             if record.departures.is_refused(key):
                 continue
-            rounds.note_path(path)
+            rounds.count_path(path)
             if (outcome := record.outcome(key)) is not None:
                 in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
 

@@ -115,13 +115,9 @@ class Rounds:
         # How often the paths of all robots that were sent enter each cell.
         self._visited = count_visits(grid, [])
 
-    def note_path(self, path: NDArray[np.intp]) -> None:
-        """Take note of the path of a robot that is sent, shape (steps + 1,)."""
-        np.add.at(self._visited, path[1:], 1)
-
-    def forget_path(self, path: NDArray[np.intp]) -> None:
-        """Take note that the robot of a path stays at the base."""
-        np.subtract.at(self._visited, path[1:], 1)
+    def count_path(self, path: NDArray[np.intp], robots: int = 1) -> None:
+        """Count the path of a robot that is sent, or with -1 stays, shape (steps + 1,)."""
+        np.add.at(self._visited, path[1:], robots)
 
     def search(
         self,
@@ -223,19 +219,12 @@ def describe_plan(grid: Grid, plan: Plan) -> str:
     steps_to_base = grid.at(int(plan.path[0])).steps_to_base
     farthest = plan.path[np.argmax(steps_to_base[plan.path])]
     ((x, y),) = grid.centers([farthest]).tolist()
+    gap = ''
+    if plan.gap is not None and plan.upper_bound is not None:
+        worth = plan.upper_bound - plan.gap
+        share = f' ({plan.gap / worth:.1%})' if worth > 0.0 else ''
+        gap = f', at most {plan.gap:.2g} nats below the best{share}'
     return (
         f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '
-        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats'
-        f'{describe_gap(plan)}'
+        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats{gap}'
     )
-
-
-def describe_gap(plan: Plan) -> str:
-    """Return how much better another plan may be, empty where that is unknown."""
-    if plan.gap is None or plan.upper_bound is None:
-        return ''
-    words = f', at most {plan.gap:.2g} nats below the best'
-    worth = plan.upper_bound - plan.gap
-    if worth > 0.0:
-        words += f' ({plan.gap / worth:.1%})'
-    return words

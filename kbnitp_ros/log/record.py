@@ -38,7 +38,11 @@ from kbnitp_ros.messages.deployments import (
     read_status,
 )
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, read_stamp
-from kbnitp_ros.messages.operator_actions import OperatorState, read_operator_action
+from kbnitp_ros.messages.operator_actions import (
+    OperatorAction,
+    OperatorState,
+    read_operator_action,
+)
 from numpy.typing import ArrayLike
 
 
@@ -323,6 +327,11 @@ class RecordedMission(MissionRecord):
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
+
+    @property
+    def actions(self) -> list[OperatorAction]:
+        """Return what the operator did, in the order on record."""
+        return [*self.operator.actions.values()]
 
     @property
     def survived(self) -> int:

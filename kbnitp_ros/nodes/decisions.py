@@ -150,33 +150,27 @@ class Decisions:
             self._node.diagnostics.refuse('safest_path', error)
             return response
         answer = Future()
-        when_found = partial(self._on_safest_path_found, newest, response, answer)
-        self._finding = computed(
-            partial(self._safest_path, newest, start, to),
-            partial(self._node.call_next, when_found),
-        )
+
+        def find() -> SafestPath:
+            if (draws := self.knowledge.draws(newest)) is None:
+                raise ValueError(UNKNOWN)
+            most = self._node.values['max_steps']
+            return safest_path(self._grid, draws, newest.model, start, to, most)
+
+        def reply() -> None:
+            assert self._finding is not None
+            finding, self._finding = self._finding, None
+            try:
+                found = finding.result()
+            except ValueError as error:
+                self._node.diagnostics.refuse('safest_path', error)
+            else:
+                response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
+                self._node.get_logger().info(
+                    f'safest path of {found.path.size - 1} steps: free of hazards with '
+                    f'probability {found.p_free:.3f}, survived with {found.survival:.3f}'
+                )
+            answer.set_result(response)
+
+        self._finding = computed(find, partial(self._node.call_next, reply))
         return answer
-
-    def _safest_path(self, newest: Snapshot, start: int, to: int) -> SafestPath:
-        """Return the safest path between two cells."""
-        if (draws := self.knowledge.draws(newest)) is None:
-            raise ValueError(UNKNOWN)
-        most = self._node.values['max_steps']
-        return safest_path(self._grid, draws, newest.model, start, to, most)
-
-    def _on_safest_path_found(
-        self, newest: Snapshot, response: GetPlan.Response, answer: Future
-    ) -> None:
-        assert self._finding is not None
-        finding, self._finding = self._finding, None
-        try:
-            found = finding.result()
-        except ValueError as error:
-            self._node.diagnostics.refuse('safest_path', error)
-        else:
-            response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
-            self._node.get_logger().info(
-                f'safest path of {found.path.size - 1} steps: free of hazards with probability '
-                f'{found.p_free:.3f}, survived with {found.survival:.3f}'
-            )
-        answer.set_result(response)

@@ -13,7 +13,7 @@ from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import base_of
-from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of, Report
+from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of
 from kbnitp_ros.log.record import AtBaseError
 from kbnitp_ros.messages.deployments import (
     OrderState,
@@ -108,7 +108,7 @@ class Dispatch:
             message = path_message(self._node.grid, plan.path, key.stamp, mission)
             content = content_hash(message)
             self.in_flight.send(key, plan.path, content)
-            self._rounds.note_path(plan.path)
+            self._rounds.count_path(plan.path)
             self._knowledge.note_path(key, plan.path, content)
             self._paths[key.agent].publish(message)
             self._goals[key] = describe_plan(self._node.grid, plan)
@@ -162,18 +162,13 @@ class Dispatch:
         self.in_flight.end(key, report.stamp if report.survived else None)
         if report.survived:
             self.late.end(key)
-            if is_awaited:
-                self._warn_of_stay(key, report)
+            if is_awaited and len({cell for cell, _ in report.readings}) == 1:
+                self._node.get_logger().warning(
+                    f'{key} is back without a step, which counts as a deployment: the console of '
+                    'its robot tells why'
+                )
         self._knowledge.note_report(key, report)
         self._act()
-
-    def _warn_of_stay(self, key: DeploymentKey, report: Report) -> None:
-        """Say that a robot has used up an order without leaving the base."""
-        if len({cell for cell, _ in report.readings}) == 1:
-            self._node.get_logger().warning(
-                f'{key} is back without a step, which counts as a deployment: the console of '
-                'its robot tells why'
-            )
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Take note of what an agent does with an order."""
@@ -187,7 +182,7 @@ class Dispatch:
             return
         self._node.diagnostics.accept()
         if status.state is OrderState.REFUSED and robot is not None:
-            self._rounds.forget_path(robot.path)
+            self._rounds.count_path(robot.path, -1)
             self.refusals.add(agent)
             self._goals.pop(key, None)
             self._node.get_logger().warning(

@@ -63,7 +63,9 @@ class EstimatorNode(FieldNode):
         self._mission: int | None = None
         self._departures = Departures()
         if self.values['resume']:
-            self._restore(resumed_log(self.values['resume'], self.roles))
+            log = resumed_log(self.values['resume'], self.roles)
+            check_same_field(log, self.grid, robot_types)
+            self._take_in(log)
         agents = agents_of(self.values, self.grid)
         # In this order whoever knows of belief knows of its views as well.
         self._views = Views(self, agents)
@@ -107,11 +109,6 @@ class EstimatorNode(FieldNode):
         )
         mask = self.resolve_topic_name('belief/hazard')
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
-
-    def _restore(self, log: MissionLog) -> None:
-        """Take in what is on record."""
-        check_same_field(log, self._ledger.grid, self._ledger.robot_types)
-        self._take_in(log)
 
     def _take_in(self, log: MissionLog) -> None:
         """Take in the paths and reports on record; those that are known change nothing."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
@@ -35,28 +35,6 @@ RECENT = 1000
 Message = tuple['HeardTopic', bytes, dict[str, Any]]
 
 
-class Recent:
-    """A set that forgets what was added first."""
-
-    def __init__(self, size: int) -> None:
-        self.size = size
-        self._added: dict[Hashable, None] = {}
-
-    def add(self, each: Hashable) -> None:
-        """Remember something; nothing is remembered twice."""
-        self._added[each] = None
-        while len(self._added) > self.size:
-            del self._added[next(iter(self._added))]
-
-    def discard(self, each: Hashable) -> None:
-        """Forget something, if it is remembered."""
-        self._added.pop(each, None)
-
-    def __contains__(self, each: object) -> bool:
-        """Say whether something is remembered."""
-        return each in self._added
-
-
 @dataclass
 class HeardTopic:
     """A topic that the recorder hears, and what of it is on record."""
@@ -71,7 +49,7 @@ class HeardTopic:
     # replaced, and no history comes twice.
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     # Which messages came last: time sent and hash of the bytes.
-    recent: Recent = field(default_factory=lambda: Recent(RECENT))
+    recent: dict[tuple[int, int], None] = field(default_factory=dict)
     # For the paths of an agent and what the operator decides: tells which are on the disk.
     recorded: Publisher | None = None
     # Of those that are written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash
@@ -83,8 +61,9 @@ class HeardTopic:
         message = sent, hash(data)
         if message in self.recent:
             return False
-        self.recent.size = qos.DEPTH if len(self.subscriptions) > 1 else RECENT
-        self.recent.add(message)
+        self.recent[message] = None
+        while len(self.recent) > (qos.DEPTH if len(self.subscriptions) > 1 else RECENT):
+            del self.recent[next(iter(self.recent))]
         return True
 
     def arrived(self) -> list[Iterator[Message]]:
@@ -164,20 +143,18 @@ class ParameterWatch:
         # Those that are being asked are due again when that is over.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
-            if name.startswith(self._namespace):
-                self._ask(name)
+            if not name.startswith(self._namespace):
+                continue
+            try:
+                self._inquiries[name] = Inquiry(self._node, name, self._tell, self._refuse)
+            except NameValidationException as error:
+                self._over.add(name)
+                self._refuse('the name of a node', error)
         for name, inquiry in list(self._inquiries.items()):
             inquiry.pursue()
             if inquiry.over:
                 self._inquiries.pop(name).destroy()
                 self._over.add(name)
-
-    def _ask(self, name: str) -> None:
-        try:
-            self._inquiries[name] = Inquiry(self._node, name, self._tell, self._refuse)
-        except NameValidationException as error:
-            self._over.add(name)
-            self._refuse('the name of a node', error)
 
     def is_present(self, name: str) -> bool:
         """Return whether a node was in the graph at the last look."""

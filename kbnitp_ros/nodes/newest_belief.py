@@ -20,7 +20,6 @@ from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL, TOPIC
 from kbnitp_ros.nodes.runtime.node import FieldNode
-from rclpy.subscription import Subscription
 
 
 class NewestBelief:
@@ -60,7 +59,7 @@ class NewestBelief:
 
     def listen(self) -> None:
         """Hear beliefs from now on."""
-        self._subscription = self._hear()
+        self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         self._node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
@@ -72,12 +71,9 @@ class NewestBelief:
 
     def listen_anew(self) -> None:
         """Ask for the belief of the estimators that stay when one of several has left."""
-        self.tracker.forget_newest()
+        self.tracker.newest = None
         self._node.destroy_subscription(self._subscription)
-        self._subscription = self._hear()
-
-    def _hear(self) -> Subscription:
-        return self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
+        self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
@@ -98,7 +94,14 @@ class NewestBelief:
                 'estimator will lack them, unless the parameter resume names the log'
             )
             self.sent_unknown = unknown
-        self._notice_incomplete(snapshot.deployments)
+        held = self.last_heard = snapshot.deployments
+        # One that has the log publishes its prior, and then a belief in all that is on record.
+        if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
+            self._is_incomplete_told = True
+            self._node.diagnostics.refuse(
+                'belief',
+                f'it holds {counted(held, "deployment")}{not_heard_again(self._in_flight.kept)}',
+            )
         if self.tracker.accept_belief(snapshot, known):
             self._take(snapshot)
 
@@ -127,14 +130,3 @@ class NewestBelief:
         # Each agent may have had a robot out when the planner before this one died.
         out_before = len(self._agents) if self.sent_unknown else 0
         return self._in_flight.known(mission) + out_before
-
-    def _notice_incomplete(self, held: int) -> None:
-        """Say if an estimator was restarted that will never hear of all deployments."""
-        self.last_heard = held
-        # One that has the log publishes its prior, and then a belief in all that is on record.
-        if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
-            self._is_incomplete_told = True
-            self._node.diagnostics.refuse(
-                'belief',
-                f'it holds {counted(held, "deployment")}{not_heard_again(self._in_flight.kept)}',
-            )

@@ -38,11 +38,11 @@ class Proposals:
     """The plans of the next round, on AGENT/proposal until they are approved or refused."""
 
     def __init__(self, node: MissionNode, grid: Grid, agents: Sequence[str]) -> None:
-        # Empty when nothing is proposed.
+        # Empty when nothing is proposed; the request that they were made for.
         self.plans: Plans = {}
+        self.made_for: SearchRequest | None = None
         self._node = node
         self._grid = grid
-        self._made_for: SearchRequest | None = None
         self._publishers = {
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
@@ -53,14 +53,10 @@ class Proposals:
         """Return the paths that are proposed."""
         return {key: plan.path for key, plan in self.plans.items()}
 
-    def are_for(self, request: SearchRequest) -> bool:
-        """Return whether there are plans, and they were made for this request."""
-        return bool(self.plans) and self._made_for == request
-
     def show(self, plans: Plans, request: SearchRequest) -> None:
         """Propose plans that were made for a request."""
         self.withdraw()
-        self.plans, self._made_for = plans, request
+        self.plans, self.made_for = plans, request
         for key, plan in plans.items():
             self._publishers[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
             self._node.get_logger().info(

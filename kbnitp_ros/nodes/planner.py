@@ -96,7 +96,7 @@ class PlannerNode(FieldNode):
             check_robots(self.values['robots'], self._sent)
         self._holding.tell(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
-        self.add_post_set_parameters_callback(lambda _: self._note_change())
+        self.add_post_set_parameters_callback(self._note_change)
         # Before the beliefs: none holds a path that was not heard.
         self._dispatch.listen()
         self._beliefs.listen()
@@ -133,17 +133,14 @@ class PlannerNode(FieldNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _note_change(self) -> None:
-        """Have what was planned by other parameters count no longer."""
+    def _note_change(self, _: Sequence[Parameter]) -> None:
+        """Discard what was planned by other parameters."""
         self._changes += 1
         self._decisions.review()
 
     def _look_at_graph(self) -> None:
-        self._peers.look_for_agents()
-        self._peers.look_for_planners()
-        if self._peers.look_for_estimators():
+        if self._peers.look():
             self._beliefs.listen_anew()
-        self._peers.look_for_unknown_agents()
 
     def _go_on(self) -> None:
         self._dispatch.tell_departures()
@@ -274,14 +271,25 @@ class PlannerNode(FieldNode):
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = SearchRequest(belief, agents, len(refused), self._changes)
-        if self._proposals.are_for(now):
+        if self._proposals.plans and self._proposals.made_for == now:
             return self._proposals.plans
         search = self._search
         if self._worthless_for == now or (search is not None and not search.found.done()):
             return {}
-        if search is None or not self._is_wanted(search, now):
+        if search and not search.request.lasts(now, self.values['rolling']):
+            self.get_logger().info(
+                f'the paths found for {some(search.request.agents)} are dropped: the belief, '
+                'the team, a parameter or what the operator refuses has changed since the search '
+                'began'
+            )
+            search = None
+        if search is None:
             self._proposals.withdraw()
-            stamp, paths = self._next_stamp(newest), self._in_flight.paths
+            # It is that of the belief: a restarted planner then sends the same message again.
+            held = -1 if newest.newest is None else newest.newest.stamp
+            last = self._dispatch.last_stamp
+            stamp = next_name(newest.stamp, newest.mission, held, last)
+            paths = self._in_flight.paths
             find = self._rounds.search(newest, agents, paths, stamp, refused)
             found = computed(find, partial(self.call_next, self._on_search_over))
             self._search = Search(now, found)
@@ -301,17 +309,6 @@ class PlannerNode(FieldNode):
                 self._bounds.show(newest.stamp, plan.upper_bound)
         return planned.plans
 
-    def _is_wanted(self, search: Search, now: SearchRequest) -> bool:
-        """Return whether robots may leave on what a search has found."""
-        is_wanted = search.request.lasts(now, self.values['rolling'])
-        if not is_wanted:
-            self.get_logger().info(
-                f'the paths found for {some(search.request.agents)} are dropped: the belief, '
-                'the team, a parameter or what the operator refuses has changed since the search '
-                'began'
-            )
-        return is_wanted
-
     def _on_search_over(self) -> None:
         self._deploy()
         if self._search and self._search.found.done():
@@ -327,12 +324,6 @@ class PlannerNode(FieldNode):
     def _send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now; the first ones begin a mission."""
         self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
-
-    def _next_stamp(self, newest: Snapshot) -> int:
-        """Return the stamp that names the first deployment to be planned on a belief."""
-        # It is that of the belief: a restarted planner then sends the same message again.
-        held = -1 if newest.newest is None else newest.newest.stamp
-        return next_name(newest.stamp, newest.mission, held, self._dispatch.last_stamp)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -219,7 +219,22 @@ class Peers:
         """Return whether somebody tells when robots of an agent depart."""
         return self._node.count_authors(f'{agent}/status', STATUS) > 0
 
-    def look_for_agents(self) -> None:
+    def look(self) -> bool:
+        """Look at the graph; return whether one of several estimators left."""
+        self._look_for_agents()
+        self._look_for_planners()
+        self._look_for_unknown_agents()
+        before = self.estimators
+        self.estimators = self._node.count_authors('belief', BELIEF)
+        if self.estimators > max(before, 1):
+            self._node.diagnostics.refuse(
+                'belief',
+                f'{self.estimators} nodes publish beliefs: unless one has just died, '
+                'end all but one',
+            )
+        return 0 < self.estimators < before
+
+    def _look_for_agents(self) -> None:
         """Notice which agents somebody answers for, and who answers for one that is taken."""
         for agent in self._agents:
             # The planner itself reports robots that are given up.
@@ -240,7 +255,7 @@ class Peers:
                     f'{agent} when it is back',
                 )
 
-    def look_for_planners(self) -> None:
+    def _look_for_planners(self) -> None:
         """Notice when others publish paths of an agent, and say which nodes do."""
         for agent in self._agents:
             before = self._planners.get(agent, 1)
@@ -259,7 +274,7 @@ class Peers:
                 )
             self._planners[agent] = planners
 
-    def look_for_unknown_agents(self) -> None:
+    def _look_for_unknown_agents(self) -> None:
         """Notice who reports for an agent that is none of the team."""
         for topic, types in self._node.get_topic_names_and_types():
             agent = topic.removeprefix(f'{self._node.above}/').removesuffix('/report')
@@ -271,18 +286,6 @@ class Peers:
                     f'agent {agent} is unknown, and nobody hears it: the parameter agents names '
                     f'{", ".join(self._agents)}',
                 )
-
-    def look_for_estimators(self) -> bool:
-        """Notice when more than one node publishes beliefs; return whether one of them left."""
-        before = self.estimators
-        self.estimators = self._node.count_authors('belief', BELIEF)
-        if self.estimators > max(before, 1):
-            self._node.diagnostics.refuse(
-                'belief',
-                f'{self.estimators} nodes publish beliefs: unless one has just died, '
-                'end all but one',
-            )
-        return 0 < self.estimators < before
 
 
 HOLD = 'hold'

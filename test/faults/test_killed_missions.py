@@ -11,7 +11,7 @@ from kbnitp_ros.configuration import grid_of
 from kbnitp_ros.configuration.mission import earlier_belief
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.record import Evidence
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map
@@ -266,7 +266,7 @@ def replayed(log):
     """Return the evidence of a log as far as it is written."""
     with suppress(LogError):
         return replay(log).evidence
-    return Evidence(Grid(1, 1), 1)
+    return RecordedMission(Grid(1, 1), 1)
 
 
 def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_others(set_out):

@@ -68,12 +68,13 @@ def read(path):
     report, history, page = replay(log), read_history(log), read_mission(path)
     taken = {
         'replay': [
-            report.grade, report.compared, report.evidence.operator, report.standing, report.not_yet_held,
-            report.evidence.reports, report.evidence.departures,
+            report.grade, report.compared, report.standing, report.not_yet_held,
+            report.evidence.reports, report.evidence.operator, report.evidence.departures,
         ],
         'history': [history.observations, history.beliefs, history.models, history.decision,
                     history.world, history.bounds],
-        'resumed': [record.paths, record.outcomes, record.departures, record.operator, record.mission],
+        'resumed': [record.paths, record.outcomes, record.departures, record.operator,
+                    record.mission],
         'ledger': read_ledger(log).belief.joint,
         'page': [[each.held for each in page.moments], page.deployments, page.world],
     }  # fmt: skip

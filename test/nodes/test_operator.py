@@ -53,12 +53,12 @@ def test_a_paused_mission_sends_nobody(field):
     assert base.do('pause', data=False) == 'the mission is not paused already'
     base.until_sent(2)
     report = base.replayed()
-    assert [each.action for each in report.actions] == [Action.PAUSE, Action.RESUME]
-    assert [each.robots_left for each in report.actions] == [1, 1]
+    assert [each.action for each in report.evidence.actions] == [Action.PAUSE, Action.RESUME]
+    assert [each.robots_left for each in report.evidence.actions] == [1, 1]
     told = [line for line in lines(report) if line.startswith('the operator')]
     assert told == [
         f'the operator {what}, at {each.when}'
-        for what, each in zip(('paused the mission', 'ended the pause'), report.actions)
+        for what, each in zip(('paused the mission', 'ended the pause'), report.evidence.actions)
     ]
 
 
@@ -89,8 +89,12 @@ def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field
     base.until_held(2)
     base.proposed()
     report = base.replayed()
-    assert [each.action.name for each in report.actions] == ['REFUSE', 'REFUSE', 'APPROVE']
-    for action, way in zip(report.actions, ways):
+    assert [each.action.name for each in report.evidence.actions] == [
+        'REFUSE',
+        'REFUSE',
+        'APPROVE',
+    ]
+    for action, way in zip(report.evidence.actions, ways):
         assert [path.tolist() for path in action.paths.values()] == way
         assert [key.agent for key in action.paths] == ['scout_1', 'scout_2']
 
@@ -114,7 +118,7 @@ def test_a_robot_that_is_known_lost_is_given_up(field):
     (loss,) = base.heard['scout_1']
     assert (loss.survived, loss.steps_survived) == (False, 1)
     report = base.replayed()
-    assert [each.action for each in report.actions] == [Action.GIVE_UP]
+    assert [each.action for each in report.evidence.actions] == [Action.GIVE_UP]
     assert report.evidence.survived == 0
 
 
@@ -132,7 +136,7 @@ def test_an_ended_mission_is_over_when_its_robots_are_home(field):
     base.until_state(reason)
     until_progress(Progress.ENDED, reason)
     assert len(base.sent()) == 1
-    assert [each.action for each in base.replayed().actions] == [Action.END]
+    assert [each.action for each in base.replayed().evidence.actions] == [Action.END]
 
 
 def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
@@ -177,7 +181,7 @@ def test_a_flood_of_calls_is_answered_and_changes_nothing(field):
     base.come_back()
     base.until_held(1)
     base.until_sent(2)
-    assert base.replayed().actions == []
+    assert base.replayed().evidence.actions == []
 
 
 def test_a_pause_that_is_begun_and_ended_for_ever_stays_and_fills_no_log(field, request):
@@ -220,7 +224,7 @@ def test_nothing_is_decided_before_it_is_on_disk(field):
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     assert answer.result().success
-    assert [each.action for each in base.replayed().actions] == [Action.PAUSE]
+    assert [each.action for each in base.replayed().evidence.actions] == [Action.PAUSE]
 
 
 def typed(page):
@@ -251,7 +255,7 @@ def test_the_services_are_called_as_the_page_says(field):
         told = base.do(name[1:], **yaml.safe_load(request))
         assert told.startswith('the operator')
     base.until_state('ended by the operator')
-    assert len(base.replayed().actions) == 6
+    assert len(base.replayed().evidence.actions) == 6
 
 
 def has_left(base):
@@ -326,7 +330,7 @@ def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
             base.crash()
             holds(base)
     report = base.replayed()
-    assert [each.action.name for each in report.actions] == [*STEPS]
+    assert [each.action.name for each in report.evidence.actions] == [*STEPS]
     assert len(report.evidence.reports) == 1
     assert [report.evidence.paths[key].tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)

@@ -118,20 +118,17 @@ class Diagnostics:
         """Say why the node cannot go on, and stay until that has arrived if anybody listens."""
         self._failure = in_words(why)
         deadline = time.monotonic() + LAST_WORDS
-        while not self._is_heard() and time.monotonic() < deadline:
+        name = self._node.get_name(), self._node.get_namespace()
+        while time.monotonic() < deadline:
+            own = sum(
+                (each.node_name, each.node_namespace) == name
+                for each in self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+            )
+            if self._publisher.get_subscription_count() > own:
+                break
             time.sleep(0.01)
         self.publish()
         self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
-
-    def _is_heard(self) -> bool:
-        """Say whether anybody but this node listens."""
-        name = self._node.get_name(), self._node.get_namespace()
-        own = sum(
-            (each.node_name, each.node_namespace) == name
-            for each in self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        )
-        listeners: int = self._publisher.get_subscription_count()
-        return listeners > own
 
     def publish(self) -> None:
         """Show the counts now."""
@@ -143,8 +140,13 @@ class Diagnostics:
             **({LAST_REFUSAL: self._last_refusal} if self._last_refusal else {}),
             **self.values,
         }
+        level = DiagnosticStatus.OK
+        if self._failure:
+            level = DiagnosticStatus.ERROR
+        elif self.refused or self.warning:
+            level = DiagnosticStatus.WARN
         status = DiagnosticStatus(
-            level=self._level(),
+            level=level,
             name=self._node.get_fully_qualified_name(),
             message=self._failure or self.warning or self._last_refusal or self.state.sentence,
             hardware_id='kbnitp_ros',
@@ -153,11 +155,3 @@ class Diagnostics:
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
-
-    def _level(self) -> bytes:
-        level: bytes = DiagnosticStatus.OK
-        if self._failure:
-            level = DiagnosticStatus.ERROR
-        elif self.refused or self.warning:
-            level = DiagnosticStatus.WARN
-        return level

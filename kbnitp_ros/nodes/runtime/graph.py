@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +66,14 @@ class GraphNode(Node):
     def get_topic_names_and_types(self, no_demangle: bool = False) -> Topics:
         """Return the topics that have valid names, and their types."""
         topics = self._read(super().get_topic_names_and_types, no_demangle)
-        return [each for each in topics if self._is_valid(each[0])]
+        valid = []
+        for topic, types in topics:
+            try:
+                validate_full_topic_name(topic)
+                valid.append((topic, types))
+            except InvalidTopicNameException:
+                self.refuse_once('the graph', f'{shown(topic)} is not a valid topic name')
+        return valid
 
     def get_publishers_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
         """Return the publishers of a topic."""
@@ -100,14 +109,6 @@ class GraphNode(Node):
             self.refuse_once('the graph', f'the name {error.object[:SHOWN]!r} is not UTF-8')
             return []
 
-    def _is_valid(self, topic: str) -> bool:
-        try:
-            validate_full_topic_name(topic)
-        except InvalidTopicNameException:
-            self.refuse_once('the graph', f'{shown(topic)} is not a valid topic name')
-            return False
-        return True
-
 
 # The type of what a node of each role publishes: AGENT/path, AGENT/report, belief, AGENT/recorded.
 PUBLISHED = {
@@ -118,32 +119,24 @@ PUBLISHED = {
 }
 
 
-class Listeners:
-    """Who listens to topics, by role."""
+def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
+    """Return for each topic the names of others that listen, and the roles that they serve."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._own = node.get_name(), node.get_namespace()
-        self._published: dict[tuple[str, str], set[str]] = {}
+    @cache
+    def types_published(name: str, namespace: str) -> set[str]:
+        # It may have ended, its name may not be known yet, or it is none.
+        with suppress(RuntimeError):
+            published = node.get_publisher_names_and_types_by_node(name, namespace)
+            return {kind for _, kinds in published for kind in kinds}
+        return set()
 
-    def roles(self, topic: str) -> set[str]:
-        """Return the names of others that listen to a topic, and the roles that they serve."""
-        roles = set()
-        for each in self._node.get_subscriptions_info_by_topic(topic):
-            if (each.node_name, each.node_namespace) == self._own:
-                continue
-            types = self._types_published(each.node_name, each.node_namespace)
-            roles |= {role for role, published in PUBLISHED.items() if published in types}
-            roles.add(each.node_name)
-        return roles
-
-    def _types_published(self, name: str, namespace: str) -> set[str]:
-        """Return the types of all that a node publishes."""
-        if (name, namespace) not in self._published:
-            try:
-                topics = self._node.get_publisher_names_and_types_by_node(name, namespace)
-            except RuntimeError:
-                # It has ended, its name is not known yet, or it is none.
-                topics = []
-            self._published[name, namespace] = {kind for _, kinds in topics for kind in kinds}
-        return self._published[name, namespace]
+    own = node.get_name(), node.get_namespace()
+    listening: dict[str, set[str]] = {}
+    for topic in topics:
+        listening[topic] = set()
+        for each in node.get_subscriptions_info_by_topic(topic):
+            if (name := (each.node_name, each.node_namespace)) != own:
+                types = types_published(*name)
+                listening[topic] |= {role for role, kind in PUBLISHED.items() if kind in types}
+                listening[topic].add(each.node_name)
+    return listening

@@ -21,7 +21,7 @@ from kbnitp_ros.messages.headers import LATEST
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
 from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
-from kbnitp_ros.nodes.runtime.graph import deaf_to_server, GraphNode, Listeners
+from kbnitp_ros.nodes.runtime.graph import deaf_to_server, GraphNode, listening_roles
 from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.clock import Clock
@@ -160,10 +160,9 @@ class MissionNode(GraphNode):
 
     def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
         """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
-        listeners = Listeners(self)
         deaf: dict[str, list[str]] = {}
-        for topic in (publisher.topic_name for publisher in publishers):
-            listening = listeners.roles(topic)
+        topics = [publisher.topic_name for publisher in publishers]
+        for topic, listening in listening_roles(self, topics).items():
             for awaited in self.values['await_nodes']:
                 if awaited not in listening:
                     deaf.setdefault(awaited, []).append(topic)
@@ -320,7 +319,10 @@ class FieldNode(MissionNode):
         super().__init__(name)
         self._grid: Grid | None = None
         if self.values['map_topic']:
-            self._await_map(self.resolve_topic_name(self.values['map_topic']))
+            topic = self._topic = self.resolve_topic_name(self.values['map_topic'])
+            self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED)
+            self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
+            self.spin_until(lambda: self._grid is not None)
         else:
             self._grid = grid_of(self.values)
 
@@ -334,12 +336,6 @@ class FieldNode(MissionNode):
         """Subscribe to a topic of an agent."""
         topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
         return self.hear(kind, topic, callback, qos.EVIDENCE)
-
-    def _await_map(self, topic: str) -> None:
-        self._topic = topic
-        self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED)
-        self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
-        self.spin_until(lambda: self._grid is not None)
 
     def _on_map(self, message: OccupancyGrid) -> None:
         try:
