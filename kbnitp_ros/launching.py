@@ -113,7 +113,9 @@ def mission_description(
     nodes: Callable[[MissionArguments], Iterable[Action]],
 ) -> LaunchDescription:
     """Return what a launch file starts: nodes of a mission, once its arguments are known."""
-    hear_interrupts_once()
+    # Launch handles signals by itself.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda *_: None)
     names = [argument.name for argument in arguments]
 
     def start(context: LaunchContext) -> list[Action]:
@@ -130,12 +132,6 @@ def respawned(make: Callable[[], Node]) -> TimerAction:
     """Return what starts a node again, in a moment."""
     start = OpaqueFunction(function=lambda _: [make()])
     return TimerAction(period=RESPAWN_DELAY, actions=[start])
-
-
-def hear_interrupts_once() -> None:
-    """Ignore SIGINT in Python: launch handles signals by itself."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, lambda *_: None)
 
 
 def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
@@ -164,12 +160,11 @@ class MissionArguments:
         self.agents = agents_named(self.argument('agents')) or list(
             self._values('planner').get('agents', parameters_of('planner')['agents'].default)
         )
-        self._log = self._log_path() if self.argument('record') == 'true' else None
-
-    def _log_path(self) -> Path:
-        """Return where the log is to be: nodes that are started again go on with it."""
-        file = self.argument('file') or self._values('recorder').get('file')
-        return Path(self.argument('resume') or file or new_log())
+        # Nodes that are started again go on with it.
+        self._log: Path | None = None
+        if self.argument('record') == 'true':
+            file = self.argument('file') or self._values('recorder').get('file')
+            self._log = Path(self.argument('resume') or file or new_log())
 
     def argument(self, name: str) -> str:
         """Return an argument as it was given."""
@@ -189,7 +184,7 @@ class MissionArguments:
 
     def base(self, **of_real_robots: str) -> list[Action]:
         """Return the nodes of the base, and RViz."""
-        said, known = self._values('planner'), parameters_of('planner')
+        said, known, log = self._values('planner'), parameters_of('planner'), self._log
         self._options = {
             name: text
             for name, text in of_real_robots.items()
@@ -205,14 +200,11 @@ class MissionArguments:
         return [
             # First, so that nothing runs yet when it turns out not to be installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
-            *(self._recorder(self._log) if self._log else []),
+            *([LogInfo(msg=f'recording to {log}')] if log else []),
+            *([self.node('recorder', {'file': str(log)})] if log else []),
             self.node('estimator', awaits=['planner']),
             self.node('planner', awaits=['agent', 'estimator']),
         ]
-
-    def _recorder(self, log: Path) -> list[Action]:
-        notice = LogInfo(msg=f'recording to {log}')
-        return [notice, self.node('recorder', {'file': str(log)})]
 
     def node(
         self,

@@ -38,8 +38,11 @@ EXECUTABLES = {**COMMANDS, **NODES}
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Import and run one of `EXECUTABLES`; return its exit status."""
-    handler = _end_well if name in NODES else _end_as_interrupted
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        os._exit(0 if name in NODES else 128 + number)
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     if unknown := '' if name in EXTRAS else missing_rmw():
         print(f'{name}: {unknown}', file=sys.stderr)
         return 2
@@ -73,14 +76,6 @@ def missing_rmw() -> str:
         f'RMW_IMPLEMENTATION is {rmw!r}, which is not installed: install it, or name one of '
         f'{", ".join(installed)}'
     )
-
-
-def _end_well(_number: int, _frame: FrameType | None) -> None:
-    os._exit(0)
-
-
-def _end_as_interrupted(number: int, _frame: FrameType | None) -> None:
-    os._exit(128 + number)
 
 
 # What `ros2 run kbnitp_ros NAME` calls.

@@ -46,7 +46,10 @@ def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
     for section, values in _sections(config, ''):
         nodes = _nodes_in(section, names)
         if not nodes:
-            _check_is_of_others(section, values)
+            # It is of others, unless it has parameters of the node whose name it nearly has.
+            for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
+                if any(parameter_of(node, name) for name in values):
+                    raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
             continue
         sections[section] = values
         try:
@@ -89,13 +92,6 @@ def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
     if name in WILDCARDS:
         return NODES
     return [names.get(name, name)] if name in (*NODES, *names) else []
-
-
-def _check_is_of_others(section: str, values: Mapping[str, Any]) -> None:
-    """Refuse a section with parameters of the node whose name it nearly has."""
-    for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
-        if any(parameter_of(node, name) for name in values):
-            raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
 
 
 def values_for(sections: Sections, node: str) -> dict[str, Any]:

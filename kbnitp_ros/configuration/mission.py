@@ -63,11 +63,8 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
                 f'parameter goal.position is {list(position)}: it must be x and y, or empty'
             )
         return [int(grid.cells_at([position])[0])]
-    return marked_cells(mask, grid) if mask else list(cells)
-
-
-def marked_cells(mask: str, grid: Grid) -> list[int]:
-    """Return the cells of the field that are marked in a map_server map, and are no obstacles."""
+    if not mask:
+        return list(cells)
     marked = read_map(mask)
     rows, columns = marked.data.shape
     if (columns, rows) != (grid.width, grid.height) or not isclose(

@@ -9,15 +9,14 @@ from math import nan
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from kbnitp_ros.core import (
-    Belief,
     binary_entropy,
     Decision,
+    Estimator,
     Grid,
     Ledger,
     log_loss,
     ModelCheck,
     path_information,
-    SensorModel,
     World,
 )
 from kbnitp_ros.messages.deployments import path_message
@@ -50,35 +49,24 @@ class Standing(NamedTuple):
 NOT_KNOWN = Standing(MissionState.UNKNOWN, '')
 
 
-@dataclass(frozen=True, eq=False)
-class Held:
-    """What was believed at one time."""
-
-    # How many the belief holds.
-    deployments: int
-    # Given those.
-    belief: Belief
-    # What robots and sensors were believed to be like.
-    model: SensorModel
-
-    @classmethod
-    def by(cls, ledger: Ledger) -> Held:
-        """Return what a ledger holds now."""
-        return cls(len(ledger.deployments), ledger.belief, ledger.estimator.model)
-
-
 def progress_message(
     ledger: Ledger,
-    before: Held | None,
+    before: tuple[int, Estimator] | None,
     world: World | None,
     stamp: int,
     out: int,
     standing: Standing = NOT_KNOWN,
 ) -> msg.Progress:
-    """Return the message of how a mission stands."""
+    """Return the message of how a mission stands, after fewer deployments its estimator before."""
     from kbnitp_msgs import msg
 
-    belief = ledger.belief
+    belief, gained, expected = ledger.belief, nan, nan
+    if before is not None:
+        deployments, estimator = before
+        gained = estimator.belief.joint_entropy() - belief.joint_entropy()
+        if ledger.newest is not None and len(ledger.deployments) == deployments + 1:
+            model = ledger.robot_type(ledger.newest).model(estimator.model)
+            expected = path_information(estimator.belief, model, ledger.paths[ledger.newest])
     return msg.Progress(
         header=header(stamp),
         deployments=len(ledger.deployments),
@@ -88,26 +76,14 @@ def progress_message(
         hazard_entropy=float(binary_entropy(belief.hazard).sum()),
         target_entropy=float(binary_entropy(belief.target).sum()),
         joint_entropy=belief.joint_entropy(),
-        information_expected=expected(ledger, before),
-        information_gained=(
-            before.belief.joint_entropy() - belief.joint_entropy() if before else nan
-        ),
+        information_expected=expected,
+        information_gained=gained,
         hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
         target_log_loss=log_loss(belief.target, world.target) if world else nan,
         upper_bound=nan,
         state=standing.state,
         reason=standing.reason,
     )
-
-
-def expected(ledger: Ledger, before: Held | None) -> float:
-    """Return what the report assimilated last was expected to bring, in nats; NaN if unknown."""
-    if before is None or ledger.newest is None:
-        return nan
-    if len(ledger.deployments) != before.deployments + 1:
-        return nan
-    model = ledger.robot_type(ledger.newest).model(before.model)
-    return path_information(before.belief, model, ledger.paths[ledger.newest])
 
 
 # Per cent.

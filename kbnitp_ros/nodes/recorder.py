@@ -52,7 +52,6 @@ from kbnitp_ros.nodes.runtime.node import Early, MissionNode
 from kbnitp_ros.nodes.runtime.process import run
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -220,13 +219,14 @@ class RecorderNode(MissionNode):
         own: list[str] = []
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
-            if self._is_ours(topic) and not self._is_settled(topic, types):
-                (own if topic in self.roles.by_topic else others).append(topic)
+            heard = self._topics[topic].type_name if topic in self._settled else None
+            if all(each == heard or (topic, each) in self._refused for each in types):
+                continue
+            if topic in self.roles.by_topic:
+                own.append(topic)
+            elif topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT):
+                others.append(topic)
         return own, others
-
-    def _is_settled(self, topic: str, types: Sequence[str]) -> bool:
-        heard = self._topics[topic].type_name if topic in self._settled else None
-        return all(each == heard or (topic, each) in self._refused for each in types)
 
     def _published(self, topics: Iterable[str]) -> dict[str, Any]:
         """Return the publishers of those topics that have any."""
@@ -240,11 +240,6 @@ class RecorderNode(MissionNode):
         taken = (ordered[start:] + ordered[:start])[:LOOKED_AT_ONCE]
         self._last_looked = taken[-1] if taken else ''
         return taken
-
-    def _is_ours(self, topic: str) -> bool:
-        if topic in SHARED or topic in self.roles.by_topic:
-            return True
-        return topic.startswith(self._namespace) and topic not in LEFT_OUT
 
     def _hear(self, name: str, publishers: Sequence[Any]) -> None:
         """Subscribe to a topic as often as its publishers need."""
@@ -292,18 +287,14 @@ class RecorderNode(MissionNode):
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = HeardTopic(name, type_name, role)
-        topic.recorded = self._acknowledging(role)
+        if role is not None and role.name in ('path', 'status'):
+            # Each with a history of its own, which is as deep as DDS has it.
+            name = f'{role.agent}/recorded'
+            topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
+        elif role is not None and role.name == 'operator':
+            topic.recorded = self._operators
         self.diagnostics.state = self._state()
         return topic
-
-    def _acknowledging(self, role: Role | None) -> Publisher | None:
-        """Return what tells which messages in a role are on the disk, if anything does."""
-        if role is None:
-            return None
-        if role.name in ('path', 'status'):
-            # Each with a history of its own, which is as deep as DDS has it.
-            return self.create_publisher(Recorded, f'{role.agent}/recorded', qos.EVIDENCE)
-        return self._operators if role.name == 'operator' else None
 
     def _state(self) -> NodeState:
         """Return what is recorded, and whom it waits for."""

@@ -22,7 +22,7 @@ from kbnitp_ros.messages.deployments import OrderState, report_message, status_m
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.nodes.driver import detection_class, Driver, Links, read_detection
-from kbnitp_ros.nodes.presence import DuplicateNames, Hold
+from kbnitp_ros.nodes.presence import Hold
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
@@ -66,7 +66,6 @@ class RobotNode(FieldNode):
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
         self._hold = Hold(self)
         self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
-        self._duplicates = DuplicateNames(self, self._reports.topic_name)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
@@ -284,8 +283,6 @@ class RobotNode(FieldNode):
         self._looked = time.time_ns(), self.now()
         self._locate()
         self._keep(self._journal.write)
-        # At home its state says so, and whom it waits for.
-        self._say('name', self._duplicates.heard if self._deployment else '')
         self._driver.look()
         if (self._deployment is None or self._is_at_gate) and (news := self._links.news):
             self._say(
@@ -308,8 +305,6 @@ class RobotNode(FieldNode):
             return waiting_for(awaited)
         if (deployment := self._pending.newest) is None:
             return working(f'taking paths of {self._agent}')
-        if awaited := self._duplicates.awaited:
-            return waiting_for(awaited)
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
         for superseded in self._pending.superseded():

@@ -9,10 +9,10 @@ from math import isnan, nan
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.core import deployment_order, DeploymentKey, Ledger, World
+from kbnitp_ros.core import deployment_order, DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import Held, MissionState, NOT_KNOWN, progress_message, Standing
+from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message, Standing
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import (
     MISSION_REASON,
@@ -102,10 +102,10 @@ class Views:
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
         self._node = node
         self._truth: dict[str, NDArray[np.bool_]] = {}
-        self._newest: Held | None = None
+        self._newest: tuple[int, Estimator] | None = None
         # The belief to show next: who holds it, the belief before and its stamp. All that changes
         # a ledger is shown, so it still holds that belief when it is.
-        self._pending: tuple[Ledger, Held | None, int] | None = None
+        self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
         self._standing = NOT_KNOWN
         # How many robots have departed and were not reported.
@@ -160,7 +160,7 @@ class Views:
     def show(self, ledger: Ledger, stamp: int) -> None:
         """Show the belief of a ledger, of this stamp in nanoseconds, unless others follow soon."""
         self._pending = ledger, self._newest, stamp
-        self._newest = Held.by(ledger)
+        self._newest = len(ledger.deployments), ledger.estimator
         self._publish_or_wait()
 
     def show_out(self, ledger: Ledger) -> None:

@@ -56,20 +56,11 @@ def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
         site = read_site(name)
     except MapError as error:
         return None, f'The map is not shown: {error}.'
-    if not lies_under(site, grid):
+    columns, rows = (ceil(side / grid.resolution - PART) for side in (site.width, site.height))
+    lies = site.origin, rounded_yaw(site.yaw), columns, rows
+    if lies != (grid.origin, grid.yaw, grid.width, grid.height):
         return None, f'The map is not shown: {name} does not lie on the field any more.'
     return site, ''
-
-
-def lies_under(site: Site, grid: Grid) -> bool:
-    """Say whether a grid is one of this map."""
-    columns, rows = (ceil(side / grid.resolution - PART) for side in (site.width, site.height))
-    return (site.origin, rounded_yaw(site.yaw), columns, rows) == (
-        grid.origin,
-        grid.yaw,
-        grid.width,
-        grid.height,
-    )
 
 
 # How many of the messages that nobody took are told one by one.

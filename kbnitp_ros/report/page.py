@@ -118,7 +118,12 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
     stride = 1
     while True:
         kept = np.unique([*range(0, moments, stride), moments - 1])
-        left_out = '' if stride == 1 else told_left_out(stride, moments, kept.size)
+        left_out = ''
+        if stride > 1:
+            left_out = (
+                f'The page shows {kept.size} of {moments} moments, one in {stride}, to stay below '
+                f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
+            )
         page = filled(mission, curves, frames[kept], kept, left_out)
         size = len(page.encode())
         if size <= MAX_BYTES:
@@ -130,14 +135,6 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
             )
         fixed = len(get_plotlyjs())
         stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MAX_BYTES - fixed))))
-
-
-def told_left_out(stride: int, moments: int, kept: int) -> str:
-    """Return what a page says of the moments that it leaves out."""
-    return (
-        f'The page shows {kept} of {moments} moments, one in {stride}, to stay below '
-        f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
-    )
 
 
 def filled(
@@ -175,8 +172,15 @@ def filled(
             for name, values in tables.items()
             if values
         },
-        mission=packed_json(data_of(mission, curves, table, kept, shown)),
-        frames=packed_frames(frames),
+        mission=packed(
+            json.dumps(
+                data_of(mission, curves, table, kept, shown),
+                separators=(',', ':'),
+                allow_nan=False,
+            ).encode()
+        ),
+        # Differences modulo 256: what is less than nothing goes round, as it does in the page.
+        frames=packed(np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1])).tobytes()),
         plots=in_json(plots_of(mission, panels)),
     )
 
@@ -478,18 +482,6 @@ def quantised(beliefs: Sequence[Belief]) -> NDArray[np.uint8]:
         for level, name in zip(frame, NAMES):
             level[:] = np.rint(LEVELS * getattr(belief, name))
     return frames
-
-
-def packed_frames(frames: NDArray[np.uint8]) -> str:
-    """Pack frames as text: differences modulo 256, zlib, base64."""
-    # In uint8 what is less than nothing goes round, as it does in the page.
-    changes = np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1]))
-    return packed(changes.tobytes())
-
-
-def packed_json(value: Any) -> str:
-    """Return a value as JSON, packed by zlib, in base64; there is no NaN in it."""
-    return packed(json.dumps(value, separators=(',', ':'), allow_nan=False).encode())
 
 
 def packed(data: bytes) -> str:

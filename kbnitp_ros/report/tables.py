@@ -178,7 +178,7 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'stamp': deployment.key.stamp,
                 'sent': deployment.sent,
                 'told': deployment.reported,
-                'outcome': outcome_word(seen),
+                'outcome': 'out' if seen is None else 'returned' if seen.survived else 'lost',
                 'steps': deployment.path.size - 1 if seen is None else seen.steps,
                 'steps_survived': steps_survived(seen),
                 'detected': None if not (seen and seen.survived) else readings(seen).count(1),
@@ -196,13 +196,6 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
             }
         )
     return table
-
-
-def outcome_word(seen: Observation | None) -> str:
-    """Return how a deployment ended, in a word."""
-    if seen is None:
-        return 'out'
-    return 'returned' if seen.survived else 'lost'
 
 
 def steps_survived(seen: Observation | None) -> int | None:

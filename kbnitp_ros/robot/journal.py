@@ -160,7 +160,8 @@ class Journal:
                 break
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
-        if not lines and not self._is_torn(rest, expected):
+        # A loss of power can leave the start of a first line, zeros in place of the rest.
+        if not lines and not line_of(expected, 0)[0].startswith(rest.rstrip(b'\0')):
             raise JournalError(self._no_journal)
         if of_another and self.under_way:
             raise of_another
@@ -175,10 +176,6 @@ class Journal:
     @property
     def _no_journal(self) -> str:
         return f'{self.path} is no journal of a robot: name another file, or move it away'
-
-    def _is_torn(self, content: bytes, expected: dict[str, Any]) -> bool:
-        """Say whether a loss of power can have left this of a first line, zeros in its place."""
-        return line_of(expected, 0)[0].startswith(content.rstrip(b'\0'))
 
     def _checked(self, line: bytes) -> Any:
         entry = json.loads(line[9:])

@@ -7,7 +7,6 @@ import resource
 import signal
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fleet import FIELD, Fleet, GRID
 from geometry_msgs.msg import TransformStamped
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps
@@ -259,56 +258,6 @@ def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field
             opened = Journal(path, 'scout_1', GRID)
             assert [(each.mission, each.is_home) for each in opened.deployments] == [(begun, True)]
             opened.close()
-
-
-def test_of_two_robots_with_one_name_none_leaves_until_there_is_one(field):
-    fleet, reports = Fleet.simulated(field)
-    first = fleet.start()
-    del field.processes.started['/scout_1/robot']
-    fleet.start(journal=str(field.folder / 'other.journal'))
-    field.until(lambda: field.node.count_publishers('/scout_1/report') == 2, 'two robots')
-    # Each has to find the other.
-    fleet.wait(1.0)
-    key = fleet.send(1, [0, 1, 0])
-    wait = 'waiting for the other /scout_1/robot to end: 2 nodes have this name'
-    field.until(lambda: fleet.state().startswith(wait), 'word of it')
-    fleet.wait(4.0)
-    assert not reports
-    assert fleet.state().startswith(wait)
-    first.kill()
-    first.wait()
-    assert fleet.report_of(reports, key).readings
-
-
-def test_a_robot_in_the_field_says_that_it_hears_of_another_of_its_name(field):
-    fleet, reports = Fleet.simulated(field, speed=1.0)
-    first = fleet.start()
-    key = fleet.send(1, [0, 1, 2, 3, 4, 5, 5, 5, 4, 3, 2, 1, 0])
-    field.until(lambda: fleet.state().startswith('driving'), 'first robot in the field')
-    assert 'another' not in field.diagnosed('/scout_1/robot').message
-    del field.processes.started['/scout_1/robot']
-    second = fleet.start(journal=str(field.folder / 'other.journal'))
-    told = (
-        'name: another /scout_1/robot is heard, and each robot needs its own (parameter agent and '
-        'the namespace)'
-    )
-    field.until(lambda: told in field.said('/scout_1/robot'), 'word of it on the console')
-    heard = []
-    field.node.create_subscription(DiagnosticArray, '/diagnostics', heard.append, qos.DIAGNOSTICS)
-
-    def is_shown():
-        each = [status for array in heard for status in array.status]
-        driving = [s for s in each if any(v.value.startswith('driving') for v in s.values)]
-        return any(s.level == DiagnosticStatus.WARN and told[6:] in s.message for s in driving)
-
-    field.until(is_shown, 'word of it on diagnostics, while it drives')
-    del field.processes.started['/scout_1/robot']
-    second.kill()
-    second.wait()
-    field.until(lambda: 'name: all is well' in field.said('/scout_1/robot'), 'end of it')
-    assert fleet.report_of(reports, key).readings
-    first.send_signal(signal.SIGINT)
-    assert first.wait(60) == 0
 
 
 def test_a_disk_that_is_full_costs_no_step(field):
