@@ -47,18 +47,19 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         print(f'{name}: {unknown}', file=sys.stderr)
         return 2
     try:
+        # Commands import what takes long when they have read their options.
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
+            if name in COMMANDS:
+                # A node takes signals in its own way, a command as it would without this.
+                for number, each in before.items():
+                    signal.signal(number, each)
+            return main(argv)
     except ModuleNotFoundError as error:
         is_ros_here = error.name == 'kbnitp_msgs' and find_spec('rclpy')
         lacking = 'build it as well' if is_ros_here else 'source ROS 2'
         print(f'{name}: {error}{"" if name in EXTRAS else f"; {lacking}"}', file=sys.stderr)
         return 2
-    if name in COMMANDS:
-        # A node takes signals in its own way at once, a command as it would without this.
-        for number, each in before.items():
-            signal.signal(number, each)
-    return main(argv)
 
 
 def missing_rmw() -> str:

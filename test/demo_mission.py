@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission of a demo, computed without nodes."""
 
-from kbnitp_ros.cli.demo import chosen_parameters, parse
+from kbnitp_ros.cli.demo import parse
+from kbnitp_ros.cli.demo_mission import chosen_parameters
 from kbnitp_ros.configuration import estimator_of, grid_of
 from kbnitp_ros.configuration.agents import sensor_model_of, unknowns_of
 from kbnitp_ros.configuration.mission import prior_of

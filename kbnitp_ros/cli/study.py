@@ -13,14 +13,12 @@ import signal
 import sys
 
 from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
-from kbnitp_ros.study import benchmark
-from kbnitp_ros.study.report import write_report
-from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import read_scenario, scenario_file, shipped
-from kbnitp_ros.study.trial import run_trial, trials_of
-from kbnitp_ros.study.workers import BACKENDS, Folder, workers
 from tqdm import tqdm
+
+# The scenario that is no study.
+BENCHMARK = 'benchmark'
 
 DESCRIPTION = """
 Run a study: missions without ROS, by every method, at every lethality, in the same worlds. It
@@ -44,10 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the workers.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    is_benchmark = options.scenario == BENCHMARK
     try:
-        return run_benchmark(options) if is_benchmark(options) else study(options)
+        # Pandas and others take a second to import: the help needs none of them.
+        return run_benchmark(options) if is_benchmark else study(options)
     except KeyboardInterrupt:
-        further = '' if is_benchmark(options) else f'; the same command goes on from {options.out}'
+        further = '' if is_benchmark else f'; the same command goes on from {options.out}'
         complain('study', f'interrupted{further}')
         return 130
 
@@ -59,7 +59,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         'scenario',
         metavar='SCENARIO',
         help='a YAML file as docs/files.md describes it, or one of those shipped: '
-        f'{", ".join(shipped())}',
+        f'{", ".join(sorted(path.stem for path in share("scenarios").glob("*.yaml")))}',
     )
     parser.add_argument(
         '--out',
@@ -70,7 +70,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument(
         '--backend',
-        choices=tuple(BACKENDS),
+        choices=('loky', 'dask'),
         default='loky',
         help='what runs the trials: processes of this machine (loky, the default) or Dask',
     )
@@ -95,13 +95,10 @@ def count(text: str, least: int = 1) -> int:
     return int(text)
 
 
-def is_benchmark(options: argparse.Namespace) -> bool:
-    """Return whether the benchmark is asked for, in place of a study."""
-    return bool(options.scenario == benchmark.NAME)
-
-
 def run_benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark; return the exit code."""
+    from kbnitp_ros.study import benchmark
+
     if options.backend != 'loky':
         complain('study', f'backend is {options.backend}: the benchmark runs on this machine')
         return 2
@@ -119,6 +116,12 @@ def run_benchmark(options: argparse.Namespace) -> int:
 
 def study(options: argparse.Namespace) -> int:
     """Run the trials that the folder lacks, then write the report; return the exit code."""
+    from kbnitp_ros.study.report import write_report
+    from kbnitp_ros.study.results import check_memory, Results
+    from kbnitp_ros.study.scenario import read_scenario, scenario_file
+    from kbnitp_ros.study.trial import run_trial, trials_of
+    from kbnitp_ros.study.workers import Folder, workers
+
     with ExitStack() as stack:
         try:
             scenario = read_scenario(scenario_file(options.scenario))

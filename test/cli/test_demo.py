@@ -14,13 +14,11 @@ import time
 
 from demo_mission import demo_mission
 from kbnitp_msgs.msg import BeliefMaps, Progress
-from kbnitp_ros.cli.demo import (
+from kbnitp_ros.cli.demo import main, NODES, parse
+from kbnitp_ros.cli.demo_mission import (
     chosen_parameters,
-    main,
-    NODES,
     observed,
     OPERATOR_WAIT,
-    parse,
     recorded_parameters,
 )
 from kbnitp_ros.cli.processes import free_domain, Processes

@@ -13,7 +13,7 @@ import sys
 from xml.etree import ElementTree
 
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.cli.demo import observed
+from kbnitp_ros.cli.demo_mission import observed
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.nodes.heard import message_class
 from kbnitp_ros.nodes.runtime import qos

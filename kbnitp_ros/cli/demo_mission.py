@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission of the demo: its parameters, its nodes watched, and what it came to."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from math import inf
+import os
+from pathlib import Path
+import re
+import shlex
+import shutil
+import signal
+import sys
+import time
+from typing import Any
+
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
+from kbnitp_ros.base.checks import check_reach, reach_note
+from kbnitp_ros.cli.demo import DEFAULTS, HELD, LEARNT, NODES, OPTIONS, OWN
+from kbnitp_ros.cli.output import complain, say
+from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
+from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.cli.report import report
+from kbnitp_ros.configuration import agents_of, estimator_of, grid_of, parameters_of, value_for
+from kbnitp_ros.configuration.agents import (
+    base_of,
+    execution_of,
+    most_distance,
+    most_steps,
+    robot_types_of,
+    true_dynamics,
+)
+from kbnitp_ros.configuration.field import read_world
+from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.known import check_own
+from kbnitp_ros.configuration.mission import check_search
+from kbnitp_ros.configuration.parameter import own_name
+from kbnitp_ros.core import Belief, DeploymentKey, METHODS
+from kbnitp_ros.files import in_words
+from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.files import check_is_new, LogError, LogLock, NAME, new_log, parts_of
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.replayed import Grade
+from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
+from kbnitp_ros.report.folder import check_is_free
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+from tqdm import tqdm
+
+# Nothing is published for good before all of these hear it.
+AWAITED = {
+    'estimator': ['planner', 'recorder', 'observer'],
+    'agent': ['planner', 'estimator', 'recorder', 'observer'],
+    'planner': ['agent', 'estimator', 'recorder'],
+}
+
+# What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
+SILENT_STEP = 0.01
+
+# What the planner waits for if an operator must act; how long the demo then goes on, and how
+# long for the word that the mission is over, in seconds.
+OPERATOR_AWAITED = 'waiting for the operator'
+BELIEF_AWAITED = 'waiting for a belief'
+OPERATOR_WAIT = 3.0
+END_WAIT = 30.0
+
+# What is believed of sensors and hazards may differ from the truth, and each node awaits others.
+MAY_DIFFER = ('sensor.', 'hazards.', 'await_nodes')
+
+
+def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]]]:
+    """Return the log of the mission that these options mean, and the parameters of its nodes."""
+    if options.resume:
+        log = parts_of(options.resume)[0]
+        # Nodes that went on with a mission which still lives would send its robots again.
+        LogLock(log).release()
+        return log, recorded_parameters(log)
+    parameters = chosen_parameters(options)
+    log = new_log(options.out)
+    if log.exists():
+        raise ValueError(
+            f'--out {log.parent} holds a mission already: name another folder, or go on with that '
+            'mission by --resume'
+        )
+    check_is_new(log)
+    check_is_free(report_folder(log))
+    parameters['recorder']['file'] = str(log)
+    return log, parameters
+
+
+def run(log: Path, parameters: Mapping[str, Mapping[str, Any]]) -> int:
+    """Run the mission, replay and report it; return the exit code."""
+    planner = parameters['planner']
+    grid, most = grid_of(planner), most_steps(planner)
+    bases = [base_of(planner, agent, grid) for agent in planner['agents']]
+    distance = most_distance(planner, planner['agents'])
+    reach = reach_note(grid, most, bases=bases, max_distance=distance)
+    if reach:
+        say(f'{reach}.')
+    elif planner['map']:
+        joined = int((grid.steps_to_base < grid.cells).sum())
+        say(f'{most} steps reach all {joined} cells that the base is joined to.')
+    # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        deploy(parameters)
+        return conclude(log, reach)
+    except KeyboardInterrupt:
+        complain('demo', f'interrupted; {how_to_go_on(log)}')
+        return 130
+    except (RuntimeError, LogError, OSError) as error:
+        complain('demo', f'{in_words(error)}; {how_to_go_on(log)}')
+        return 1
+
+
+def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node of a new mission."""
+    sections = read_sections(options.params) if options.params else {}
+    if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
+        raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
+    parameters = values_of(sections, NODES, DEFAULTS)
+    for name, value in given_by_options(options):
+        for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
+            if name in table:
+                values[name] = table[name].check(value)
+    for rule in options.set:
+        set_parameter(parameters, rule, 'demo', OWN)
+    if parameters['planner']['silent_loss']:
+        for values in (parameters['planner'], parameters['agent']):
+            values['step_period'] = values['step_period'] or SILENT_STEP
+    estimator = parameters['estimator']
+    if estimator['learn.numbers'] is None:
+        estimator['learn.numbers'] = LEARNT if METHODS.find(estimator['method']).learns else ()
+    for values in parameters.values():
+        values |= {name: value for name, value in HELD.items() if name in values}
+        values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}
+        values.pop('await_nodes', None)
+    check_mission(parameters)
+    return parameters
+
+
+def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters that options other than --set give."""
+    for option, name in OPTIONS.items():
+        if (value := getattr(options, option)) is not None:
+            yield name, value
+    if options.size is not None:
+        sides = re.fullmatch(r'(\d+)(?:x(\d+))?', options.size)
+        if sides is None:
+            raise ValueError(f'--size is {options.size!r}: it must be N or WIDTHxHEIGHT')
+        yield 'grid.width', int(sides[1])
+        yield 'grid.height', int(sides[2] or sides[1])
+    if options.agents is not None:
+        if options.agents < 1:
+            raise ValueError(f'--agents is {options.agents}: it must be at least 1')
+        yield 'agents', [f'scout_{number + 1}' for number in range(options.agents)]
+
+
+def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse parameters that the nodes would refuse, or that would keep them from each other."""
+    for one, other in pairwise(('estimator', 'agent', 'planner')):
+        ours, theirs = parameters[one], parameters[other]
+        check_own(theirs)
+        for name in sorted({*ours, *theirs}):
+            agent, common = own_name(name) or ('', name)
+            if common.startswith(MAY_DIFFER) or not {common} <= ours.keys() & theirs.keys():
+                continue
+            value, another = (value_for(values, common, agent) for values in (ours, theirs))
+            if value != another:
+                raise ValueError(
+                    f'{name} is {value} of {one} and {another} of {other}: nodes of one mission '
+                    'must agree'
+                )
+    simulated, estimator = parameters['agent'], parameters['estimator']
+    if simulated['map_topic']:
+        raise ValueError(
+            f'map_topic is {simulated["map_topic"]}: no map reaches the demo, use map'
+        )
+    grid = grid_of(simulated)
+    agents_of(simulated, grid)
+    check_search(parameters['planner'], grid, robot_types_of(estimator, grid))
+    check_reach(grid, parameters['planner'])
+    execution_of(simulated)
+    true_dynamics(simulated)
+    if simulated['world.file']:
+        read_world(simulated['world.file'], grid)
+    estimator_of(estimator, grid)
+
+
+def how_to_go_on(log: Path) -> str:
+    """Return what to type to go on with a mission, if it can be gone on with."""
+    try:
+        recorded_parameters(log)
+    except (ValueError, OSError):
+        return f'no robot had left: begin anew, in another folder than {log.parent}'
+    return f'to go on: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
+
+
+def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node that goes on with the mission of a log."""
+    recorded = read_parameters(log)
+    parameters = {}
+    for node in NODES:
+        if f'/{node}' not in recorded:
+            if not any(True for _ in MissionLog(log).read('path')):
+                raise ValueError(
+                    f'{log} ends before the first robot left: begin anew in another folder'
+                )
+            raise ValueError(
+                f'{log} does not have the parameters of /{node} on record: '
+                'resume its mission with the launch file, which takes them from params_file'
+            )
+        parameters[node] = recorded_values(recorded[f'/{node}'], node)
+        if 'resume' in parameters[node]:
+            parameters[node]['resume'] = str(log)
+    # What the mission came to is shown beside the truth, which the log may lack so far.
+    parameters['agent']['publish_truth'] = True
+    return parameters
+
+
+def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Start the nodes, watch until the mission is over, and stop the nodes."""
+    say(f'starting {", ".join(NODES)}: this takes some seconds')
+    with free_domain() as domain, Processes(domain) as processes:
+        for node in NODES:
+            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            # The progress bar says it.
+            levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
+            processes.start(node, {**parameters[node], **awaited}, levels=levels)
+        with observed(domain, parameters['planner']['agents']) as observer:
+            observer.watch(parameters['planner']['robots'], processes)
+        failed = {name: code for name, code in processes.stop().items() if code}
+    if failed:
+        raise RuntimeError(f'nodes did not end well, by exit code: {failed}')
+
+
+@contextmanager
+def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
+    """Yield an observer of these agents on the domain."""
+    os.environ.update(environment(domain))
+    rclpy.init(
+        args=['--ros-args', '--enclave', '/observer'],
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    observer = Observer(agents)
+    try:
+        yield observer
+    finally:
+        observer.destroy_node()
+        try_shutdown()
+
+
+class Observer(Node):
+    """Show a mission's progress."""
+
+    def __init__(self, agents: Sequence[str]) -> None:
+        super().__init__('observer')
+        self._held = 0
+        self._survived: dict[DeploymentKey, bool] = {}
+        self._belief: Belief | None = None
+        self._progress = Progress()
+        self.create_subscription(Progress, 'progress', self._on_progress, qos.LATCHED)
+        self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
+        for agent in agents:
+            self.create_subscription(
+                DeploymentReport, f'{agent}/report', self._on_report, qos.EVIDENCE
+            )
+
+    def _on_belief(self, message: BeliefMaps) -> None:
+        snapshot = read_belief_maps(message)
+        self._held, self._belief = snapshot.deployments, snapshot.belief
+
+    def _on_progress(self, message: Progress) -> None:
+        self._progress = message
+
+    def _on_report(self, message: DeploymentReport) -> None:
+        key, report = read_report(message)
+        self._survived[key] = report.survived or self._survived.get(key, False)
+
+    def _most_left(self, robots: int) -> float:
+        """Return how long this goes on at most unless something changes, in seconds."""
+        now = self._progress
+        # The reason is empty unless the estimator refuses evidence.
+        if now.reason.startswith(BELIEF_AWAITED):
+            return OPERATOR_WAIT
+        if self._belief is None or now.out:
+            return inf
+        if now.state in (MissionState.DONE, MissionState.ENDED):
+            return 0.0
+        # Nobody can call the services of the planner, which may be about to search again.
+        if now.reason.startswith(OPERATOR_AWAITED):
+            return OPERATOR_WAIT
+        return END_WAIT if self._held >= robots else inf
+
+    def watch(self, robots: int, processes: Processes) -> None:
+        """Wait until the mission is over, or only an operator could go on with it."""
+        executor = SingleThreadedExecutor()
+        executor.add_node(self)
+        known, since = (0, ''), time.monotonic()
+        with tqdm(total=robots, unit='robot', desc='waiting for the nodes', disable=None) as bar:
+            while time.monotonic() <= since + self._most_left(robots):
+                executor.spin_once(timeout_sec=0.2)
+                if processes.ended():
+                    raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
+                if self._belief is not None:
+                    bar.set_description('deploying', refresh=False)
+                    entropy = f'{self._belief.entropy():.1f} nats'
+                    lost = len(self._survived) - sum(self._survived.values())
+                    bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
+                bar.update(self._held - bar.n)
+                if known != (known := (self._held, self._progress.reason)):
+                    since = time.monotonic()
+        if self._held < robots:
+            say(self._progress.reason)
+
+
+def conclude(log: Path, note: str) -> int:
+    """Replay the log, report it, say what became known; return the exit code."""
+    say('computing every belief of the log again, and writing the report')
+    reproduction = replay(recorded := MissionLog(log), asked=asked_on_record(recorded))
+    folder = report_folder(log)
+    # A mission that is gone on with may have ended before.
+    shutil.rmtree(folder, ignore_errors=True)
+    say(*lines(reproduction))
+    say(f'wrote {log}')
+    mission = report(log, folder, note)
+    first, last = mission.moments[0], mission.moments[-1]
+    say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
+    for name, known in last.state.numbers.items():
+        low, _, middle, _, high = known.quantiles
+        is_known = f'; it is {mission.numbers[name]:.3g}' if name in mission.numbers else ''
+        say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')
+    return 1 if reproduction.grade == Grade.DIFFERENT else 0
+
+
+def report_folder(log: Path) -> Path:
+    """Return where the report of a log goes, beside it."""
+    return log.with_name('report' if log.name == NAME else f'{log.stem}_report')
