@@ -23,7 +23,7 @@ from kbnitp_ros.base.checks import check_reach, reach_note
 from kbnitp_ros.cli.demo import DEFAULTS, HELD, LEARNT, NODES, OPTIONS, OWN
 from kbnitp_ros.cli.output import complain, say
 from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
-from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.cli.processes import environment, given_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.configuration import agents_of, estimator_of, grid_of, parameters_of, value_for
@@ -41,7 +41,7 @@ from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
-from kbnitp_ros.files import in_words
+from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.files import check_is_new, LogError, LogLock, NAME, new_log, parts_of
 from kbnitp_ros.log.replay import replay
@@ -234,8 +234,12 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
 
 def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """Start the nodes, watch until the mission is over, and stop the nodes."""
-    say(f'starting {", ".join(NODES)}: this takes some seconds')
-    with free_domain() as domain, Processes(domain) as processes:
+    team = 'team' if len(parameters['planner']['agents']) > 1 else 'mission'
+    with given_domain() as domain, Processes(domain) as processes:
+        say(
+            f'starting {", ".join(NODES)}; to watch them: ROS_DOMAIN_ID={domain} rviz2 -d '
+            f'{shlex.quote(str(share(f"rviz/{team}.rviz")))}, or foxglove_bridge in that domain'
+        )
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
             # The progress bar says it.
@@ -311,7 +315,7 @@ class Observer(Node):
         executor = SingleThreadedExecutor()
         executor.add_node(self)
         known, since = (0, ''), time.monotonic()
-        with tqdm(total=robots, unit='robot', desc='waiting for the nodes', disable=None) as bar:
+        with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
             while time.monotonic() <= since + self._most_left(robots):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():

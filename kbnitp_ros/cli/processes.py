@@ -22,6 +22,9 @@ from kbnitp_ros.nodes.runtime.graph import udp_only
 # Domains beyond 101 use ports that Linux hands out to others.
 DOMAINS = range(1, 102)
 
+# Fast DDS has ports for no other domains.
+MAX_DOMAIN = 232
+
 # Has the system end a node as Ctrl-C does when the process that started it is killed.
 END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
 
@@ -42,6 +45,18 @@ def environment(domain: int) -> dict[str, str]:
         **udp_only(local, share('config')),
         'PYTHONPATH': os.pathsep.join(filter(None, paths)),
     }
+
+
+@contextmanager
+def given_domain() -> Iterator[int]:
+    """Yield the ROS domain that ROS_DOMAIN_ID names; hold a free one if it names none."""
+    if given := os.environ.get('ROS_DOMAIN_ID'):
+        if not given.isdecimal() or int(given) > MAX_DOMAIN:
+            raise OSError(f'ROS_DOMAIN_ID is {given!r}: it must be from 0 to {MAX_DOMAIN}')
+        yield int(given)
+        return
+    with free_domain() as domain:
+        yield domain
 
 
 @contextmanager
