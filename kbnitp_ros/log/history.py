@@ -23,15 +23,13 @@ from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission, required_belief
 from kbnitp_ros.log.roles import mission_log, MissionLog, TRUTH
-from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.grids import read_occupancy_grid
+from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import (
     Known,
     ModelState,
     NOTHING_LEARNT,
     read_decision,
-    read_model_belief,
 )
 
 if TYPE_CHECKING:
@@ -140,17 +138,17 @@ def read_history(
             if role.name in ('path', 'report', 'status'):
                 evidence.take(role, logged)
             elif role.name == 'belief':
-                snapshot = read_belief_maps(message)
+                snapshot = logged.said
                 if snapshot.grid != first.grid:
                     raise ValueError(f'it is on {snapshot.grid}, and the first on {first.grid}')
                 history.moments.append(Moment(snapshot, logged.log_time, logged.position))
                 evidence.take(role, logged)
             elif role.name == 'model':
-                history.models[stamp] = read_model_belief(message)
+                history.models[stamp] = logged.said
             elif role.name == 'decision':
                 history.decision = read_decision(first.grid, message)
             elif role.name in TRUTH:
-                shown = read_occupancy_grid(message) > 0.0
+                shown = logged.said > 0.0
                 if shown.size != first.grid.cells:
                     raise ValueError(f'it has {shown.size} cells: the grid has {first.grid.cells}')
                 truth[role.name] = shown

@@ -91,6 +91,8 @@ class LoggedMessage:
     data: bytes
     # Has the fields of its type, as the file defines it.
     message: Any
+    # What it says, where that was read by the role of its topic.
+    said: Any = None
 
 
 def read_log(

@@ -25,19 +25,15 @@ from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, LONGEST, MissionLog, Role
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
-    read_belief_maps,
-    read_robot_types,
     Snapshot,
 )
 from kbnitp_ros.messages.deployments import (
     AgentStatus,
-    key_of_path,
     OrderState,
     read_path,
     read_report,
-    read_status,
 )
-from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, read_stamp
+from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
     OperatorAction,
     OperatorState,
@@ -140,7 +136,7 @@ def record(deployments: MissionRecord, role: Role, message: Any) -> bool:
 
 def first_belief(log: MissionLog) -> Snapshot | None:
     """Return the first belief on record; None if there is none that can be read."""
-    return next((read_belief_maps(each.message) for _, each in log.read('belief')), None)
+    return next((each.said for _, each in log.read('belief')), None)
 
 
 def required_belief(log: MissionLog) -> Snapshot:
@@ -170,11 +166,11 @@ def begun(prior: Snapshot) -> Ledger:
 
 def last_belief(log: MissionLog) -> Snapshot | None:
     """Return the last of the recorded beliefs that hold the most deployments."""
-    last, most = None, -1
+    last: Snapshot | None = None
     for _, logged in log.read('belief'):
-        if logged.message.deployments >= most:
-            last, most = logged.message, logged.message.deployments
-    return None if last is None else read_belief_maps(last)
+        if last is None or logged.said.deployments >= last.deployments:
+            last = logged.said
+    return last
 
 
 def check_same_field(
@@ -250,10 +246,8 @@ class RecordedMission(MissionRecord):
             if self.operator.apply(action):
                 self.messages[action.stamp] = logged.data
         elif role.name == 'belief':
-            # What is wrong with a belief is said when it is compared.
-            with suppress(ValueError):
-                self.allow(message.max_steps, read_robot_types(message.own))
-        elif is_of_mission(role, message, self.mission):
+            self.allow(logged.said.max_steps, logged.said.robot_types)
+        elif is_of_mission(role, logged, self.mission):
             try:
                 self._take_evidence(role, logged)
             except ValueError as error:
@@ -262,16 +256,16 @@ class RecordedMission(MissionRecord):
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
         message = logged.message
         if role.name == 'status':
-            self.departures.take(*read_status(message, role.agent))
+            self.departures.take(*logged.said)
         elif role.name == 'path':
             try:
                 record(self, role, message)
             finally:
-                key = key_of_path(role.agent, message)
+                key, _ = logged.said
                 if key in self.paths and key not in self.sent:
                     self.sent[key], self.messages[key] = logged.log_time, logged.data
         else:
-            key, report = read_report(message, role.agent)
+            key, report = logged.said
             self.reported.setdefault((key, report.stamp), logged.log_time)
             self.record_report(key, replace(report, content=content_hash(message)))
 
@@ -384,18 +378,16 @@ def read_newest_round(
     keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
     for _, logged in log.read('belief'):
-        held, stamp = logged.message.deployments, from_stamp(logged.message.header.stamp)
-        if held < len(keys) and stamp <= keys[held].stamp:
-            planned_on = logged.message
+        held = logged.said.deployments
+        if held < len(keys) and logged.said.stamp <= keys[held].stamp:
+            planned_on = logged.said
     if planned_on is None:
         return None
-    snapshot = read_belief_maps(planned_on)
-    first = snapshot.deployments
-    newest = {*keys[first:]}
-    return snapshot, [
+    newest = {*keys[planned_on.deployments :]}
+    return planned_on, [
         key
         for key in record.orders
-        if key in newest or (key not in keys and key.stamp >= snapshot.stamp)
+        if key in newest or (key not in keys and key.stamp >= planned_on.stamp)
     ]
 
 
@@ -405,20 +397,19 @@ def read_mission(log: MissionLog) -> int | None:
     sent: dict[int, None] = {}
     for role, logged in log.read('belief', 'path'):
         if role.name == 'belief':
-            mission = read_stamp('mission', logged.message.mission)
-            stated.pop(mission, None)
-            stated[mission] = None
+            stated.pop(logged.said.mission, None)
+            stated[logged.said.mission] = None
         else:
-            sent.setdefault(mission_of_path(logged.message))
+            sent.setdefault(logged.said[1])
         for mission in sent:
             if mission in stated:
                 return mission
     return next(reversed(stated), None)
 
 
-def is_of_mission(role: Role, message: Any, mission: int | None) -> bool:
+def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
     """Return whether a path or report on record can be of the mission begun at a time."""
-    return mission is None or role.name != 'path' or mission_of_path(message) == mission
+    return mission is None or role.name != 'path' or logged.said[1] == mission
 
 
 def read_ledger(log: MissionLog) -> Ledger:
@@ -431,7 +422,7 @@ def read_ledger(log: MissionLog) -> Ledger:
         )
     ledger, mission = begun(prior), read_mission(log)
     for role, logged in log.read('path', 'report'):
-        if is_of_mission(role, logged.message, mission):
+        if is_of_mission(role, logged, mission):
             # The estimator refused it as well.
             with suppress(ValueError):
                 record(ledger, role, logged.message)

@@ -37,12 +37,10 @@ from kbnitp_ros.messages.beliefs import (
     belief_fields,
     newest_deployment,
     read_assimilated,
-    read_belief_maps,
     read_joint,
     Snapshot,
 )
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
-from kbnitp_ros.messages.progress import MissionState, Standing
 
 # What is computed from the evidence, and what is read besides before the beliefs.
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
@@ -61,9 +59,8 @@ def replay(
     report = ReplayReport(evidence, finished=is_finished(log.path))
     fold = Fold(report, log.roles.names['belief'], asked)
     for role, logged in log.read(*READ, corrupt=report.corrupt, progress=progress):
-        message = logged.message
         if role.name == 'progress':
-            report.standing = Standing(MissionState(message.state), message.reason)
+            report.standing = logged.said
         elif role.type_name in (GRID, MODEL):
             fold.views.note(role, logged)
         elif role.name == 'decision':
@@ -123,7 +120,7 @@ class Fold:
         try:
             if newest is None:
                 self._ledger = None
-                self._begin(read_belief_maps(belief))
+                self._begin(logged.said)
             elif self._ledger is None:
                 raise ValueError('the prior it started from is not on record')
             elif (belief.since and not follows) or not self._assimilate(

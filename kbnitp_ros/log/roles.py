@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import json
 import operator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import PARAMETERS, read_parameters, recorded_environment
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage, read_log, read_recorded, RecordedMessage
@@ -20,7 +21,7 @@ from kbnitp_ros.messages.deployments import read_path_name, read_report, read_st
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
 from kbnitp_ros.messages.operator_actions import read_action_name
-from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief
+from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief, Standing
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 DECISION = 'kbnitp_msgs/msg/Decision'
@@ -259,21 +260,19 @@ class MissionLog:
         types = {each.type_name for each in roles.values()}
         for logged in progress(read_log(self.path, types, corrupt, roles.keys())):
             role = roles[logged.topic]
-            if role.type_name == logged.type_name and self._is_sound(role, logged):
+            if role.type_name != logged.type_name:
+                continue
+            if role.name == 'belief':
+                check_version(self.path, logged.message)
+            try:
+                with self.leaving_out(role, logged):
+                    logged = replace(logged, said=read_content(role, logged.message))
+            except (AttributeError, TypeError) as error:
+                raise LogError(
+                    f'{self.path} has messages of another version of their type: {error}'
+                ) from error
+            if (logged.topic, logged.index) not in self.left_out:
                 yield role, logged
-
-    def _is_sound(self, role: Role, logged: LoggedMessage) -> bool:
-        if role.name == 'belief':
-            check_version(self.path, logged.message)
-        try:
-            with self.leaving_out(role, logged):
-                check_content(role, logged.message)
-                return True
-        except (AttributeError, TypeError) as error:
-            raise LogError(
-                f'{self.path} has messages of another version of their type: {error}'
-            ) from error
-        return False
 
     @contextmanager
     def leaving_out(self, role: Role, logged: LoggedMessage) -> Iterator[None]:
@@ -312,28 +311,28 @@ def resumed_log(log: str, own: Roles) -> MissionLog:
     return recorded
 
 
-def check_content(role: Role, message: Any) -> None:
-    """Check that a message says what one in this role can; raises ValueError."""
-    if role.name == 'path':
-        read_path_name(message)
-        mission_of_path(message)
-    elif role.name == 'report':
-        read_report(message, role.agent)
-    elif role.name == 'status':
-        read_status(message, role.agent)
-    elif role.name == 'operator':
-        read_action_name(message)
-    elif role.name == 'belief':
-        operator.index(read_belief_maps(message).deployments)
-    elif role.name == 'model':
-        read_model_belief(message)
-    elif role.name == 'decision':
-        check_decision(message)
-    elif role.name == 'progress':
-        MissionState(message.state)
-        read_stamp('header.stamp', message.header.stamp)
-    elif role.type_name == GRID:
-        read_occupancy_grid(message)
+def read_content(role: Role, message: Any) -> Any:
+    """Return what a message in this role says, without the grid; raise ValueError if it cannot."""
+    match role.name:
+        case 'path':
+            return DeploymentKey(role.agent, read_path_name(message)), mission_of_path(message)
+        case 'report':
+            return read_report(message, role.agent)
+        case 'status':
+            return read_status(message, role.agent)
+        case 'operator':
+            return read_action_name(message)
+        case 'belief':
+            operator.index(message.deployments)
+            return read_belief_maps(message)
+        case 'model':
+            return read_model_belief(message)
+        case 'decision':
+            return check_decision(message)
+        case 'progress':
+            read_stamp('header.stamp', message.header.stamp)
+            return Standing(MissionState(message.state), message.reason)
+    return read_occupancy_grid(message) if role.type_name == GRID else None
 
 
 def check_version(log: str | Path, belief: Any) -> None:

@@ -119,8 +119,8 @@ class EstimatorNode(FieldNode):
             # What was refused when it came is refused again.
             with suppress(ValueError):
                 if role.name == 'status':
-                    self._departures.take(*read_status(logged.message, role.agent))
-                elif is_of_mission(role, logged.message, self._mission):
+                    self._departures.take(*logged.said)
+                elif is_of_mission(role, logged, self._mission):
                     record(self._ledger, role, logged.message)
         for key in self._ledger.deployments:
             self._departures.end(key, None)

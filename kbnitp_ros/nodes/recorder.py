@@ -22,19 +22,16 @@ from kbnitp_ros.log.configuration import PARAMETERS, parameters_record, RUN, run
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import check_readable
 from kbnitp_ros.log.record import AtBaseError, Departures, read_mission
-from kbnitp_ros.log.roles import BELIEF, check_content, PATH, RECORD, resumed_log, Role
+from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
-from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.messages.deployments import OrderState, read_path_name, read_report, read_status
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState
 from kbnitp_ros.messages.headers import (
     check_mission,
     content_hash,
-    mission_of_path,
     NO_MISSION,
     to_stamp,
 )
-from kbnitp_ros.messages.operator_actions import read_action_name
 from kbnitp_ros.nodes.heard import (
     HeardTopic,
     Message,
@@ -129,14 +126,14 @@ class RecorderNode(MissionNode):
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
             for role, logged in recorded.read('path', 'status'):
-                message = logged.message
                 if role.name == 'path':
-                    name = read_path_name(message), mission_of_path(message)
-                    self._note(logged.topic, role, *name, content_hash(message))
+                    key, mission = logged.said
+                    content = content_hash(logged.message)
+                    self._note(logged.topic, role, key.stamp, mission, content)
                 else:
                     # What was refused when it came is refused again.
                     with suppress(ValueError):
-                        self._departures.take(*read_status(message, role.agent))
+                        self._departures.take(*logged.said)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, HeardTopic] = {}
@@ -388,12 +385,14 @@ class RecorderNode(MissionNode):
             return
         message = deserialize_message(data, message_class(topic.type_name))
         check_readable(topic.type_name, data)
-        if role.name != 'belief':
-            check_content(role, message)
+        said = read_content(role, message)
         if role.name == 'status':
-            self._check_status(topic, role, message)
+            self._check_status(topic, *said)
         elif topic.recorded:
-            stamp, mission = self._name(role, message)
+            stamp, mission = said, NO_MISSION
+            if role.name == 'path':
+                (_, stamp), mission = said
+                check_mission(mission, self._tracker.mission)
             content = content_hash(message)
             first = self._note(topic.name, role, stamp, mission, content)
             topic.unacknowledged.append((stamp, first, mission))
@@ -410,17 +409,15 @@ class RecorderNode(MissionNode):
                     'nodes publish this topic?)'
                 )
         elif role.name == 'report' and not message.survived:
-            self._departures.check_loss(read_report(message)[0])
+            self._departures.check_loss(said[0])
         elif role.name == 'belief':
-            snapshot = read_belief_maps(message)
-            known = self._paths[snapshot.mission]
-            self._tracker.check_belief(snapshot, self.count_authors(topic.name, BELIEF), known)
-            self._tracker.accept_belief(snapshot, known)
+            known = self._paths[said.mission]
+            self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF), known)
+            self._tracker.accept_belief(said, known)
 
-    def _check_status(self, topic: HeardTopic, role: Role, message: Any) -> None:
+    def _check_status(self, topic: HeardTopic, key: DeploymentKey, status: AgentStatus) -> None:
         """Check what an agent says of an order, and have a departure told to be on the disk."""
         # Of two departures of one deployment, by two robots of one name, only the first is told.
-        key, status = read_status(message, role.agent)
         if key not in self._ordered:
             raise PathsUnknownError(
                 f'deployment {key} is {status.state.name}, and its path is not on record'
@@ -428,14 +425,6 @@ class RecorderNode(MissionNode):
         self._departures.take(key, status)
         if status.state is OrderState.DEPARTED:
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
-
-    def _name(self, role: Role, message: Any) -> tuple[int, int]:
-        """Return the stamp of a path or an operator's action, and when its mission began."""
-        if role.name == 'operator':
-            return read_action_name(message), NO_MISSION
-        stamp, mission = read_path_name(message), mission_of_path(message)
-        check_mission(mission, self._tracker.mission)
-        return stamp, mission
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
         """Return the hash of the first path or action of this name that is on record."""
