@@ -177,15 +177,12 @@ def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
 
 def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:
     """Return what an agent's robots have of their own."""
-    given = {
-        **{each.name: f'sensor.{each.name}' for each in fields(SensorModel)},
-        'max_steps': 'max_steps',
-        'max_distance': 'max_distance',
-        'loss_cost': 'loss_cost',
-    }
+    sensor = {each.name for each in fields(SensorModel)}
+    names = {each.name for each in fields(RobotType)} - {'base'}
+    given = {name: f'sensor.{name}' if name in sensor else name for name in names}
     return RobotType(
         base=base_of(values, agent, grid),
-        **{each: values.get(f'team.{agent}.{name}') for each, name in given.items()},
+        **{name: values.get(f'team.{agent}.{each}') for name, each in given.items()},
     )
 
 

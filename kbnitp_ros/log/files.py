@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 import fcntl
+from functools import lru_cache
 import os
 from pathlib import Path, PurePath
 import re
@@ -107,8 +108,17 @@ def read_information(folder: Path) -> Mapping[str, Any]:
     """Return the description of a bag in metadata.yaml; {} if it is missing or cut."""
     path = folder / METADATA
     try:
+        return parsed_information(path, path.stat().st_mtime_ns)
+    except FileNotFoundError:
+        return {}
+
+
+@lru_cache(maxsize=4)
+def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
+    """Return what metadata.yaml says of a bag; it is parsed once for as long as it stays."""
+    try:
         content = read_yaml(path)
-    except (FileNotFoundError, NotYamlError):
+    except NotYamlError:
         return {}
     except ValueError as error:
         raise LogError(f'{path}: {error}; without it the log can be read, too') from error

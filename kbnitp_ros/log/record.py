@@ -383,7 +383,8 @@ def read_newest_round(
             planned_on = logged.said
     if planned_on is None:
         return None
-    newest = {*keys[planned_on.deployments :]}
+    first = planned_on.deployments
+    newest = {*keys[first:]}
     return planned_on, [
         key
         for key in record.orders

@@ -108,7 +108,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     report = base.replayed()
     assert len(report.evidence.reports) == 2
     (refused,) = report.evidence.without_report
-    assert report.departures.status(refused).reason == 'the battery is low'
+    assert report.evidence.departures.status(refused).reason == 'the battery is low'
 
 
 @pytest.mark.full
