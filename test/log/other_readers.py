@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read logs with the tools that their users have, and compare what comes out with what is in."""
+"""Read logs and write bags with the tools of users, and compare what comes out with what is in."""
 
 import base64
 from importlib import import_module
@@ -16,9 +16,31 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mission_log import same
 from rclpy.serialization import deserialize_message
-from rosbags.rosbag2 import Reader
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 import yaml
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+
+QOS = Qos(
+    QosHistory.KEEP_LAST,
+    7,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    QosTime(0, 0),
+    QosTime(0, 0),
+    QosLiveliness.AUTOMATIC,
+    QosTime(0, 0),
+    False,
+)
 
 NODE = ['node', Path(__file__).with_name('read_mcap.mjs')]
 
@@ -155,3 +177,24 @@ def check_all_read(log):
         for library in (with_mcap, with_node, with_rosbags):
             check_same(library(part), read_part(part))
     check_same(with_rosbags(log.parent), read_recorded(log))
+
+
+def write_bag(folder, sent, storage='mcap', version=9, compression=None):
+    """Write messages to a bag, in a version of rosbag2's metadata, with rosbags' compression."""
+    writer = Writer(folder, version=version, storage_plugin=STORAGES[storage])
+    if compression:
+        writer.set_compression(*compression)
+    with writer as bag:
+        connections = {}
+        for each in sent:
+            if each.topic not in connections:
+                description = describe(each.type_name)
+                connections[each.topic] = bag.add_connection(
+                    each.topic,
+                    each.type_name,
+                    msgdef=description.definition,
+                    rihs01=description.type_hash,
+                    offered_qos_profiles=[QOS],
+                )
+            bag.write(connections[each.topic], each.time + 500, each.data)
+    return folder

@@ -1,20 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log's deployments are each told once, in their order, by what is known of them in the end."""
+"""A log's deployments are each told once, by what is known in the end, and are of its mission."""
 
 from dataclasses import replace
 from itertools import product
 
-from kbnitp_ros.core import DeploymentKey, Grid, Observation
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    Observation,
+    SensorModel,
+)
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import read_resumed
+from kbnitp_ros.log.record import read_mission, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.log.write import LogWriter
+from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, report_message
 from laws import for_each
 from mission_log import GRID, MAX_STEPS, Mission, on, record
 from nav_msgs.msg import Path
 import pytest
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
 
@@ -162,3 +172,52 @@ def test_maps_of_others_are_no_truth(whole_mission, tmp_path):
     others = [replace(other, topic=f'/camera/truth/{name}') for name in ('floor', 'ceiling')]
     path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *others])
     assert read_history(path).world is None
+
+
+# The mission of a log is the one that its beliefs state, whatever paths came before.
+
+
+NARROW = Grid(3, 1)
+OWN, FOREIGN, LATER = 5 * 10**9, 10**9, 9 * 10**9
+
+
+def prior_of(mission):
+    """Return the first belief that an estimator publishes."""
+    estimator = Estimator(Belief.prior(NARROW, 0.5, 0.45, 0.8), SensorModel(0.5))
+    return (
+        '/belief',
+        'kbnitp_msgs/msg/BeliefMaps',
+        belief_maps(Ledger(NARROW, 4, estimator), 1, mission),
+    )
+
+
+def path_of(mission, stamp=1):
+    """Return a path of a mission."""
+    message = path_message(NARROW, [0, 1, 0], mission + stamp, mission)
+    return '/scout/path', 'nav_msgs/msg/Path', message
+
+
+@for_each('messages, mission, paths', [
+    ([], None, []),
+    ([prior_of(OWN)], OWN, []),
+    ([path_of(FOREIGN), prior_of(OWN)], OWN, []),
+    ([path_of(FOREIGN), prior_of(OWN), path_of(OWN)], OWN, [OWN + 1]),
+    ([prior_of(OWN), path_of(FOREIGN), path_of(OWN)], OWN, [OWN + 1]),
+    # A path may come before its belief.
+    ([path_of(FOREIGN), path_of(OWN), prior_of(OWN)], OWN, [OWN + 1]),
+    # An estimator starts anew before the first robot leaves, and after it.
+    ([prior_of(OWN), prior_of(LATER), path_of(LATER)], LATER, [LATER + 1]),
+    ([prior_of(OWN), path_of(OWN), prior_of(LATER)], OWN, [OWN + 1]),
+    ([*(path_of(each * 10**12) for each in range(1, 101)), prior_of(OWN), path_of(OWN)],
+     OWN, [OWN + 1]),
+])  # fmt: skip
+def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths):
+    log = tmp_path / 'mission.mcap'
+    with LogWriter(log) as writer:
+        for time, (topic, kind, message) in enumerate(messages):
+            writer.add_topic(topic, kind, '[]')
+            writer.write(topic, serialize_message(message), time, time)
+    assert read_mission(MissionLog(log)) == mission
+    assert read_resumed(MissionLog(log), NARROW, 4).orders == [
+        DeploymentKey('scout', each) for each in paths
+    ]

@@ -152,6 +152,26 @@ def test_what_is_heard_later_is_reproduced(replayed, kind, gone):
     assert len(report.evidence.reports) == 3
 
 
+def test_a_report_that_changes_with_another_s_first_is_assimilated(replayed):
+    """One belief names both, and of the two the one that changes is not its newest."""
+    whole, tour, other = Mission(), [2, 7, 12, 7, 2], [2, 7, 6, 2]
+    key = whole.deploy(Observation(tour, False))
+    second = whole.send_out(other, 'scout_2')
+    whole.hear_path(second, other)
+    back = Observation(tour, True, [True, False] * 2)
+    for each in (whole.come_back(key, back), whole.come_back(second, Observation(other, False))):
+        assert whole.ledger.record_report(*each)
+        whole.new.add(each[0])
+    whole.publish_belief()
+    assert replayed(whole.sent).reproduced
+    (last,) = beliefs(whole.sent)[2:]
+    lost = without(whole.sent, *on(whole.sent, '/scout_1/report')[1:])
+    (mismatch,) = replayed(lost).mismatches
+    assert mismatch.index == 2
+    assert 'report of deployment' in mismatch.reason
+    assert last.message.taken_in[0].agent == 'scout_1'
+
+
 @pytest.mark.slow
 @for_each('method', METHODS)
 def test_the_order_of_assimilation_is_that_of_the_deployments(replayed, method):

@@ -9,7 +9,6 @@ import resource
 import subprocess
 import sys
 
-from bags import write_bag
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import estimator_of, parameters_of
@@ -25,6 +24,7 @@ from laws import for_each
 from mission_log import GRID, Mission, MODEL, on, record, record_to, without
 from missions import sent_by_single, Shown, single, team
 import numpy as np
+from other_readers import write_bag
 from pyarrow import csv, parquet
 import pytest
 

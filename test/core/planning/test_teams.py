@@ -18,6 +18,7 @@ from kbnitp_ros.core import (
     team_information,
 )
 from kbnitp_ros.core.planning.objective import joint_outcomes
+from kbnitp_ros.core.planning.teams import allocations
 from laws import for_each
 import numpy as np
 import pytest
@@ -160,6 +161,21 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
         if allocation in page:
             assert figures == page[allocation][place:][:2]
     assert min(share['greedy'] for share in shares) >= 0.96
+
+
+@for_each('agents', [2, 3, 5])
+def test_a_greedy_team_is_the_best_of_those_that_grow_side_by_side(agents, monkeypatch):
+    """No less is found than by one team that grows with the best path for each robot."""
+
+    def found(seed):
+        belief = random_belief(seed)
+        return plan_round(GRID, belief, MODEL, 7, agents).information
+
+    together = np.array([found(seed) for seed in range(8)])
+    monkeypatch.setattr(allocations, 'ROBOTS_SIDE_BY_SIDE', 1)
+    alone = np.array([found(seed) for seed in range(8)])
+    assert (together >= 0.999 * alone).all()
+    assert together.mean() > alone.mean()
 
 
 @for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))

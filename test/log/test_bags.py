@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 
-from bags import write_bag
 from kbnitp_ros.cli.demo import main as demo_command
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.cli.report import main as report_command
@@ -17,6 +16,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.write import LogWriter
 from laws import for_each
 from mission_log import record, record_to
+from other_readers import write_bag
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 import yaml

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reader takes what there is, and has one kind of error."""
 
+from collections import Counter
 import struct
 
 from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.log.read import is_finished, LogError, read_log, read_metadata, read_recorded
+from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from laws import for_each
@@ -14,13 +17,17 @@ from mcap.writer import Writer
 from mission_log import on, QOS, record, record_to, same
 import pytest
 
+# Bytes of a chunk before its messages: its head, times, sizes, checksum and name of compression.
+CHUNK_START = 60
+
 
 @pytest.fixture(scope='module')
 def files(whole_mission, tmp_path_factory):
-    """Return finished logs, with one message a chunk and with one chunk, and an unfinished one."""
+    """Return finished logs, with one message a chunk or all in one, and an unfinished one."""
     folder = tmp_path_factory.mktemp('log')
-    with LogWriter(folder / 'finished.mcap') as log:
-        record_to(log, whole_mission.sent, synced=True)
+    for name, compression in (('finished', 'none'), ('compressed', 'zstd')):
+        with LogWriter(folder / f'{name}.mcap', compression=compression) as log:
+            record_to(log, whole_mission.sent, synced=True)
     record(folder / 'one_chunk.mcap', whole_mission.sent)
     log = LogWriter(folder / 'open.mcap')
     record_to(log, whole_mission.sent, synced=True)
@@ -94,42 +101,93 @@ def test_what_rosbag2_compressed_is_refused(tmp_path):
         list(read_log(path))
 
 
+def changed(content, draw):
+    """Return the bytes of a log with some cut, changed, left out, put in or said again."""
+    start, end = draw(st.sampled_from(list(records(content[:-8]))))
+    # Lengths and kinds of records are rare among the bytes and matter most.
+    place = min(start + draw(st.integers(0, 60) | st.integers(0, end - start - 1)), end - 1)
+    what = draw(st.sampled_from(['cut', 'flip', 'flip', 'delete', 'insert', 'repeat']))
+    before, after = content[:place], content[place:]
+    if what == 'cut':
+        return what, place, before
+    if what == 'flip':
+        return what, place, before + bytes([after[0] ^ draw(st.integers(1, 255))]) + after[1:]
+    if what == 'delete':
+        left_out = draw(st.integers(1, 5000))
+        return what, place, before + after[left_out:]
+    more = draw(st.binary(min_size=1, max_size=40)) if what == 'insert' else content[start:end]
+    return what, place, before + more + after
+
+
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=150 if FULL else 60, deadline=None)
-def test_a_corrupt_byte_is_noticed_or_harmless(files, whole_mission, tmp_path_factory, data):
-    """Nothing is lost or changed in silence, and no other error is raised."""
-    content = bytearray((files / 'finished.mcap').read_bytes())
-    start, end = data.draw(st.sampled_from(list(records(content[:-8]))))
-    # Lengths and kinds of records are rare among the bytes and matter most.
-    place = min(start + data.draw(st.integers(0, 60) | st.integers(0, end - start - 1)), end - 1)
-    what = data.draw(st.sampled_from(['flip', 'delete', 'insert', 'repeat']))
-    if what == 'flip':
-        content[place] ^= data.draw(st.integers(1, 255))
-    elif what == 'delete':
-        after = place + data.draw(st.integers(1, 5000))
-        del content[place:after]
-    elif what == 'insert':
-        content[place:place] = data.draw(st.binary(min_size=1, max_size=40))
-    else:
-        content[place:place] = content[start:end]
-    path = tmp_path_factory.getbasetemp() / 'corrupt.mcap'
-    path.write_bytes(content)
+@settings(max_examples=400 if FULL else 100)
+def test_of_changed_bytes_what_was_written_is_read_or_an_error_told(
+    files, whole_mission, tmp_path_factory, data
+):
+    """Nothing is lost or changed in silence, no other error is raised, and no log gone on with."""
+    name = data.draw(st.sampled_from(['finished.mcap', 'compressed.mcap', 'unfinished.mcap']))
+    content = (files / name).read_bytes()
+    what, place, content_now = changed(content, data.draw)
+    path = tmp_path_factory.mktemp('changed') / 'mission.mcap'
+    path.write_bytes(content_now)
     read, error = messages(path)
-    if error is None:
-        assert len(read) == len(whole_mission.sent)
+    whole = chunks(content)
+    before = sum(end <= place for _, end in whole)
+    if what == 'cut':
+        assert error is None
+        assert not is_finished(path)
+        assert len(read) == before
         assert is_start_of(read, whole_mission.sent)
+        with LogWriter(path, resume=True) as log:
+            record_to(log, whole_mission.sent[:2])
+        after = [each.data for each in read_log(path)]
+        assert after == [each.data for each in [*read, *whole_mission.sent[:2]]]
+        return
+    if error is None:
+        assert is_start_of(read, whole_mission.sent)
+        assert len(read) == len(whole_mission.sent) or name == 'unfinished.mcap'
+    in_chunk = any(start + CHUNK_START <= place < end for start, end in whole)
+    if what == 'flip' and (in_chunk or (name != 'unfinished.mcap' and place < whole[-1][1])):
+        assert f'{path} is corrupt after byte ' in str(error)
+        if in_chunk:
+            assert len(read) == before
+            assert is_start_of(read, whole_mission.sent)
+        with pytest.raises(LogError, match='is corrupt after byte'):
+            LogWriter(path, resume=True)
+        assert [*path.parent.iterdir()] == [path]
 
 
-@for_each('name', ['unfinished.mcap', 'finished.mcap'])
+def test_replay_says_what_a_cut_log_lacks(files, whole_mission, tmp_path):
+    """It knows of the deployments in the part that is left, and that there may be more."""
+    content = (files / 'unfinished.mcap').read_bytes()
+    path = tmp_path / 'mission.mcap'
+    ends = [end for _, end in chunks(content)]
+    for kept in (0, 3, 8, 20, len(ends) - 1):
+        path.write_bytes(content[: ends[kept] - 1])
+        had = Counter(each.topic for each in whole_mission.sent[:kept])
+        if not had['/belief']:
+            with pytest.raises(LogError, match='no beliefs on record'):
+                replay(path)
+            continue
+        report = replay(path)
+        said = list(lines(report))
+        assert 'the log is unfinished: it was still being written, or its end is missing' in said
+        assert report.reproduced
+        assert report.compared['/belief'] == had['/belief']
+        assert len(report.evidence.reports) == had['/scout_1/report']
+        without_report = had['/scout_1/path'] - had['/scout_1/report']
+        assert sum('has no report on record' in line for line in said) == without_report
+        in_no_belief = had['/scout_1/report'] - (had['/belief'] - 1)
+        assert sum('is in no belief yet' in line for line in said) == in_no_belief
+
+
 @for_each('place, bits, read', [
     ('of its kind', 0x80, 20), ('of its length', 1, 20), ('of its content', 1, 20),
     ("of its index's length", 1, 21),
 ])  # fmt: skip
-def test_a_corrupt_chunk_is_an_error_after_those_before(
-    files, whole_mission, tmp_path, name, place, bits, read
-):
-    content = bytearray((files / name).read_bytes())
+def test_a_corrupt_chunk_is_an_error_after_those_before(files, tmp_path, place, bits, read):
+    content = bytearray((files / 'unfinished.mcap').read_bytes())
     start, end = chunks(content)[20]
     content[
         {
@@ -145,7 +203,6 @@ def test_a_corrupt_chunk_is_an_error_after_those_before(
     assert 'corrupt.mcap is corrupt after byte ' in str(error)
     assert 'replay --repair saves what is before, mcap recover may save more' in str(error)
     assert len(found) == read
-    assert is_start_of(found, whole_mission.sent)
     # If wanted, the error is no exception.
     assert len(list(read_log(path, None, corrupt := []))) == read
     assert len(corrupt) == 1

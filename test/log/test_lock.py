@@ -38,7 +38,7 @@ def elsewhere():
     def write(*arguments):
         process = subprocess.Popen(
             [sys.executable, '-c', WRITE_UNTIL_KILLED, *map(str, arguments)],
-            cwd=Path(__file__).parents[1] / 'log',
+            cwd=Path(__file__).parent,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
