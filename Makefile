@@ -7,7 +7,7 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build kernels demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
+.PHONY: build demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -24,7 +24,7 @@ SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
 PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off --require-hashes
 NPM := npm ci --loglevel http --no-audit --no-fund
 
-build: install/.done
+build: install/.kernels
 
 demo: build
 	. ./env.sh && python3 -m kbnitp_ros demo
@@ -56,17 +56,13 @@ coverage: build .venv/.dev .venv/.npm
 linkcheck: build .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
-# Several processes of the tests would compile the same kernels at once.
-kernels: build
-	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 test/kernels.py
-
 # What takes no seconds, no processes and no npm: for every edit. Tests, which pytest compiles, and
 # nodes start sooner where Python may keep what it compiled. These wait for nothing.
 test-quick: WORKERS = logical
 test-quick: build .venv/.dev
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
 
-test: build kernels .venv/.dev .venv/.npm
+test: build .venv/.dev .venv/.npm
 	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
 
 # What `test` leaves out, but for what takes minutes a test.
@@ -84,6 +80,11 @@ check: .venv/.dev
 
 clean:
 	rm -rf .venv build install log
+
+# What demo, nodes, studies and tests would compile at their first start, each for itself.
+install/.kernels: install/.done $(wildcard kbnitp_ros/core/*/*_kernels.py kbnitp_ros/core/*/*/*_kernels.py)
+	. ./env.sh && tools/step.sh 'Compiling the kernels' python3 tools/compile_kernels.py
+	touch $@
 
 # What was built with another environment may not fit a new one, so it goes with the old one.
 .venv/.run: requirements.lock

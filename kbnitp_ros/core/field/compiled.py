@@ -12,6 +12,7 @@ from collections.abc import Callable
 from functools import cache, update_wrapper
 from hashlib import sha256
 import logging
+from os.path import realpath
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, cast, TypeVar
@@ -41,6 +42,9 @@ class Compiled:
     """A kernel that is compiled, with all that it calls, when it is first called."""
 
     def __init__(self, kernel: Callable[..., Any], is_inlined: bool) -> None:
+        # As numba names what it caches, whichever of several names the file goes by.
+        file = realpath(kernel.__code__.co_filename)
+        kernel.__code__ = kernel.__code__.replace(co_filename=file)
         update_wrapper(self, kernel)
         self._kernel, self._is_inlined, self._code = kernel, is_inlined, cast(Any, None)
 
@@ -55,13 +59,19 @@ class Compiled:
             if jit := _jit():
                 # Counting references to arrays takes as long as much of what is done with them.
                 options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
-                self._code = _cached(jit(nogil=True, **options)(self._kernel))
+                self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
             # numba follows a call to another kernel only if the name stands for compiled code.
             names = self._kernel.__globals__
             for name, each in [*names.items()]:
                 if isinstance(each, Compiled):
                     names[name] = each.code
         return self._code
+
+
+def cache_folder() -> Path:
+    """Return the folder of the machine code, named by all sources: no code outlives them."""
+    sources = b''.join(path.read_bytes() for path in sorted(PACKAGE.rglob('*_kernels.py')))
+    return PACKAGE / '__pycache__' / f'kernels-{sha256(sources).hexdigest()[:16]}'
 
 
 @cache
@@ -74,10 +84,8 @@ def _jit() -> Any:
         return None
     if numba.config.DISABLE_JIT:
         return None
-    sources = b''.join(path.read_bytes() for path in sorted(PACKAGE.rglob('*_kernels.py')))
-    # No code outlives its sources. Where this cannot be written numba looks for another folder.
-    folder = PACKAGE / '__pycache__' / f'kernels-{sha256(sources).hexdigest()[:16]}'
-    numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(folder)
+    # Where this cannot be written numba looks for another folder.
+    numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(cache_folder())
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
         """Calls of numba at each compilation and at each of its passes."""
@@ -94,6 +102,19 @@ def _jit() -> Any:
     for kind in ('numba:compile', 'numba:run_pass'):
         numba.core.event.register(kind, Compilation())
     return numba.njit
+
+
+def _for_all_values(code: Any) -> Any:
+    """Return a dispatcher that kernels call with constants without one more compilation each."""
+    import numba
+
+    compile_for, unliteral = code.get_call_template, numba.types.unliteral
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return compile_for([*map(unliteral, args)], {n: unliteral(a) for n, a in kws.items()})
+
+    code.get_call_template = get_call_template
+    return code
 
 
 def _cached(code: Any) -> Any:
