@@ -21,13 +21,12 @@ from kbnitp_ros.core import (
     run_mission,
     SearchOptions,
     SensorModel,
+    Unknowns,
     World,
 )
-from kbnitp_ros.core.field.unknowns import Unknowns
-from kbnitp_ros.core.inference.sampling.chain_state import CHAINS
-from kbnitp_ros.core.inference.sampling.chains import Chains
-from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.sampling.tally import Tally
+from kbnitp_ros.core.inference.chains import CHAINS, Chains
+from kbnitp_ros.core.inference.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm

@@ -6,8 +6,7 @@ from kbnitp_ros.cli.demo_mission import chosen_parameters
 from kbnitp_ros.configuration import estimator_of, grid_of
 from kbnitp_ros.configuration.agents import sensor_model_of, unknowns_of
 from kbnitp_ros.configuration.mission import prior_of
-from kbnitp_ros.core import Belief, Learning, run_mission, Truth, World
-from kbnitp_ros.core.mission import Deployment
+from kbnitp_ros.core import Belief, Deployment, Learning, run_mission, Truth, World
 from kbnitp_ros.report.mission import true_numbers
 import numpy as np
 

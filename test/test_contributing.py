@@ -40,7 +40,7 @@ assert last.table(section).markdown().splitlines()[-1] == '| 0.5 | 3 |'
 """
 
 LATE = """
-from kbnitp_ros.core.inference.sampling import Sampler
+from kbnitp_ros.core.inference.sampler import Sampler
 
 
 class Late(Sampler):
@@ -85,9 +85,9 @@ def paragraph(beginning):
             'kbnitp_ros/core/inference/late.py': {'': LATE},
             'kbnitp_ros/core/inference/methods.py': {
                 "        'relaxed_itp': ": "        'late': Late,\n        'relaxed_itp': ",
-                'from kbnitp_ros.core.inference.sampling': (
+                'from kbnitp_ros.core.inference.sampler': (
                     'from kbnitp_ros.core.inference.late import Late\n'
-                    'from kbnitp_ros.core.inference.sampling'
+                    'from kbnitp_ros.core.inference.sampler'
                 ),
             },
         },

@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[1]
 NAME = 'newcomer'
 SOURCE = """
 from kbnitp_ros.core import update
-from kbnitp_ros.core.inference import KnownModel
-from kbnitp_ros.core.planning.search.planners import beam
+from kbnitp_ros.core import KnownModel
+from kbnitp_ros.core.planning.planners import beam
 
 
 class Returns(KnownModel):

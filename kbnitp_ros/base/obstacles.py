@@ -9,7 +9,8 @@ from enum import auto, Enum
 from typing import Any, NamedTuple
 
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.core import deployment_order, DeploymentKey
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.messages.operator_actions import OperatorState
 from kbnitp_ros.messages.progress import MissionState

@@ -21,8 +21,8 @@ from kbnitp_ros.configuration.agents import robot_types_of
 from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search, search_options, stop_of, type_to_plan
-from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Share, Team
-from kbnitp_ros.core.forecast import Course, PossibleWorld
+from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Team
+from kbnitp_ros.core.forecast import Course, PossibleWorld, Share
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog

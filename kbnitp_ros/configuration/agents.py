@@ -15,11 +15,11 @@ from kbnitp_ros.core import (
     Dynamics,
     Execution,
     Grid,
-    HAZARD_RATES,
     RobotType,
     SensorModel,
     Unknowns,
 )
+from kbnitp_ros.core.field.unknowns import HAZARD_RATES
 
 
 def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:

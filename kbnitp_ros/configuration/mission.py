@@ -19,12 +19,8 @@ from kbnitp_ros.configuration.agents import (
 )
 from kbnitp_ros.core import (
     Belief,
-    check_bounded,
-    check_sought,
-    check_team,
     Estimator,
     Goal,
-    GOALS,
     Grid,
     ORDINARY,
     PathFinder,
@@ -33,6 +29,10 @@ from kbnitp_ros.core import (
     SensorModel,
     Stop,
 )
+from kbnitp_ros.core.decision.goals import GOALS
+from kbnitp_ros.core.decision.rounds import check_sought
+from kbnitp_ros.core.planning.search import check_bounded
+from kbnitp_ros.core.planning.teams import check_team
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map, read_probabilities

@@ -2,17 +2,11 @@
 """The table of all parameters: names, types, defaults, ranges and meanings."""
 
 from kbnitp_ros.configuration.parameter import NAME, Parameter
-from kbnitp_ros.core import (
-    ALLOCATIONS,
-    ALPHAS,
-    GOALS,
-    HAZARDS,
-    LEARNT_COUPLING,
-    METHODS,
-    OBJECTIVES,
-    PLANNERS,
-    STRONGEST,
-)
+from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
+from kbnitp_ros.core.decision.goals import GOALS
+from kbnitp_ros.core.field.clustering import LEARNT_COUPLING, STRONGEST
+from kbnitp_ros.core.field.unknowns import HAZARDS
+from kbnitp_ros.core.planning.options import ALPHAS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
 FIELD = ('planner', 'agent', 'estimator')

@@ -1,64 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The science of path-based sensors: beliefs, updates, information and plans. Needs numpy only."""
 
-from kbnitp_ros.core.decision import (
-    Area,
-    check_sought,
-    Decision,
-    Goal,
-    GOALS,
-    HazardDraws,
-    Lane,
-    plan_round,
-    Round,
-    safest_path,
-    SafestPath,
-    Stop,
-    Target,
-    targets,
-)
-from kbnitp_ros.core.field import (
-    AS_ORDERED,
-    Belief,
-    Beta,
-    binary_entropy,
-    brier_score,
-    Clustering,
-    Dynamics,
-    Execution,
-    Grid,
-    HAZARD_RATES,
-    HAZARDS,
-    Learnt,
-    LEARNT_COUPLING,
-    log_loss,
-    lost_after_contact,
-    Observation,
-    ORDINARY,
-    RobotType,
-    SensorModel,
-    STATIC,
-    STRONGEST,
-    Traverse,
-    Unknowns,
-    while_compiling,
-    World,
-)
-from kbnitp_ros.core.forecast import Forecast, forecast, Share
-from kbnitp_ros.core.inference import (
-    deployment_order,
-    DeploymentKey,
-    Estimator,
-    hazards_used_up,
-    Ledger,
-    LONGEST_WALK,
-    METHODS,
-    MissionRecord,
-    ModelCheck,
-    observation_of,
-    Report,
-    update,
-)
+from kbnitp_ros.core.decision.decision import Decision, safest_path
+from kbnitp_ros.core.decision.goals import Area, Goal, Lane
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws, targets
+from kbnitp_ros.core.decision.rounds import plan_round
+from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.field.belief import Belief, brier_score, log_loss
+from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import Beta, Dynamics, Learnt, Unknowns
+from kbnitp_ros.core.field.world import Execution, World
+from kbnitp_ros.core.forecast import Forecast, forecast
+from kbnitp_ros.core.inference.estimator import Estimator
+from kbnitp_ros.core.inference.filters import KnownModel
+from kbnitp_ros.core.inference.methods import METHODS, update
+from kbnitp_ros.core.inference.model_check import ModelCheck
+from kbnitp_ros.core.inference.record import DeploymentKey, Ledger, MissionRecord, Report
 from kbnitp_ros.core.mission import (
     continue_mission,
     Deployment,
@@ -67,47 +27,24 @@ from kbnitp_ros.core.mission import (
     SimulatedMission,
     Truth,
 )
-from kbnitp_ros.core.planning import (
-    ALLOCATIONS,
-    ALPHAS,
+from kbnitp_ros.core.planning.allocations import ALLOCATIONS
+from kbnitp_ros.core.planning.information import (
     behavioral_information,
     Candidate,
-    check_bounded,
-    check_team,
-    count_visits,
-    keepout_cells,
-    NoPathError,
-    OBJECTIVES,
     path_information,
-    PathFinder,
-    Plan,
-    plan,
-    plan_team,
-    PLANNERS,
-    Regions,
-    SearchOptions,
-    Team,
     team_information,
-    team_size,
-    TeamPlan,
 )
-from kbnitp_ros.core.table import deployments_table
+from kbnitp_ros.core.planning.options import OBJECTIVES, PLANNERS, SearchOptions
+from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
+from kbnitp_ros.core.planning.search import Plan, plan
+from kbnitp_ros.core.planning.teams import plan_team, Team
 
 __all__ = [
     'ALLOCATIONS',
-    'ALPHAS',
-    'AS_ORDERED',
-    'GOALS',
-    'HAZARDS',
-    'HAZARD_RATES',
-    'LEARNT_COUPLING',
-    'LONGEST_WALK',
     'METHODS',
     'OBJECTIVES',
     'ORDINARY',
     'PLANNERS',
-    'STATIC',
-    'STRONGEST',
     'Area',
     'Belief',
     'Beta',
@@ -123,6 +60,7 @@ __all__ = [
     'Goal',
     'Grid',
     'HazardDraws',
+    'KnownModel',
     'Lane',
     'Learning',
     'Learnt',
@@ -133,39 +71,21 @@ __all__ = [
     'Observation',
     'PathFinder',
     'Plan',
-    'Regions',
     'Report',
     'RobotType',
-    'Round',
-    'SafestPath',
     'SearchOptions',
     'SensorModel',
-    'Share',
     'SimulatedMission',
     'Stop',
-    'Target',
     'Team',
-    'TeamPlan',
-    'Traverse',
     'Truth',
     'Unknowns',
     'World',
     'behavioral_information',
-    'binary_entropy',
     'brier_score',
-    'check_bounded',
-    'check_sought',
-    'check_team',
     'continue_mission',
-    'count_visits',
-    'deployment_order',
-    'deployments_table',
     'forecast',
-    'hazards_used_up',
-    'keepout_cells',
     'log_loss',
-    'lost_after_contact',
-    'observation_of',
     'path_information',
     'plan',
     'plan_round',
@@ -174,7 +94,5 @@ __all__ = [
     'safest_path',
     'targets',
     'team_information',
-    'team_size',
     'update',
-    'while_compiling',
 ]

@@ -9,20 +9,19 @@ from functools import partial
 from math import nan, sqrt
 from typing import NamedTuple
 
-from kbnitp_ros.core.decision import Decision, Goal, Stop
-from kbnitp_ros.core.field import (
-    Belief,
-    generator,
-    Grid,
-    Observation,
-    SensorModel,
-    typed,
-    whole_number,
-    World,
-)
-from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.decision.decision import Decision
+from kbnitp_ros.core.decision.goals import Goal
+from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import generator, typed, whole_number
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.world import World
+from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.mission import continue_mission, decided, SimulatedMission, Truth
-from kbnitp_ros.core.planning import SearchOptions, Team
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.teams import Team
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,41 +3,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TYPE_CHECKING
 
-from kbnitp_ros.core.decision import Decision, Goal, HazardDraws, plan_round, Stop
-from kbnitp_ros.core.field import (
-    ALL_KNOWN,
-    AS_ORDERED,
-    Belief,
-    Clustering,
-    Dynamics,
-    Execution,
-    generator,
-    Grid,
-    Learnt,
-    Observation,
-    SensorModel,
-    STATIC,
-    typed,
-    typed_fields,
-    Unknowns,
-    Value,
-    whole_number,
-    World,
-)
-from kbnitp_ros.core.inference import Estimator
-from kbnitp_ros.core.planning import (
-    count_visits,
-    NoPathError,
-    Plan,
-    SearchOptions,
-    Team,
-    team_size,
-)
-from kbnitp_ros.core.table import deployments_table
+from kbnitp_ros.core.decision.decision import Decision
+from kbnitp_ros.core.decision.goals import Goal
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws
+from kbnitp_ros.core.decision.rounds import plan_round
+from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
+from kbnitp_ros.core.field.check import generator, typed, typed_fields, Value, whole_number
+from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Dynamics, Learnt, STATIC, Unknowns
+from kbnitp_ros.core.field.world import AS_ORDERED, Execution, World
+from kbnitp_ros.core.inference.estimator import Estimator
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import count_visits, NoPathError
+from kbnitp_ros.core.planning.search import Plan
+from kbnitp_ros.core.planning.teams import Team, team_size
+from kbnitp_ros.plugins import extra
 import numpy as np
 
 if TYPE_CHECKING:
@@ -357,3 +345,40 @@ def decided(
         return None, None
     draws = HazardDraws.of(estimator, deployments)
     return draws, goal.decide(grid, draws, estimator.model, options.max_steps)
+
+
+def deployments_table(
+    observations: Iterable[Observation],
+    beliefs: Iterable[Belief | None],
+    worlds: Iterable[World | None],
+) -> DataFrame:
+    """Return one row a deployment."""
+    with extra('report'):
+        import pandas
+    rows = [
+        {**outcome(seen), **knowledge(belief, world)}
+        for seen, belief, world in zip(observations, beliefs, worlds, strict=True)
+    ]
+    return pandas.DataFrame(rows, index=pandas.RangeIndex(1, len(rows) + 1, name='deployment'))
+
+
+def outcome(seen: Observation) -> dict[str, Any]:
+    """Return the columns of what came of a deployment."""
+    return {
+        'path': seen.path.tolist(),
+        'steps': len(seen.path) - 1,
+        'survived': seen.survived,
+        'steps_survived': None if seen.survived else seen.steps_survived,
+        'readings': None if seen.readings is None else seen.readings.astype(int).tolist(),
+    }
+
+
+def knowledge(belief: Belief | None, world: World | None) -> dict[str, float]:
+    """Return the columns of what is known after it."""
+    columns: dict[str, float] = {}
+    for name in ('hazard', 'target') if belief else ():
+        values = getattr(belief, name)
+        columns[f'{name}_entropy'] = float(binary_entropy(values).sum())
+        if world:
+            columns[f'{name}_log_loss'] = float(log_loss(values, getattr(world, name)))
+    return columns

@@ -9,16 +9,9 @@ from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kbnitp_ros.core import (
-    Belief,
-    Decision,
-    deployment_order,
-    deployments_table,
-    Observation,
-    ORDINARY,
-    SensorModel,
-    World,
-)
+from kbnitp_ros.core import Belief, Decision, Observation, ORDINARY, SensorModel, World
+from kbnitp_ros.core.inference.record import deployment_order
+from kbnitp_ros.core.mission import deployments_table
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission, required_belief

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.core import (
-    deployment_order,
     DeploymentKey,
     Grid,
     Ledger,
@@ -20,6 +19,7 @@ from kbnitp_ros.core import (
     Report,
     RobotType,
 )
+from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, LONGEST, MissionLog, Role

@@ -55,15 +55,7 @@ class MapFile:
 
 
 def read_map(yaml_path: str | Path) -> Map:
-    """
-    Return the map of a YAML file, with the values that map_server publishes.
-
-    With darkness p = 1 - v / 255 of a pixel v (v / 255 with `negate`), a pixel is 100 from
-    `occupied_thresh` on and 0 up to `free_thresh`; in between it is -1 in mode trinary and
-    interpolated in mode scale. A pixel that is transparent at all is -1. In mode raw the pixel is
-    the value, and -1 above 100.
-
-    """
+    """Return the map of a YAML file, with the values that map_server publishes."""
     file = read_map_file(Path(yaml_path))
     gray, opaque = read_image(file.image)
     if file.mode == 'raw':
@@ -200,13 +192,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
 
 
 def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
-    """
-    Return the maps of a belief in steps of 1/255, such that they are those of a belief again.
-
-    Each value is the one below or above that of the belief, of all that have a joint distribution
-    (kappa h <= t <= kappa h + 1 - h) those next to it.
-
-    """
+    """Return the maps of a belief in steps of 1/255 that form a belief again."""
     exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE
     best = np.rint(exact)
     distance = np.full(belief.cells, np.inf)

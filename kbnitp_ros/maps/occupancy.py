@@ -47,13 +47,7 @@ FARTHEST = 1e7
 
 @dataclass(frozen=True)
 class Datum:
-    """
-    The place and the turn of the frame map, as robot_localization's parameter `datum` has them.
-
-    Positions are those of the azimuthal equidistant projection about the datum on the ellipsoid of
-    WGS84: distances and directions from the datum are those of the geodesic.
-
-    """
+    """The place and the turn of the frame map, as in robot_localization's `datum`."""
 
     # Of the frame's origin, WGS84, in degrees.
     latitude: float
@@ -147,15 +141,7 @@ class Map:
         base: int = 0,
         through_corners: bool = False,
     ) -> Grid:
-        """
-        Return the grid over the map; the cells with an occupied pixel are blocked.
-
-        Cells start at the map's origin and follow its rows and columns. Those that reach beyond
-        its far edges are unknown there.
-
-        The resolution is at least the map's, by default that; `base_position` is a point in the
-        cell of the base in place of its number, and the rest is as of `Grid`.
-        """
+        """Return the grid over the map; the cells with an occupied pixel are blocked."""
         side = self.resolution if resolution is None else resolution
         pixels = side / self.resolution
         if not (isfinite(side) and pixels >= 1.0 - ON_THE_EDGE):

@@ -17,17 +17,7 @@ from numpy.typing import NDArray
 def read_probabilities(
     path: str | Path, grid: Grid, elsewhere: float, resample: bool = False
 ) -> NDArray[np.float64]:
-    """
-    Return a probability for each cell of a grid, from a file.
-
-    A YAML file of map_server, in mode scale, lies where it says, turned as the grid is: a pixel as
-    dark as `occupied_thresh` is 1, one as light as `free_thresh` is 0. A .npy file of rows and
-    columns, row 0 at the bottom, lies over the whole grid. A cell's probability is the mean over
-    the part of it that the map covers, each pixel by its share of the area.
-
-    `elsewhere` is that of cells beyond the map's edges or transparent; with `resample` a .npy file
-    may have other rows and columns than the grid.
-    """
+    """Return a probability for each cell of a grid, from a file."""
     path = Path(path)
     if path.suffix == '.npy':
         probability = read_array(path)

@@ -22,14 +22,14 @@ from kbnitp_ros.core import (
     Dynamics,
     Estimator,
     Grid,
-    HAZARDS,
-    LEARNT_COUPLING,
     Ledger,
     ORDINARY,
     RobotType,
     SensorModel,
     Unknowns,
 )
+from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
+from kbnitp_ros.core.field.unknowns import HAZARDS
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
     check_frame,

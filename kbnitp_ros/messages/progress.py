@@ -9,7 +9,6 @@ from math import nan
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from kbnitp_ros.core import (
-    binary_entropy,
     Decision,
     Estimator,
     Grid,
@@ -19,6 +18,7 @@ from kbnitp_ros.core import (
     path_information,
     World,
 )
+from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame, Fields, filled, header, header_fields
 import numpy as np

@@ -11,7 +11,8 @@ from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
-from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path, SafestPath
+from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path
+from kbnitp_ros.core.decision.decision import SafestPath
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message

@@ -13,7 +13,9 @@ from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import base_of
-from kbnitp_ros.core import DeploymentKey, lost_after_contact, observation_of
+from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core.field.observation import lost_after_contact
+from kbnitp_ros.core.inference.record import observation_of
 from kbnitp_ros.log.record import AtBaseError
 from kbnitp_ros.messages.deployments import (
     OrderState,

@@ -16,7 +16,8 @@ from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import base_of
 from kbnitp_ros.configuration.field import datum_of
-from kbnitp_ros.core import DeploymentKey, Grid, LONGEST_WALK
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.core.inference.record import LONGEST_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND

@@ -18,16 +18,16 @@ from kbnitp_ros.configuration.agents import (
 )
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (
-    deployment_order,
     DeploymentKey,
     Dynamics,
     Execution,
     Grid,
     Observation,
     SensorModel,
-    Traverse,
     World,
 )
+from kbnitp_ros.core.field.world import Traverse
+from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid

@@ -9,7 +9,8 @@ from math import isnan, nan
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.core import deployment_order, DeploymentKey, Estimator, Ledger, World
+from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
+from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message, Standing

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from math import ceil
 from typing import NamedTuple
 
-from kbnitp_ros.core import Decision, hazards_used_up, Observation, targets
+from kbnitp_ros.core import Decision, Observation, targets
+from kbnitp_ros.core.inference.filters import hazards_used_up
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.tables import Curves

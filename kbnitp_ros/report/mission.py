@@ -12,14 +12,8 @@ from math import ceil, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import (
-    Decision,
-    DeploymentKey,
-    Grid,
-    Observation,
-    observation_of,
-    World,
-)
+from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
+from kbnitp_ros.core.inference.record import observation_of
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import RUN
 from kbnitp_ros.log.files import LogError, parts_of

@@ -9,7 +9,8 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import binary_entropy, log_loss, Observation, path_information, Plan
+from kbnitp_ros.core import log_loss, Observation, path_information, Plan
+from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.maps import levels_of, write_probabilities
 from kbnitp_ros.report.mission import Mission
 import numpy as np

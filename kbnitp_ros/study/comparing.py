@@ -30,33 +30,7 @@ def compare(
     workers: int | None = None,
     **changes: Any,
 ) -> Results:
-    """
-    Run missions by every planner and method, at every lethality, in the same worlds.
-
-    It runs in the main thread and keeps nothing on disk: ``python3 -m kbnitp_ros study`` does, for
-    studies that take hours.
-
-    Parameters
-    ----------
-    scenario : str, Path or mapping
-        A shipped scenario, a YAML file, or what stands in one: docs/files.md has its keys.
-    planners : iterable of str or callable, or mapping of str to callable
-        Names of `PLANNERS` and functions in place of them; in a mapping by names of your own. All
-        are compared with the first. Without any the scenario says which.
-    methods : iterable of str or callable, or mapping of str to callable
-        Likewise of `METHODS`; all are compared with the last.
-    workers : int, optional
-        Processes that run missions, from 1; by default one a core. With 1 it is this one, and
-        nothing has to be pickled.
-    **changes
-        Keys of the scenario with other values, such as ``trials=4``.
-
-    Returns
-    -------
-    Results
-        For `tables_of` and `figures_of`.
-
-    """
+    """Run missions by every planner and method, at every lethality, in the same worlds."""
     if not isinstance(scenario, str | Path | Mapping):
         raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')
     given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))

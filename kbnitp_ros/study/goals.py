@@ -12,7 +12,6 @@ from kbnitp_ros.core import (
     Decision,
     Estimator,
     Goal,
-    GOALS,
     Grid,
     HazardDraws,
     Lane,
@@ -21,7 +20,8 @@ from kbnitp_ros.core import (
     Stop,
     World,
 )
-from kbnitp_ros.core.decision import Flight, Situation, there_and_back
+from kbnitp_ros.core.decision.decision import there_and_back
+from kbnitp_ros.core.decision.goals import Flight, GOALS, Situation
 import numpy as np
 
 # What robots are sent for, besides `GOALS`, to compare these with.

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import product
 
-from kbnitp_ros.core.decision import FEWEST_LEFT_OUT
+from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.figures import SERIES, Style, WIDTH
 from kbnitp_ros.study.charts import (
     columns_for,

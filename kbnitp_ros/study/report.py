@@ -53,15 +53,7 @@ def sections(results: Results) -> Iterator[tuple[str, Row, Table]]:
 
 
 def tables_of(results: Results) -> dict[str, Table]:
-    """
-    Return the tables of a study.
-
-    Returns
-    -------
-    dict of str to Table
-        ``summary`` of all missions, and those of `COMPARISONS` that apply, such as ``planners``.
-
-    """
+    """Return the tables of a study."""
     return {name: table for name, _, table in sections(results)}
 
 

@@ -60,17 +60,7 @@ class Results:
         )
 
     def table(self) -> pa.Table:
-        """
-        Return one row for every deployment of every trial.
-
-        Returns
-        -------
-        pyarrow.Table
-            Columns ``trial`` (from 0), ``method``, ``lethality``, ``deployment`` (0 is the prior),
-            the fields of `Strategy` and what is measured, by lethality, method, strategy, trial
-            and deployment in the scenario's order.
-
-        """
+        """Return one row for every deployment of every trial."""
         trials = trials_of(self.scenario)
         rows = self.scenario.robots + 1
         measures = np.concatenate([self.outcomes[trial].measures for trial in trials])
@@ -123,16 +113,7 @@ class Results:
     def learnt(
         self, lethality: float | None, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """
-        Return what the method that learns knew of the numbers, and what they are.
-
-        Returns
-        -------
-        ndarray, shape (trials, robots + 1, numbers, learnt)
-            Of `NUMBERS`, as `LEARNT` says; NaN for those that were told.
-        ndarray, shape (trials, numbers)
-
-        """
+        """Return what the method that learns knew of the numbers, and what they are."""
         outcomes = self._of(lethality, LEARNING, team)
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])

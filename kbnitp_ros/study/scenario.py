@@ -11,18 +11,13 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTu
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
-    ALPHAS,
     Belief,
     Beta,
-    check_team,
     Clustering,
     Dynamics,
     Estimator,
     Goal,
-    GOALS,
     Grid,
-    HAZARD_RATES,
-    HAZARDS,
     METHODS,
     OBJECTIVES,
     ORDINARY,
@@ -32,9 +27,12 @@ from kbnitp_ros.core import (
     SearchOptions,
     SensorModel,
     Team,
-    team_size,
     Unknowns,
 )
+from kbnitp_ros.core.decision.goals import GOALS
+from kbnitp_ros.core.field.unknowns import HAZARD_RATES, HAZARDS
+from kbnitp_ros.core.planning.options import ALPHAS
+from kbnitp_ros.core.planning.teams import check_team, team_size
 from kbnitp_ros.files import read_yaml, share
 from kbnitp_ros.study.goals import Asked, SAFEST_LANE
 import numpy as np

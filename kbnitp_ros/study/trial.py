@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from kbnitp_ros.core import (
     Belief,
-    binary_entropy,
     brier_score,
     continue_mission,
     Estimator,
@@ -18,6 +17,7 @@ from kbnitp_ros.core import (
     SimulatedMission,
     Truth,
 )
+from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.study.goals import measured_for, OF_GOALS
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario, Strategy
 from kbnitp_ros.study.worlds import surveyed, world_of

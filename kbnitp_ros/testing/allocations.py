@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
-from kbnitp_ros.core.planning import Regions, TeamMember
-from kbnitp_ros.core.planning.teams.allocations import Allocation
+from kbnitp_ros.core.planning.allocations import Allocation, Regions, TeamMember
 from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require, require_close
 import numpy as np
@@ -50,12 +49,7 @@ def draw_round(seed: int) -> RoundCase:
 
 
 def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0) -> None:
-    """
-    See that an allocation keeps every law that holds of those of the package, in some drawn cases.
-
-    It is given by its name or as what an entry point of the group ``kbnitp_ros.allocations``
-    stands for. An AssertionError says which law is broken, by what, and the seed of the case.
-    """
+    """Check an allocation against the laws of the package's own, in random cases."""
     hold(ALLOCATIONS, allocation, LAWS, draw_round, cases, seed)
 
 

@@ -20,8 +20,7 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.core.inference import Inference, Method
-from kbnitp_ros.core.inference.methods import CALLED, KNOWN
+from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, Method
 from kbnitp_ros.testing.cases import draw_mission, draw_walk, MissionCase
 from kbnitp_ros.testing.laws import (
     hold,
@@ -41,12 +40,7 @@ LETHALITY = (0.2, 0.8)
 
 
 def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> None:
-    """
-    See that a method keeps every law that holds of those of the package, in some drawn cases.
-
-    It is given by its name or as what an entry point of the group ``kbnitp_ros.methods`` stands
-    for. An AssertionError says which law is broken, by what, and the seed of the case.
-    """
+    """Check a method against the laws of the package's own, in random cases."""
     hold(METHODS, method, LAWS, draw_mission, cases, seed)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from kbnitp_ros.core import Belief, Candidate, Grid, PathFinder, Plan, PLANNERS, SearchOptions
-from kbnitp_ros.core.planning import Objective
+from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.testing.cases import draw_field, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require
 import numpy as np
@@ -54,12 +54,7 @@ def draw_search(seed: int) -> SearchCase:
 
 
 def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> None:
-    """
-    See that a planner keeps every law that holds of those of the package, in some drawn cases.
-
-    It is given by its name or as what an entry point of the group ``kbnitp_ros.planners`` stands
-    for. An AssertionError says which law is broken, by what, and the seed of the case.
-    """
+    """Check a planner against the laws of the package's own, in random cases."""
     hold(PLANNERS, planner, LAWS, draw_search, cases, seed)
 
 

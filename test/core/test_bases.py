@@ -11,7 +11,6 @@ from kbnitp_ros.core import (
     DeploymentKey,
     Execution,
     Grid,
-    keepout_cells,
     Lane,
     MissionRecord,
     Observation,
@@ -27,6 +26,7 @@ from kbnitp_ros.core import (
     update,
     World,
 )
+from kbnitp_ros.core.planning.allocations import keepout_cells
 from laws import for_each
 import numpy as np
 import pytest

@@ -15,12 +15,12 @@ from kbnitp_ros.core import (
     run_mission,
     SearchOptions,
     SensorModel,
-    Share,
     Stop,
     Truth,
     Unknowns,
     World,
 )
+from kbnitp_ros.core.forecast import Share
 from laws import for_each
 import numpy as np
 import pytest

@@ -9,6 +9,7 @@ from kbnitp_ros.core import (
     Belief,
     Estimator,
     Grid,
+    KnownModel,
     Learning,
     Observation,
     plan_team,
@@ -20,8 +21,7 @@ from kbnitp_ros.core import (
     update,
     World,
 )
-from kbnitp_ros.core.inference import KnownModel
-from kbnitp_ros.core.planning.search.planners import shortest_unvisited
+from kbnitp_ros.core.planning.planners import shortest_unvisited
 from kbnitp_ros.figures import plot
 from kbnitp_ros.plugins import PluginError
 from laws import for_each

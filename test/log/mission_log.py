@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 from kbnitp_ros.core import (
-    AS_ORDERED,
     Belief,
     DeploymentKey,
     Estimator,
@@ -16,11 +15,12 @@ from kbnitp_ros.core import (
     run_mission,
     SearchOptions,
     SensorModel,
-    STATIC,
     Truth,
     Unknowns,
     World,
 )
+from kbnitp_ros.core.field.unknowns import STATIC
+from kbnitp_ros.core.field.world import AS_ORDERED
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from kbnitp_msgs.msg import UnknownNumber
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.core import (
-    AS_ORDERED,
     Beta,
     DeploymentKey,
     Execution,
@@ -25,6 +24,7 @@ from kbnitp_ros.core import (
     Report,
     Unknowns,
 )
+from kbnitp_ros.core.field.world import AS_ORDERED
 from kbnitp_ros.log import write as writer
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import LogError

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.processes
 # allocation that sends robots one after another along what is found best.
 SOURCE = """
 from kbnitp_ros.core import PLANNERS, update
-from kbnitp_ros.core.inference import KnownModel
+from kbnitp_ros.core import KnownModel
 
 
 class ReturnsFirst(KnownModel):
@@ -56,8 +56,8 @@ ADDED = {
 # All that there is to refuse, and beside it a method that works.
 BAD_SOURCE = """
 from kbnitp_ros.core import Belief, PLANNERS
-from kbnitp_ros.core.inference import KnownModel
-from kbnitp_ros.core.planning import Candidate
+from kbnitp_ros.core import KnownModel
+from kbnitp_ros.core import Candidate
 import numpy as np
 
 number = 3

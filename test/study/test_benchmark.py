@@ -5,7 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from kbnitp_ros.core import PLANNERS, World
-from kbnitp_ros.core.planning.search.planners import coverage
+from kbnitp_ros.core.planning.planners import coverage
 from kbnitp_ros.study import benchmark
 from kbnitp_ros.study.scenario import read_scenario
 from laws import for_each

@@ -3,9 +3,8 @@
 
 from threading import Lock
 
-from kbnitp_ros.core import METHODS, PLANNERS, update
-from kbnitp_ros.core.inference import KnownModel
-from kbnitp_ros.core.planning.search.planners import coverage
+from kbnitp_ros.core import KnownModel, METHODS, PLANNERS, update
+from kbnitp_ros.core.planning.planners import coverage
 from kbnitp_ros.study import compare, figures_of, tables_of
 from laws import for_each
 import pytest

@@ -6,7 +6,7 @@ from itertools import product
 import json
 
 from kbnitp_ros.core import Area, Estimator, HazardDraws, Lane
-from kbnitp_ros.core.decision import FEWEST_LEFT_OUT
+from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study.comparison import AREAS, CERTIFICATES, COMPARISONS, LANES
 from kbnitp_ros.study.goals import Asked, DECLARED, OF_GOALS, SafestLane
 from kbnitp_ros.study.report import write_report

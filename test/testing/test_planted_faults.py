@@ -4,9 +4,8 @@
 from contextlib import suppress
 from itertools import count
 
-from kbnitp_ros.core import Belief, PLANNERS, update
-from kbnitp_ros.core.inference import KnownModel
-from kbnitp_ros.core.planning import Candidate, Regions
+from kbnitp_ros.core import Belief, Candidate, KnownModel, PLANNERS, update
+from kbnitp_ros.core.planning.allocations import Regions
 from kbnitp_ros.testing import check_allocation, check_method, check_planner
 from laws import for_each
 import numpy as np

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from math import nan
 
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path, quantile
-from kbnitp_ros.core.field import frozen, Grid, SensorModel, whole_number
+from kbnitp_ros.core.field.check import frozen, whole_number
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,22 +32,13 @@ DECIMALS = 9
 
 @dataclass(frozen=True, eq=False)
 class SafestPath:
-    """
-    The safest path found.
+    """The safest path found."""
 
-    Attributes
-    ----------
-    path : ndarray of int, shape (steps + 1,)
-        From the one cell to the other.
-    p_free : float
-        Probability that no cell of it has a hazard, in [0, 1].
-    survival : float
-        Probability that a traveller survives it, in [0, 1].
-
-    """
-
+    # From the one cell to the other. Shape (steps + 1,).
     path: Path
+    # Probability that no cell of it has a hazard, in [0, 1].
     p_free: float
+    # Probability that a traveller survives it, in [0, 1].
     survival: float
 
 
@@ -259,11 +252,7 @@ def why_not_reached(p_free: float, confidence: float | None, independent: float)
 
 
 def too_few_draws(confidence: float, independent: float) -> str:
-    """
-    Return why a confidence cannot be told from so many independent draws; empty if it can.
-
-    Equation :eq:`draws-needed`.
-    """
+    """Explain why the draws are too few for a confidence; empty if not (:eq:`draws-needed`)."""
     if (1.0 - confidence) * independent >= FEWEST_LEFT_OUT:
         return ''
     needed = FEWEST_LEFT_OUT / (1.0 - confidence)

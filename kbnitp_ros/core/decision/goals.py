@@ -9,16 +9,382 @@ sent where the most is to be learnt.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import cast, Protocol, runtime_checkable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import cast, ClassVar, NamedTuple, Protocol, runtime_checkable
 
-from kbnitp_ros.core.decision.area import Area
-from kbnitp_ros.core.decision.decision import Decision
-from kbnitp_ros.core.decision.flights import Flight, Situation
-from kbnitp_ros.core.decision.hazard_draws import HazardDraws
-from kbnitp_ros.core.decision.lane import Lane
-from kbnitp_ros.core.field import Grid, SensorModel
+from kbnitp_ros.core.decision.decision import (
+    cheapest_lanes,
+    check_confidence,
+    check_way,
+    DECIMALS,
+    Decision,
+    lanes_within,
+    LEAST,
+    safest_path,
+    STEP_COST,
+    there_and_back,
+)
+from kbnitp_ros.core.decision.hazard_draws import Bools, cells_on, Floats, HazardDraws, Path
+from kbnitp_ros.core.field.belief import Belief, binary_entropy
+from kbnitp_ros.core.field.check import each_of, whole_number
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.planning.objective import Camera, Objective, positives
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import PathFinder
 from kbnitp_ros.plugins import Registry, takes
+import numpy as np
+from numpy.typing import ArrayLike
+
+# The most outcomes of robots that are out which are told apart: those of the last six.
+MOST_OUTCOMES = 64
+
+# To how many of some cells, the most uncertain ones, ways there and back are compared.
+DIRECT = 16
+# How many paths of a search for information on all hazards, and of one for information on the
+# targets as well, are compared with these.
+SEARCHED = 24
+
+
+class Flight(NamedTuple):
+    """The path of a robot, for a goal."""
+
+    # Shape (steps + 1,). The base first and last.
+    path: Path
+    # How much nearer the goal is expected to be once it is known what came of it, in the unit of
+    # the goal, at least 0.
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What a robot is sent on."""
+
+    # The field, with the base of the robot.
+    grid: Grid
+    # The base of the mission, where lanes start.
+    start: int
+    # What is known of the hazards.
+    draws: HazardDraws
+    # What is known of the targets: P(X | Z) of each cell.
+    belief: Belief
+    # What the robot is believed to be like.
+    model: SensorModel
+    # The limits of its path, and how probably it must survive it.
+    options: SearchOptions
+    # Shape (outcomes, draws). The probability of each draw together with each outcome of the
+    # robots that are out.
+    outcomes: Floats
+
+    def of_robot(self, base: int | None, model: SensorModel, options: SearchOptions) -> Situation:
+        """Return the situation of a robot with a base, a model and limits of its own."""
+        return replace(self, grid=self.grid.at(base), model=model, options=options)
+
+    def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
+        """Return the situation once another robot, of some model, has left on a path."""
+        survived = self.draws.survivals([path], model)[0]
+        outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
+        if len(outcomes) > MOST_OUTCOMES:
+            # That of the robot sent first, which alternates, is told apart no longer.
+            outcomes = outcomes[0::2] + outcomes[1::2]
+        return replace(self, outcomes=outcomes)
+
+    def is_allowed(self, survival: Floats) -> Bools:
+        """Return which paths, of these chances (paths, draws), the robot may be sent on."""
+        allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
+        return allowed
+
+
+def flights_over(situation: Situation, over: Sequence[int]) -> list[Path]:
+    """Return closed paths for information on the field, and to some cells and back."""
+    grid, draws, options = situation.grid, situation.draws, situation.options
+    hazard = draws.p_hazard()
+    none = np.zeros(grid.cells)
+    searched = [
+        candidate
+        for belief in (Belief.from_maps(hazard, none, none), situation.belief)
+        for candidate in PathFinder(grid, options).candidates(
+            Objective.alone(grid, belief, situation.model, options)
+        )[:SEARCHED]
+    ]
+    with np.errstate(divide='ignore'):
+        cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
+    cells = np.array(over)
+    cells = cells[grid.in_reach(options.max_steps)[cells]]
+    open_first = cells[np.argsort(-binary_entropy(hazard[cells]), kind='stable')]
+    ends = open_first[open_first != grid.base][:DIRECT]
+    costs = np.tile(cost, (ends.size, 1))
+    [lanes] = cheapest_lanes(grid, costs, grid.base, ends, [options.max_steps // 2])
+    direct = [there_and_back(lane, lane) for lane in lanes]
+    return [each.path for each in searched] + [
+        path for path in direct if np.bincount(path[1:]).max() <= options.max_visits
+    ]
+
+
+def information(survival: Floats, outcomes: Floats) -> Floats:
+    """Return the information of flights on all hazards, nats (:eq:`outcome-information`)."""
+    known = outcomes.sum(axis=1)
+    expected = survival @ (outcomes / np.where(known > 0.0, known, 1.0)[:, None]).T
+    entropy: Floats = binary_entropy(expected.clip(0.0, 1.0)) @ known
+    left: Floats = binary_entropy(survival.clip(0.0, 1.0)) @ outcomes.sum(axis=0)
+    return np.maximum(entropy - left, 0.0)
+
+
+@dataclass(frozen=True)
+class Area:
+    """
+    Cells that are to be free of hazards.
+
+    A robot flies where its return or loss, and what it then reads of targets, is expected to tell
+    most of the hazards of the area, cell by cell.
+
+    Parameters
+    ----------
+    cells : iterable of int
+        Those of the area, at least one.
+    confidence : float, optional
+        The probability that all are free at which the mission is over, in (0, 1); by default the
+        mission goes on.
+
+    Raises
+    ------
+    ValueError
+        If the confidence is out of range or there are no cells.
+
+    """
+
+    name: ClassVar[str] = 'area'
+
+    cells: Iterable[int]
+    confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        cells = tuple(
+            sorted({whole_number('goal', cell, 0) for cell in each_of('cells', self.cells)})
+        )
+        if not cells:
+            raise ValueError('goal is an area without cells: give at least one')
+        object.__setattr__(self, 'cells', cells)
+        check_confidence(self.confidence)
+
+    def check(self, grid: Grid, max_steps: int) -> None:
+        """
+        Check that robots can come to all cells from some base, and back.
+
+        Raises
+        ------
+        ValueError
+            If a cell is off the map, on an obstacle, or out of reach.
+
+        """
+        cells = cells_on(grid, list(self.cells), 'goal')
+        in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
+        out = cells[~np.any(in_reach, axis=0)[cells]]
+        if out.size:
+            raise ValueError(
+                f'goal has cell {out[0]}, and {out.size - 1} more, that no robot comes back from '
+                f'within max_steps = {max_steps}: raise max_steps or choose a smaller area'
+            )
+
+    def decide(
+        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
+    ) -> Decision:
+        """Return how probably all cells are free, and how many hazards remain in them."""
+        return Decision.about(self.name, draws, list(self.cells), self.confidence)
+
+    def flight(self, situation: Situation) -> Flight | None:
+        """Return the flight to make next; None if the robot may make none."""
+        paths = flights_over(situation, list(self.cells))
+        survival = situation.draws.survivals(paths, situation.model)
+        allowed = situation.is_allowed(survival)
+        if not allowed.any():
+            return None
+        cells = list(self.cells)
+        here = situation.draws.hazardous[:, cells].astype(np.float64)
+        visits = np.array(
+            [np.bincount(path[1:], minlength=situation.grid.cells) for path in paths]
+        )
+        gain = expected_certainty(here, survival, situation.outcomes) + expected_from_readings(
+            here,
+            survival * situation.outcomes.sum(axis=0),
+            visits[:, cells],
+            situation.belief.joint[cells],
+            situation.model,
+        )
+        best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
+        return Flight(paths[best], max(0.0, float(gain[best])))
+
+
+def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
+    """Return the expected fall of the entropies of cells, (flights,) nats (:eq:`area-value`)."""
+
+    def entropies(chance: Floats, hazards: Floats) -> Floats:
+        given = hazards / np.where(chance > 0.0, chance, 1.0)[:, None]
+        left: Floats = chance * binary_entropy(given.clip(0.0, 1.0)).sum(axis=1)
+        return left
+
+    gain = np.zeros(len(survival))
+    for each in outcomes:
+        all_hazards = each @ here
+        before = entropies(each.sum(keepdims=True), all_hazards[None])
+        back = survival * each
+        chance, hazards = back.sum(axis=1), back @ here
+        gain += before - entropies(chance, hazards)
+        gain -= entropies(each.sum() - chance, all_hazards - hazards)
+    return gain
+
+
+def expected_from_readings(
+    here: Floats, returned: Floats, visits: Path, joint: Floats, model: SensorModel
+) -> Floats:
+    """Return the expected fall of entropies by readings, (flights,) nats (:eq:`area-readings`)."""
+    chance = returned.sum(axis=1)
+    hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
+    of_hazard = joint.sum(axis=2, keepdims=True)
+    target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
+    likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
+    information = np.zeros_like(hazard)
+    for count in np.unique(visits[visits > 0]).tolist():
+        safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
+        with_hazard = hazard[..., None] * hazardous
+        reading = with_hazard + (1.0 - hazard)[..., None] * safe
+        given = with_hazard / np.where(reading > 0.0, reading, 1.0)
+        left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
+        information += (visits == count) * (binary_entropy(hazard) - left)
+    gain: Floats = chance * information.sum(axis=1)
+    return gain
+
+
+# How many lanes to the goal are combined, at most: those of any length, and of each of two that
+# leave room for longer ones.
+OUT, BACK = 12, 4
+# What a nat of information on all hazards counts, in probability that the best lane is free: it
+# decides where no flight can change which lane is best.
+WORTH = 0.02
+
+
+@dataclass(frozen=True)
+class Lane:
+    """
+    A lane from the base of the mission to a cell.
+
+    A robot flies to the goal on one lane and back on the same or another one: those after which
+    the best lane is free with the highest probability, on average over its return and its loss. A
+    robot of another base flies to cells of such lanes and back.
+
+    Parameters
+    ----------
+    to : int
+        The cell that it leads to.
+    confidence : float, optional
+        The probability that it is free of hazards at which the mission is over, in (0, 1); by
+        default the mission goes on.
+
+    Raises
+    ------
+    ValueError
+        If the confidence is out of range or the cell is no whole number from 0.
+
+    """
+
+    name: ClassVar[str] = 'lane'
+
+    to: int
+    confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'to', whole_number('goal', self.to, 0))
+        check_confidence(self.confidence)
+
+    def check(self, grid: Grid, max_steps: int) -> None:
+        """
+        Check that a lane of so many steps can lead there.
+
+        Raises
+        ------
+        ValueError
+            If the goal is off the map, on an obstacle, the base, or out of reach.
+
+        """
+        if self.to == grid.base:
+            raise ValueError(f'goal is cell {self.to}, the base: choose another cell')
+        check_way(grid, grid.base, self.to, max_steps)
+
+    def decide(
+        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
+    ) -> Decision:
+        """Return the safest lane found, and how safe it is; it may take `max_steps` one way."""
+        lane = safest_path(grid, draws, model, grid.base, self.to, max_steps)
+        return Decision.about(self.name, draws, lane.path, self.confidence, lane)
+
+    def flight(self, situation: Situation) -> Flight | None:
+        """Return the flight to make next; None if the robot may make none."""
+        lanes, paths = self._flights(situation)
+        if not paths:
+            return None
+        survival = situation.draws.survivals(paths, situation.model)
+        allowed = situation.is_allowed(survival)
+        if not allowed.any():
+            return None
+        paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
+        survival = survival[allowed]
+        free = situation.draws.are_free(lanes)
+        gain = expected_best(free, survival, situation.outcomes)
+        value = gain + WORTH * information(survival, situation.outcomes)
+        best = int(np.argmax(np.round(value, DECIMALS)))
+        return Flight(paths[best], max(0.0, float(gain[best])))
+
+    def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
+        """Return lanes, and closed paths to the goal, or as far as a robot comes back from."""
+        grid, draws, options = situation.grid, situation.draws, situation.options
+        start, most = situation.start, options.max_steps
+        least = int(grid.steps_from(start, grid.free)[self.to])
+        if least >= grid.cells:
+            return [], []
+        half, longest = most // 2, max(least, most)
+        if start != grid.base:
+            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
+            return lanes, flights_over(situation, np.unique(np.concatenate(lanes)).tolist())
+        if least > half:
+            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
+            paths = [there_and_back(lane[: half + 1], lane[: half + 1]) for lane in lanes]
+        else:
+            limits = longest, most - least, half, least
+            lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
+            far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
+            # Whichever of two lanes is taken first, the outcome tells the same.
+            paths = [
+                there_and_back(out, back)
+                for out in far + near
+                for back in near + nearest
+                if len(out) + len(back) - 2 <= most
+            ]
+        different = {path.tobytes(): path for path in paths}
+        return lanes, [
+            path
+            for path in different.values()
+            if np.bincount(path[1:]).max() <= options.max_visits
+        ]
+
+
+def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:
+    """Return the lanes that are most probably free, at most so many."""
+    p_free = draws.are_free(lanes) @ draws.weight
+    best = np.argsort(-np.round(p_free, DECIMALS), kind='stable')[:count]
+    return [lanes[lane] for lane in best.tolist()]
+
+
+def expected_best(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
+    """Return the expected rise of P(the best lane is free), (flights,) (:eq:`lane-value`)."""
+    gain = np.zeros(len(survival))
+    for each in outcomes:
+        known = free * each
+        before = known.sum(axis=1)
+        returned = known @ survival.T
+        gain += returned.max(axis=0) + (before[:, None] - returned).max(axis=0) - before.max()
+    return gain
 
 
 @runtime_checkable

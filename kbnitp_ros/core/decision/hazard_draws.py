@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import Belief, frozen, Grid, Observation, SensorModel, times_log
-from kbnitp_ros.core.inference import Estimator
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import frozen
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import SensorModel, times_log
+from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -178,28 +182,17 @@ def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
 
 
 class Target(NamedTuple):
-    """
-    What is known of a target in a cell.
+    """What is known of a target in a cell."""
 
-    Attributes
-    ----------
-    cell : int
-        Where it is.
-    probability : float
-        That there is one, in [0, 1].
-    looks : int
-        How many readings were taken there by robots that came back.
-    found : int
-        How many of these reported a target.
-    missed : float
-        Probability that so many looks all miss a target, in [0, 1]; 1 without any.
-
-    """
-
+    # Where it is.
     cell: int
+    # That there is one, in [0, 1].
     probability: float
+    # How many readings were taken there by robots that came back.
     looks: int
+    # How many of these reported a target.
     found: int
+    # Probability that so many looks all miss a target, in [0, 1]; 1 without any.
     missed: float
 
 

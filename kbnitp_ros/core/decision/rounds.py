@@ -6,47 +6,36 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kbnitp_ros.core.decision.flights import Situation
-from kbnitp_ros.core.decision.goals import Goal, GOALS
+from kbnitp_ros.core.decision.goals import Goal, GOALS, Situation
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws
-from kbnitp_ros.core.field import Belief, Grid, RobotType, SensorModel
-from kbnitp_ros.core.planning import NoPathError, Plan, plan_team, SearchOptions, Team, without
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.planning.allocations import without
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import NoPathError
+from kbnitp_ros.core.planning.search import Plan
+from kbnitp_ros.core.planning.teams import plan_team, Team
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 # Less information than this is nothing, in nats: the results of updates are rounded.
-LEAST = 1e-9
+LEAST_INFORMATION = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """
-    Paths of robots that leave together.
+    """Paths of robots that leave together."""
 
-    Attributes
-    ----------
-    plans : tuple of Plan
-        One a robot, in their order.
-    gains : tuple of float
-        How much nearer the goal each is expected to bring, in its unit.
-
-    """
-
+    # One a robot, in their order.
     plans: tuple[Plan, ...]
+    # How much nearer the goal each is expected to bring, in its unit.
     gains: tuple[float, ...]
 
     def why_worthless(self, loss_cost: float) -> str:
-        """
-        Return why none of the plans is worth a robot; empty if one is.
-
-        Parameters
-        ----------
-        loss_cost : float
-            Of a lost robot, in nats.
-
-        """
+        """Return why none of the plans is worth a robot; empty if one is."""
         best = max(self.plans, key=lambda plan: plan.information)
-        if best.information < LEAST:
+        if best.information < LEAST_INFORMATION:
             return f'no plan is expected to bring more than {best.information:.2g} nats'
         costs = [loss_cost * (1.0 - plan.survival) for plan in self.plans]
         if any(plan.information > cost for plan, cost in zip(self.plans, costs)):
@@ -139,16 +128,7 @@ def plan_round(
 
 
 def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None:
-    """
-    Check that what is asked of a plan goes with the goal.
-
-    Raises
-    ------
-    ValueError
-        If a bound is asked for, which is of information, or paths are of
-        a limited length, which those for a goal do not keep, and there is a goal.
-
-    """
+    """Check that what is asked of a plan goes with the goal."""
     if goal is not None and options.max_distance:
         raise ValueError(
             f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '

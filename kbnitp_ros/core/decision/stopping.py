@@ -9,7 +9,7 @@ from kbnitp_ros.core.decision.decision import Decision, too_few_draws
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.hazard_draws import DRAWS
 from kbnitp_ros.core.decision.rounds import Round
-from kbnitp_ros.core.field import cost, whole_number
+from kbnitp_ros.core.field.check import cost, whole_number
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,7 @@ STRIP = 12
 def log_partition(
     free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """
-    Return ln Z and the expected number of hazards, for each field.
-
-    Equations :eq:`transfer-matrix` and :eq:`strips`.
-    """
+    """Return ln Z and the expected hazards of each field (:eq:`transfer-matrix`, :eq:`strips`)."""
     if free.shape[1] > free.shape[0]:
         free = free.T
     rows, columns = free.shape

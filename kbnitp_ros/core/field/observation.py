@@ -166,27 +166,7 @@ class Observation(Value):
 
 
 def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> Observation:
-    """
-    Return the loss of a robot that was heard of last after so many steps, and not again.
-
-    Equation :eq:`contact-probability`.
-
-    Parameters
-    ----------
-    path : array_like of int, shape (steps + 1,)
-        Its orders.
-    steps_survived : int
-        How many of its steps it had survived then; 0 if it was never heard of.
-    contact : float
-        The chance that the base hears of a step which a robot survives; 0 if that is not known,
-        when nothing is inferred from silence.
-
-    Raises
-    ------
-    ValueError
-        If the path is none, `steps_survived` is out of range or `contact` is no probability.
-
-    """
+    """Return the loss of a robot after its last contact (:eq:`contact-probability`)."""
     heard = Observation(as_path(path), False, steps_survived=steps_survived)
     unheard = np.arange(heard.steps) - heard.steps_survived
     silence = (1.0 - probability('contact', contact)) ** np.maximum(unheard, 0)

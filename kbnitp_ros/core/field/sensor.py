@@ -127,11 +127,7 @@ def log_predicted_survival(
     counts: NDArray[np.intp],
     log_survival: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """
-    Return log S, where S = (1 - z) s0^n + z s1^n is the chance to survive n visits to a cell.
-
-    Equation :eq:`predicted-survival`.
-    """
+    """Return log S of n visits, S = (1 - z) s0^n + z s1^n (:eq:`predicted-survival`)."""
     log_power = times_log(np.asarray(counts)[..., None], log_survival)
     weight = np.stack([1.0 - hazard, hazard], axis=-1)
     loss = np.sum(weight * -np.expm1(log_power), axis=-1)

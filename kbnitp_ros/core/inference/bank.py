@@ -14,21 +14,20 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from kbnitp_ros.core.field import (
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import (
     appearance,
-    Belief,
     Beta,
     Bins,
     Dynamics,
     Learnt,
-    Observation,
-    RobotType,
-    SensorModel,
     STATIC,
     Unknowns,
 )
-from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.filtering.evidence import change_of, IMPOSSIBLE
+from kbnitp_ros.core.inference.filters import change_of, check_cells, IMPOSSIBLE
+from kbnitp_ros.core.inference.hypotheses import expit, offsets
 from kbnitp_ros.core.inference.particle_filter import (
     assimilated,
     Evidence,
@@ -39,7 +38,6 @@ from kbnitp_ros.core.inference.particle_filter import (
     READING_SHIFTS,
     Steps,
 )
-from kbnitp_ros.core.inference.sampling.prior_map import expit, offsets
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,32 +63,7 @@ MAPS = ('hazard_density', 'kappa', 'target_background')
 
 
 class Bank:
-    """
-    A belief and numbers that are learnt, by a bank of filters.
-
-    Parameters
-    ----------
-    belief : Belief
-        Before the first deployment.
-    model : SensorModel
-        What is known of the robots and their sensors.
-    unknowns : Unknowns
-        Which numbers are not known.
-    seed : int
-        Of the random numbers.
-    dynamics : Dynamics
-        How hazards change; of one kind, at rates that may be unknown.
-    correlated : bool
-        Whether the filters hold hazard and target correlated.
-    count : int, optional
-        Number of particles, by default as many as the unknown numbers need.
-
-    Attributes
-    ----------
-    predicted : tuple of ndarray, shape (2 + shifts,)
-        For each deployment the log probabilities of `assimilated`, averaged over the particles.
-
-    """
+    """A belief and numbers that are learnt, by a bank of filters."""
 
     def __init__(
         self,

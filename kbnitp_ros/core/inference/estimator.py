@@ -9,25 +9,22 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from kbnitp_ros.core.field import (
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import typed, whole_number
+from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import (
     ALL_KNOWN,
     appearance,
-    Belief,
-    Clustering,
     Dynamics,
     Learnt,
-    Observation,
-    ORDINARY,
-    RobotType,
-    SensorModel,
     STATIC,
-    typed,
     Unknowns,
-    whole_number,
-    World,
 )
+from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.bank import prior_density
-from kbnitp_ros.core.inference.filtering import OnePass
+from kbnitp_ros.core.inference.filters import OnePass
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,

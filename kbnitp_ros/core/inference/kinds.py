@@ -8,18 +8,12 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
-from kbnitp_ros.core.field import (
-    Belief,
-    Dynamics,
-    Learnt,
-    Observation,
-    RobotType,
-    SensorModel,
-    Unknowns,
-)
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import Dynamics, Learnt, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, learnt_from, log_sum
-from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.filtering.evidence import IMPOSSIBLE
+from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, RATES
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +24,7 @@ PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12
 
 
 class Kinds:
-    """
-    A belief for hazards whose kind is not known: the mixture of a bank a kind (:eq:`kinds`).
-
-    Parameters
-    ----------
-    belief, model, unknowns, seed, correlated, count
-        As of `Bank`.
-    dynamics : Dynamics
-        Of the kind 'learn'.
-
-    Attributes
-    ----------
-    predicted : tuple of ndarray, shape (2 + shifts,)
-        As of `Bank`.
-
-    """
+    """A belief for hazards whose kind is not known: the mixture of a bank a kind (:eq:`kinds`)."""
 
     is_converged = True
 

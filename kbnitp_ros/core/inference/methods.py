@@ -10,26 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import cast, Protocol
 
-from kbnitp_ros.core.field import (
-    Belief,
-    Dynamics,
-    HAZARDS,
-    Learnt,
-    Observation,
-    RobotType,
-    SensorModel,
-    STATIC,
-    typed,
-    Unknowns,
-)
-from kbnitp_ros.core.inference.filtering import (
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import typed
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
+from kbnitp_ros.core.inference.filters import (
     lost_likelihood,
     multi_universe_likelihood,
     OnePass,
     published_likelihood,
 )
 from kbnitp_ros.core.inference.kinds import learning
-from kbnitp_ros.core.inference.sampling import Sampler
+from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
 # What an inference can do, and what it knows.
@@ -38,29 +31,18 @@ KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_converged')
 
 
 class Inference(Protocol):
-    """
-    What a method made of a mission so far.
+    """What a method made of a mission so far."""
 
-    Attributes
-    ----------
-    belief : Belief
-        Given all deployments.
-    model : SensorModel
-        To plan with.
-    parameters : mapping of str to Learnt
-        What is known by now of each number that was not.
-    sampling_error : float
-        How far chance takes the belief from what the method would come to without, as an
-        expected KL divergence in nats.
-    is_converged : bool
-        Whether that is as little as the method aims at.
-
-    """
-
+    # Given all deployments.
     belief: Belief
+    # To plan with.
     model: SensorModel
+    # What is known by now of each number that was not.
     parameters: Mapping[str, Learnt]
+    # How far chance takes the belief from what the method would come to without, as an expected KL
+    # divergence in nats.
     sampling_error: float
+    # Whether that is as little as the method aims at.
     is_converged: bool
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
@@ -71,25 +53,7 @@ class Inference(Protocol):
 
 
 class Method(Protocol):
-    """
-    How a mission is started: with a prior, a sensor model, what is not known of them, and a seed.
-
-    Attributes
-    ----------
-    learns : bool
-        Whether it can learn numbers that are not known.
-    version : int
-        Of its arithmetic, from 1: another one whenever the same evidence gives other bits.
-    dynamics : tuple of str, optional
-        The kinds of `Dynamics` that it takes besides static hazards, by default none. Of these it
-        is told by a fifth argument.
-    takes_lost_at : bool, optional
-        Whether it uses `Observation.lost_at`, by default not: then such losses are refused.
-    clusters : bool, optional
-        Whether it takes a `Clustering`, by default not. It is told of one by the keyword argument
-        `clustering`.
-
-    """
+    """A start of a mission, with a prior, a sensor model, what is unknown of them, and a seed."""
 
     @property
     def learns(self) -> bool: ...

@@ -13,14 +13,10 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 
-from kbnitp_ros.core.field import (
-    Belief,
-    Dynamics,
-    Observation,
-    RobotType,
-    SensorModel,
-    Unknowns,
-)
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import Dynamics, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, log_sum
 from kbnitp_ros.core.inference.kinds import Kinds, learning
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
@@ -71,15 +67,7 @@ class ModelCheck:
 
 
 class Checker:
-    """
-    The running evidence of alternatives to a belief's model.
-
-    Parameters
-    ----------
-    belief, model, unknowns, seed, dynamics, correlated
-        Start of the belief, as of `Bank`.
-
-    """
+    """The running evidence of alternatives to a belief's model."""
 
     def __init__(
         self,

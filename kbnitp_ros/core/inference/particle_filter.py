@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Observation, RobotType, Visits
-from kbnitp_ros.core.inference.filtering.evidence import loss_weights
+from kbnitp_ros.core.field.observation import Observation, Visits
+from kbnitp_ros.core.field.sensor import RobotType
+from kbnitp_ros.core.inference.filters import loss_weights
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,33 +22,22 @@ READING_SHIFTS = (2.0, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """
-    The outcome of one deployment, counted by cell.
+    """The outcome of one deployment, counted by cell."""
 
-    Attributes
-    ----------
-    visits : Visits
-        To the cells of the path.
-    positive, negative : ndarray of int, shape (n,)
-        Readings of each cell; none of a lost robot.
-    before : ndarray of int, shape (steps,)
-        Visits to the cell of each step before it.
-    inside, elsewhere : ndarray, shape (n * (most visits + 1), steps)
-        1 for the cell of each step, or for each other cell, with its visits before; else 0.
-    lost_in : ndarray or None, shape (steps,)
-        How well a loss in each step fits what was observed; None of a return.
-    robot_type : RobotType
-        Of the robot.
-
-    """
-
+    # To the cells of the path.
     visits: Visits
+    # Readings of each cell; none of a lost robot. Shape (n,).
     positive: NDArray[np.intp]
     negative: NDArray[np.intp]
+    # Visits to the cell of each step before it. Shape (steps,).
     before: NDArray[np.intp]
+    # 1 for the cell of each step, or for each other cell, with its visits before; else 0. Shape (n
+    # * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
+    # How well a loss in each step fits what was observed; None of a return. Shape (steps,).
     lost_in: Floats | None
+    # Of the robot.
     robot_type: RobotType
 
     @classmethod
@@ -75,20 +65,13 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """
-    Effects of a step into a cell, by particle.
+    """Effects of a step into a cell, by particle."""
 
-    Attributes
-    ----------
-    survive, lose : ndarray, shape (2, 2, particles)
-        P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle].
-    read : ndarray, shape (2, 2, particles)
-        P(reading y | X = x), indexed [y, x, particle].
-
-    """
-
+    # P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle]. Shape
+    # (2, 2, particles).
     survive: Floats
     lose: Floats
+    # P(reading y | X = x), indexed [y, x, particle]. Shape (2, 2, particles).
     read: Floats
 
     @classmethod
@@ -109,13 +92,7 @@ class Steps:
 def assimilated(
     joint: Floats, steps: Steps, evidence: Evidence, correlated: bool
 ) -> tuple[Floats, Floats]:
-    """
-    Return the joints of the cells of a path given an outcome, and log probabilities.
-
-    Equations :eq:`bank-returned` and :eq:`bank-lost`; shapes (n, 2, 2, particles) and
-    (2 + shifts, particles): of the outcome, of a return, and of a return with the odds of each
-    positive reading shifted, not normalised (:eq:`shifted-readings`).
-    """
+    """Return joints and ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
     hazard = joint.sum(axis=2)
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]

@@ -10,7 +10,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from kbnitp_ros.core.field import Belief, Grid, Observation, ORDINARY, RobotType
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType
 from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -12,7 +12,7 @@ import time
 import traceback
 
 from kbnitp_ros.configuration.given import check_given, names_given
-from kbnitp_ros.core import while_compiling
+from kbnitp_ros.core.field.compiled import while_compiling
 from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics

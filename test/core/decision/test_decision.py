@@ -9,6 +9,7 @@ from extent import FULL
 from kbnitp_ros.core import (
     Area,
     Belief,
+    Decision,
     Estimator,
     Grid,
     HazardDraws,
@@ -27,10 +28,13 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.decision import decision as lanes
-from kbnitp_ros.core.decision.area import expected_certainty, expected_from_readings
-from kbnitp_ros.core.decision.decision import Decision
-from kbnitp_ros.core.decision.flights import information, Situation
-from kbnitp_ros.core.decision.lane import expected_best
+from kbnitp_ros.core.decision.goals import (
+    expected_best,
+    expected_certainty,
+    expected_from_readings,
+    information,
+    Situation,
+)
 from laws import for_each
 import numpy as np
 import pytest

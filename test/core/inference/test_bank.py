@@ -19,7 +19,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.field import joint_after_change
+from kbnitp_ros.core.field.unknowns import joint_after_change
 from kbnitp_ros.core.inference.bank import Bank
 from kbnitp_ros.core.inference.particle_filter import Evidence
 from laws import for_each

@@ -11,8 +11,8 @@ from math import erfc, exp, gamma, sqrt
 import brute_force
 from extent import LONG
 from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
-from kbnitp_ros.core.inference.sampling import gibbs_kernels
-from kbnitp_ros.core.inference.sampling.chains import Chains
+from kbnitp_ros.core.inference import sampling_kernels as gibbs_kernels
+from kbnitp_ros.core.inference.chains import Chains
 import numpy as np
 import pytest
 

@@ -12,11 +12,10 @@ from kbnitp_ros.core import (
     Execution,
     Grid,
     SensorModel,
-    STATIC,
     Unknowns,
     World,
 )
-from kbnitp_ros.core.field import ALL_KNOWN
+from kbnitp_ros.core.field.unknowns import ALL_KNOWN, STATIC
 from laws import for_each
 import numpy as np
 import pytest

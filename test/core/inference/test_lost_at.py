@@ -19,8 +19,8 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
-from kbnitp_ros.core.inference.filtering import OnePass
-from kbnitp_ros.core.inference.sampling import sampler
+from kbnitp_ros.core.inference import sampler
+from kbnitp_ros.core.inference.filters import OnePass
 from laws import for_each
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
-from kbnitp_ros.core.inference.filtering.one_pass import OnePass
+from kbnitp_ros.core.inference.filters import OnePass
 from known_methods import LEARN_FROM_LOSSES
 from laws import for_each
 import numpy as np

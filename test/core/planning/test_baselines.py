@@ -3,9 +3,9 @@
 
 from itertools import pairwise, product
 
-from kbnitp_ros.core import Belief, count_visits, Grid, plan, SearchOptions, SensorModel
-from kbnitp_ros.core.planning.search.gains import reach_of
-from kbnitp_ros.core.planning.search.random_walk import random_walk
+from kbnitp_ros.core import Belief, Grid, plan, SearchOptions, SensorModel
+from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.planners import count_visits, random_walk
 from laws import for_each
 import numpy as np
 import pytest

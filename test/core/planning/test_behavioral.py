@@ -17,10 +17,13 @@ from kbnitp_ros.core import (
     PLANNERS,
     SensorModel,
 )
-from kbnitp_ros.core.planning.objective import options
-from kbnitp_ros.core.planning.objective.information import added_information
-from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
-from kbnitp_ros.core.planning.objective.objective import behavioral_entropy
+from kbnitp_ros.core.planning import options
+from kbnitp_ros.core.planning.information import added_information
+from kbnitp_ros.core.planning.objective import (
+    after_deployment,
+    behavioral_entropy,
+    nobody_deployed,
+)
 from laws import for_each
 import numpy as np
 import pytest

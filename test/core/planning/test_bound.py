@@ -17,7 +17,7 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.planning.search.bound_kernels import parabola
+from kbnitp_ros.core.planning.bound_kernels import parabola
 from laws import for_each
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ from kbnitp_ros.core import (
     Area,
     Belief,
     Grid,
-    keepout_cells,
+    PathFinder,
     plan,
     plan_team,
     RobotType,
@@ -22,8 +22,8 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.planning import PathFinder
-from kbnitp_ros.core.planning.objective.objective import Objective
+from kbnitp_ros.core.planning.allocations import keepout_cells
+from kbnitp_ros.core.planning.objective import Objective
 from laws import for_each
 import numpy as np
 import pytest

@@ -17,12 +17,17 @@ from kbnitp_ros.core import (
     SearchOptions,
     SensorModel,
 )
-from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
-from kbnitp_ros.core.planning.objective.objective import Objective
-from kbnitp_ros.core.planning.objective.readings import ERROR, EXPONENTS, WEIGHTS
-from kbnitp_ros.core.planning.search import labels, planners
-from kbnitp_ros.core.planning.search.label_kernels import hoped_value, label_value, new_products
-from kbnitp_ros.core.planning.search.local_search_kernels import improve, take
+from kbnitp_ros.core.planning import labels, planners
+from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_products
+from kbnitp_ros.core.planning.local_search_kernels import improve, take
+from kbnitp_ros.core.planning.objective import (
+    after_deployment,
+    ERROR,
+    EXPONENTS,
+    nobody_deployed,
+    Objective,
+    WEIGHTS,
+)
 from laws import for_each
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sum of powers that stands for the surprisal of a loss."""
 
-from kbnitp_ros.core.planning.objective.readings import ERROR, EXPONENTS, WEIGHTS
+from kbnitp_ros.core.planning.objective import ERROR, EXPONENTS, WEIGHTS
 import numpy as np
 
 # Dense where the powers and the surprisal change, near 0 and near 1.

@@ -18,8 +18,8 @@ from kbnitp_ros.core import (
     team_information,
     World,
 )
-from kbnitp_ros.core.planning.objective import readings
-from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
+from kbnitp_ros.core.planning import objective as readings
+from kbnitp_ros.core.planning.objective import after_deployment, nobody_deployed
 from laws import for_each
 import numpy as np
 import pytest

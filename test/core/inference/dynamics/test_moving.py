@@ -3,7 +3,7 @@
 
 import brute_force
 from kbnitp_ros.core import Belief, Dynamics, Estimator, Grid, SensorModel, World
-from kbnitp_ros.core.field import joint_after_moves, neighbors_to_move_to
+from kbnitp_ros.core.field.unknowns import joint_after_moves, neighbors_to_move_to
 from laws import for_each
 import numpy as np
 import pytest

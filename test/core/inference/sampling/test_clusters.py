@@ -13,8 +13,8 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference.sampling import sampler
-from kbnitp_ros.core.inference.sampling.chains import Chains
+from kbnitp_ros.core.inference import sampler
+from kbnitp_ros.core.inference.chains import Chains
 from laws import for_each
 import numpy as np
 import pytest

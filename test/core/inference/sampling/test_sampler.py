@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference.sampling import sampler
+from kbnitp_ros.core.inference import sampler
 from laws import for_each
 import numpy as np
 import pytest
@@ -380,7 +380,7 @@ if sys.argv[1] == 'none':
     sys.modules['numba'] = None
 from hashlib import sha256
 from kbnitp_ros.core import Belief, Estimator, Grid, Observation, SensorModel, Unknowns
-from kbnitp_ros.core.inference.sampling import sampler
+from kbnitp_ros.core.inference import sampler
 
 sampler.MOST_SWEEPS = 4
 everything = {name: (0.1, 0.9) for name in Unknowns.__dataclass_fields__}

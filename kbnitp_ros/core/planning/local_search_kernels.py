@@ -11,9 +11,9 @@ from __future__ import annotations
 from math import floor, inf
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled, inlined
-from kbnitp_ros.core.planning.objective.information_kernels import exposed, left_open
-from kbnitp_ros.core.planning.search.label_kernels import (
+from kbnitp_ros.core.field.compiled import compiled, inlined
+from kbnitp_ros.core.planning.information_kernels import exposed, left_open
+from kbnitp_ros.core.planning.label_kernels import (
     averaged_value,
     Floats,
     Gains,
@@ -30,58 +30,38 @@ import numpy as np
 
 
 class Gap(NamedTuple):
-    """
-    A place for cells in a closed path.
+    """A place for cells in a closed path."""
 
-    Attributes
-    ----------
-    most : int
-        How many cells may go there.
-    start, end : int
-        The cells before and after it.
-    old_first, old_last : int
-        The first and the last cell that were there, which need not be tried in their places since
-        a shorter gap keeps them; -1 without any.
-    length : float
-        Metres of the path without the gap.
-
-    """
-
+    # How many cells may go there.
     most: int
+    # The cells before and after it.
     start: int
     end: int
+    # The first and the last cell that were there, which need not be tried in their places since a
+    # shorter gap keeps them; -1 without any.
     old_first: int
     old_last: int
+    # Metres of the path without the gap.
     length: float
 
 
 class Room(NamedTuple):
-    """
-    The rest of a path, and room for labels of so many cells in the gap by their rows.
+    """The rest of a path, and room for labels of so many cells in the gap by their rows."""
 
-    Attributes
-    ----------
-    visits : ndarray of int, shape (cells,)
-        Of the rest.
-    closing : ndarray, shape (cells,)
-        Metres of the step from each cell to the end of the gap; inf where there is none.
-    products : Products
-        Of labels; row 0 is the label of the rest.
-    length : ndarray, shape (rows,)
-        Metres of the rest and of each label.
-    cell, column : ndarray of int, shape (rows,)
-        The last cell of each label, and where it is extended to next, of `Reach.neighbors`.
-    best : ndarray of int, shape (rows,)
-        The best cells.
-
-    """
-
+    # Of the rest. Shape (cells,).
     visits: Places
+    # Metres of the step from each cell to the end of the gap; inf where there is none. Shape
+    # (cells,).
     closing: Floats
+    # Of labels; row 0 is the label of the rest.
     products: Products
+    # Metres of the rest and of each label. Shape (rows,).
     length: Floats
+    # The last cell of each label, and where it is extended to next, of `Reach.neighbors`. Shape
+    # (rows,).
     cell: Places
     column: Places
+    # The best cells. Shape (rows,).
     best: Places
 
 
@@ -137,19 +117,7 @@ def exact_values(
     log_safe: float,
     log_deadly: float,
 ) -> Floats:
-    r"""
-    Return the values of closed paths, nats, without the error of the moments.
-
-    Equation :eq:`objective-value`, with the chances to survive as of `exposed`: over joint
-    outcomes :math:`\omega` with the survival P and the information of readings J,
-
-    .. math::
-
-        \sum_\omega w_\omega \bigl[ h(P_\omega) + P_\omega J_\omega - c (1 - P_\omega) \bigr]
-        - E[h(p)] .
-
-    Row k of `paths` has steps[k] + 1 ranks.
-    """
+    """Return the values of closed paths, nats, without moments (:eq:`objective-value`)."""
     chance, powers = problem.chance, problem.weight.size
     values = np.empty(steps.size)
     products, visits = new_products(1, problem.gains), np.empty(hazard.size, np.int64)
@@ -185,11 +153,7 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
 
 @inlined
 def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[float, int]:
-    """
-    Find the best cells for a gap, depth first through all.
-
-    Return their value, more than `least` units, and how many they are; -1 if there are none.
-    """
+    """Find the best cells for a gap, depth first through all."""
     reach, gains = problem.reach, problem.gains
     visits, closing, products = room.visits, room.closing, room.products
     length, cell, column, best = room.length, room.cell, room.column, room.best
@@ -224,11 +188,7 @@ def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[flo
 
 @compiled
 def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
-    """
-    Replace up to so many cells in a row of a closed path while that makes it better.
-
-    They are replaced by the best of up to so many with which the path keeps to its length.
-    """
+    """Replace up to so many cells in a row of a closed path while that makes it better."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
     room = Room(

@@ -7,13 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from kbnitp_ros.core.field import Belief, frozen, Grid, SensorModel, typed, Value
-from kbnitp_ros.core.planning.objective.information import path_information, path_log_survival
-from kbnitp_ros.core.planning.objective.objective import Objective
-from kbnitp_ros.core.planning.objective.options import SearchOptions
-from kbnitp_ros.core.planning.search.bound import check_bound, upper_bound
-from kbnitp_ros.core.planning.search.gains import reach_of
-from kbnitp_ros.core.planning.search.planners import BASELINES, check_distance, PathFinder
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import frozen, typed, Value
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.planning.bound import check_bound, upper_bound
+from kbnitp_ros.core.planning.information import path_information, path_log_survival
+from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import BASELINES, check_distance, PathFinder
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -123,25 +126,7 @@ def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
 
 
 def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
-    """
-    Check that plans can have a bound.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    options : SearchOptions
-        Of the search.
-    robots : int
-        How many leave together or are in flight.
-
-    Raises
-    ------
-    ValueError
-        If several robots, the objective or the planner have none, or, with an estimate, if it
-        takes more memory than is allowed.
-
-    """
+    """Check that plans can have a bound."""
     if options.planner in BASELINES:
         raise ValueError(
             f'planner is {options.planner}, which seeks no information, so its plans have no '

@@ -6,23 +6,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field import Bins, Learnt, ORDINARY, SensorModel, times_log
-from kbnitp_ros.core.inference.sampling import gibbs_kernels as gibbs
-from kbnitp_ros.core.inference.sampling.hypotheses import Clusters, Hypotheses
-from kbnitp_ros.core.inference.sampling.located_kernels import LARGE, weigh_by_located
-from kbnitp_ros.core.inference.sampling.number_kernels import (
-    draw_values,
-    LossSurvival,
-    sum_of_cells,
-    weigh_by_losses,
-)
-from kbnitp_ros.core.inference.sampling.prior_map import (
+from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel, times_log
+from kbnitp_ros.core.field.unknowns import Bins, Learnt
+from kbnitp_ros.core.inference import sampling_kernels as gibbs
+from kbnitp_ros.core.inference.hypotheses import (
     CERTAIN_HAZARD,
     CERTAIN_TARGET,
+    Clusters,
     expit,
+    Hypotheses,
     softplus,
 )
-from kbnitp_ros.core.inference.sampling.tally import Tally
+from kbnitp_ros.core.inference.sampling_kernels import (
+    draw_values,
+    LARGE,
+    LossSurvival,
+    sum_of_cells,
+    Tally,
+    weigh_by_located,
+    weigh_by_losses,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -209,11 +212,7 @@ class Chains:
         return [self._hypotheses.model_with(dict(zip(unknown, each))) for each in numbers]
 
     def joint(self) -> tuple[Floats, float]:
-        """
-        Return the cells' joints, shape (cells, 2, 2), and how far chance has taken them.
-
-        Equations :eq:`averaged-belief` and :eq:`sampling-error`.
-        """
+        """Return joints and their sampling error (:eq:`averaged-belief`, :eq:`sampling-error`)."""
         by_group = self._unvisited.joints(self.sweeps)
         by_group[:, self._cells] = self._joints / self.sweeps
         joint = by_group.mean(axis=0)
@@ -249,11 +248,7 @@ class Chains:
         return np.stack(endured, axis=1), np.stack(spared, axis=1)
 
     def _given_returns(self) -> gibbs.FieldOdds:
-        r"""
-        Return what steps survived and readings tell of each cell.
-
-        Equations :eq:`reading-odds` and :eq:`hazard-odds` and :eq:`target-conditional`.
-        """
+        """Weigh cells (:eq:`reading-odds`, :eq:`hazard-odds`, :eq:`target-conditional`)."""
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
@@ -306,11 +301,7 @@ class Chains:
         return weight
 
     def _draw_survival(self) -> None:
-        r"""
-        Draw lethality and malfunction, given hazards and each other.
-
-        Equation :eq:`rate-conditional`.
-        """
+        """Draw lethality and malfunction, given hazards (:eq:`rate-conditional`)."""
         tally, hypotheses = self._tally, self._hypotheses
         exposures, factors = self._hazard_state.exposures, self._factors
         malfunction, lethality = self._place['malfunction'], self._place['lethality']
@@ -365,11 +356,7 @@ class Chains:
             weigh_by_located(self._hazardous, self._factors.located, safe, exposed, likelihood)
 
     def _draw_the_rest(self, odds: gibbs.FieldOdds) -> None:
-        r"""
-        Draw the numbers of the prior and of the target sensor, given hazards and targets.
-
-        Equations :eq:`target-conditional` and :eq:`map-conditional` and :eq:`count-conditional`.
-        """
+        """Draw (:eq:`target-conditional`, :eq:`map-conditional`, :eq:`count-conditional`)."""
         tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
         unknown = hypotheses.unknown
         hazardous = self._hazardous.astype(bool)
@@ -411,11 +398,7 @@ class Chains:
                 self._draw(name, log_likelihood)
 
     def _draw_clustering(self, clusters: Clusters) -> None:
-        r"""
-        Draw the density and the coupling of a clustered prior, given hazards and each other.
-
-        Equation :eq:`coupling-conditional`.
-        """
+        """Draw density and coupling, given hazards (:eq:`coupling-conditional`)."""
         unknown, place = self._hypotheses.unknown, self._place
         count = self._hazardous.sum(axis=1)[:, None]
         if 'hazard_density' in unknown:
@@ -439,11 +422,7 @@ class Chains:
         }
 
     def model(self) -> SensorModel:
-        """
-        Return the model of robots like all others: the probabilities expected of them.
-
-        Equation :eq:`mean-model`.
-        """
+        """Return the expected model of robots like all others (:eq:`mean-model`)."""
         means = {name: learnt.mean for name, learnt in self.learnt().items()}
         if 'lethality' in means:
             # That of a step into a hazard is the mean of a product: where both are unknown, a

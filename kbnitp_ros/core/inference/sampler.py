@@ -16,19 +16,15 @@ from collections.abc import Iterator, Mapping
 from copy import copy
 from typing import ClassVar
 
-from kbnitp_ros.core.field import (
-    Belief,
-    Clustering,
-    Learnt,
-    Observation,
-    RobotType,
-    SensorModel,
-    Unknowns,
-)
-from kbnitp_ros.core.inference.filtering import check_cells
-from kbnitp_ros.core.inference.sampling.chains import CHAINS, Chains, ChainState
-from kbnitp_ros.core.inference.sampling.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.sampling.tally import Tally
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
+from kbnitp_ros.core.inference.chains import CHAINS, Chains, ChainState
+from kbnitp_ros.core.inference.filters import check_cells
+from kbnitp_ros.core.inference.hypotheses import Hypotheses
+from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from math import inf
 
-from kbnitp_ros.core.field import Grid
-from kbnitp_ros.core.planning.objective.candidate import Candidate, DECIMALS
-from kbnitp_ros.core.planning.objective.objective import Objective, powers_weights
-from kbnitp_ros.core.planning.objective.options import SearchOptions, SHANNON
-from kbnitp_ros.core.planning.search.gains import gains_of, reach_of
-from kbnitp_ros.core.planning.search.label_kernels import (
+from kbnitp_ros.core.field.grid import Grid, longest
+from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.planning.information import Candidate, DECIMALS
+from kbnitp_ros.core.planning.information_kernels import Readings
+from kbnitp_ros.core.planning.label_kernels import (
     Floats,
     Gains,
     LabelProblem,
@@ -19,9 +18,124 @@ from kbnitp_ros.core.planning.search.label_kernels import (
     search,
     trace_closed,
 )
-from kbnitp_ros.core.planning.search.local_search_kernels import exact_values, improve_all
+from kbnitp_ros.core.planning.local_search_kernels import exact_values, improve_all
+from kbnitp_ros.core.planning.objective import (
+    BEHAVIORAL_EXPONENTS,
+    EXPONENTS,
+    new_information,
+    Objective,
+    powers_weights,
+    readings_of,
+)
+from kbnitp_ros.core.planning.options import SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import NDArray
+
+
+def reach_of(grid: Grid, options: SearchOptions) -> Reach:
+    """Return the reach of paths within `max_steps` and `max_distance`."""
+    max_steps, max_distance = options.max_steps, options.max_distance
+    cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
+    distance = grid.steps_to_base[cells]
+    order = np.argsort(distance, kind='stable')
+    cells = cells[order]
+    rank = np.full(grid.cells + 1, -1)
+    rank[cells] = np.arange(cells.size)
+    step = np.arange(max_steps + 1)
+    within = np.searchsorted(distance[order], np.minimum(step, max_steps - step), 'right')
+    start = np.append(0, np.cumsum(within))
+    neighbors = rank[grid.neighbor_table[cells]]
+    if not max_distance:
+        # Where no length is allowed for, none is counted.
+        lengths, home = np.zeros(9), np.zeros(cells.size)
+        return Reach(cells, neighbors, within, start, lengths, home, 0.0)
+    return Reach(
+        cells,
+        neighbors,
+        within,
+        start,
+        grid.step_lengths.copy(),
+        grid.distance_to_base[cells],
+        longest(max_distance),
+    )
+
+
+def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
+    """Return the gains of visits in `cells`, shape (n,)."""
+    model, outcomes = objective.model, objective.outcomes
+    visits = np.arange(max_visits + 1)
+    belief = objective.belief
+    hazard = belief.hazard[cells]
+    nothing_read = np.eye(1, outcomes.states)
+    shape = (outcomes.probability.size, cells.size, visits.size)
+    log_survival = np.broadcast_to(
+        log_predicted_survival(hazard[:, None], visits, model.log_survival), shape
+    ).copy()
+    readings = readings_of(model, max_visits, outcomes.most_readings)
+    read = np.zeros(shape)
+    read[..., 1:] = _read(
+        readings, belief.joint[cells], nothing_read.repeat(cells.size, 0), objective.alpha
+    )
+    here, there = outcomes.places_of(cells)
+    if here.size:
+        joint = outcomes.joint[:, there]
+        log_survival[:, here] = log_predicted_survival(
+            joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
+        )
+        _, earlier = outcomes.of_cells(cells[here])
+        read[:, here, 1:] = _read(readings, joint, earlier, objective.alpha)
+
+    alive = log_survival[..., 1:] > -np.inf
+    with np.errstate(invalid='ignore'):
+        # Once nobody survives nothing more can be lost.
+        log_ratio = np.where(alive, np.diff(log_survival), 0.0)
+    added = np.diff(read) * objective.interest[cells, None]
+    survival = np.moveaxis(np.exp(log_ratio) * alive, 0, -1)
+    if objective.alpha == SHANNON:
+        added -= log_ratio
+        moment, spread = _moments(hazard, model, visits, EXPONENTS)
+        factor = [moment, survival]
+    else:
+        moment, spread = _moments(hazard, model, visits, BEHAVIORAL_EXPONENTS)
+        spread = np.zeros_like(spread)
+        powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
+        factor = [moment, powers.reshape(*survival.shape[:2], -1), survival]
+    term = [spread[..., None], np.moveaxis(added, 0, -1)]
+    return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
+
+
+def _read(
+    readings: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    alpha: float,
+) -> NDArray[np.float64]:
+    """Return what 1, 2, ... visits read, shape (..., cells, max_visits)."""
+    visits = [np.full(joint.shape[-3], count) for count in range(1, len(readings.survival))]
+    read = [new_information(readings, joint, earlier, each, alpha) for each in visits]
+    return np.stack(read, axis=-1)
+
+
+def _moments(
+    hazard: NDArray[np.float64],
+    model: SensorModel,
+    visits: NDArray[np.intp],
+    exponents: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return moments' factors and the change of spread (:eq:`moment-power`, :eq:`moment-log`)."""
+    safe, deadly = 1.0 - hazard[:, None], hazard[:, None]
+    log_power = times_log(visits[:, None], model.log_survival)
+    power = np.exp(times_log(exponents, log_power[:, :, None]))
+    moment = safe[..., None] * power[:, 0] + deadly[..., None] * power[:, 1]
+    before = moment[:, :-1]
+    ratio = np.divide(moment[:, 1:], before, out=np.zeros_like(before), where=before > 0.0)
+    # The first power is p itself.
+    p_log_p = times_log(power[:, :, 0], log_power)
+    spread = safe * p_log_p[:, 0] + deadly * p_log_p[:, 1]
+    mean = moment[..., 0]
+    spread = np.divide(spread, mean, out=np.zeros_like(spread), where=mean > 0.0)
+    return ratio, np.diff(spread)
+
 
 # Closed paths that are ranked by their exact value: twice `width`, or these if that is less.
 MIN_RANKED = 8
@@ -37,17 +151,7 @@ MAX_MEMORY = 1 << 30
 def best_paths(
     grid: Grid, objective: Objective, options: SearchOptions, width: int
 ) -> list[Candidate]:
-    """
-    Return the closed paths of the highest value that the search finds.
-
-    Labels at the same cell after the same number of steps compete by the objective of their
-    partial path, and every second one is kept for its heuristic value: the objective of that path
-    and a good completion together. Labels that no path begins with which is better than the best
-    one of width 1 are dropped. Paths that differ only in the order of their visits have the same
-    value and count once. A local search then replaces cells in a row of the best two paths.
-    A search of width 1 does nothing of this: there is one label for each cell and step, as in the
-    paper.
-    """
+    """Return the closed paths of the highest value that the search finds."""
     labels = LabelSearch(grid, objective, options, width)
     values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
     for count, between in ROUNDS if width > 1 else ():
@@ -63,11 +167,7 @@ def best_paths(
 
 
 class LabelSearch:
-    """
-    A label search; arguments as of `best_paths`.
-
-    Paths are rows of ranks of `reach`, shape (paths, max_steps + 1), with the steps of each.
-    """
+    """A label search; arguments as of `best_paths`."""
 
     def __init__(
         self, grid: Grid, objective: Objective, options: SearchOptions, width: int
@@ -148,12 +248,7 @@ class LabelSearch:
 
 
 def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
-    r"""
-    Return a bound on what the steps left can still read, by the steps taken.
-
-    Equation :eq:`unread`: the survival of as many visits as are left times the sum of their
-    readings, nats, shape (max_steps + 1,).
-    """
+    """Return a bound on what the steps left can still read, by the steps taken (:eq:`unread`)."""
     survival = gains.factor[..., powers:]
     with np.errstate(divide='ignore', invalid='ignore'):
         risk = -np.log(survival)

@@ -11,24 +11,158 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from math import ceil
 
-from kbnitp_ros.core.field import Grid, in_short, typed_fields, Value
-from kbnitp_ros.core.planning.objective.candidate import Candidate
-from kbnitp_ros.core.planning.objective.joint_outcomes import MOST_OUTCOMES
-from kbnitp_ros.core.planning.objective.objective import Objective, powers_of
-from kbnitp_ros.core.planning.objective.options import PLANNERS, SearchOptions
-from kbnitp_ros.core.planning.objective.readings import check_cameras, most_counted
-from kbnitp_ros.core.planning.search.gains import reach_of
-from kbnitp_ros.core.planning.search.labels import best_paths, check_memory
-from kbnitp_ros.core.planning.search.random_walk import (
-    check_walk_memory,
-    generator_of,
-    random_walk,
+from kbnitp_ros.core.field.check import in_short, typed_fields, Value
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.planning.information import Candidate
+from kbnitp_ros.core.planning.label_kernels import Reach
+from kbnitp_ros.core.planning.labels import best_paths, check_memory, reach_of
+from kbnitp_ros.core.planning.objective import (
+    check_cameras,
+    most_counted,
+    MOST_OUTCOMES,
+    Objective,
+    powers_of,
 )
-from kbnitp_ros.core.planning.search.tour import boustrophedon, nearest, Order, tour
+from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+# What of the steps to each cell, shape (cells,), makes one come before another: lower is first.
+Order = Callable[[NDArray[np.intp]], NDArray[np.intp]]
+
+
+def boustrophedon(grid: Grid) -> Order:
+    """Return the order of a field that is ploughed: row after row, every second one backwards."""
+    row, col = np.divmod(np.arange(grid.cells), grid.width)
+    place = row * grid.width + np.where(row % 2, grid.width - 1 - col, col)
+    return lambda _: place
+
+
+def nearest(steps: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the order in which the nearest cell comes first."""
+    return steps
+
+
+def tour(
+    grid: Grid, options: SearchOptions, visited: NDArray[np.intp], order: Order
+) -> NDArray[np.intp]:
+    """Return a closed path through cells that were visited least, each by the shortest way."""
+    max_steps, max_visits = options.max_steps, options.max_visits
+    wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
+    wanted[grid.base] = False
+    if wanted.any():
+        wanted &= visited == visited[wanted].min()
+    path, home = [grid.base], [grid.base]
+    entered: NDArray[np.intp] = np.zeros(grid.cells, dtype=np.intp)
+    while wanted.any():
+        steps = grid.steps_from(path[-1], is_open(grid, entered, max_visits))
+        candidates = np.flatnonzero(
+            wanted
+            & (steps < grid.cells)
+            & (len(path) - 1 + steps + grid.steps_to_base <= max_steps)
+        )
+        if not candidates.size:
+            break
+        target = int(candidates[np.argmin(order(steps)[candidates])])
+        leg = way(grid, steps, target)
+        after = entered + np.bincount(leg, minlength=grid.cells)
+        back = grid.steps_from(target, is_open(grid, after, max_visits, home=True))
+        wanted[target] = False
+        home_again = back[grid.base]
+        if home_again < grid.cells and len(path) - 1 + len(leg) + home_again <= max_steps:
+            path += leg
+            entered = after
+            wanted[leg] = False
+            home = way(grid, back, grid.base)
+    return np.array(path + home, dtype=np.intp)
+
+
+def is_open(
+    grid: Grid, entered: NDArray[np.intp], max_visits: int, *, home: bool = False
+) -> NDArray[np.bool_]:
+    """Return which cells may be entered once more; the base only on the way home."""
+    result: NDArray[np.bool_] = grid.free & (entered < max_visits)
+    result[grid.base] = home
+    return result
+
+
+def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
+    """Return a shortest way, without its start, from the steps from there to each cell."""
+    cells = [target]
+    while steps[cells[-1]] > 1:
+        around = grid.neighbors(cells[-1])
+        cells.append(int(around[np.argmax(steps[around] == steps[cells[-1]] - 1)]))
+    return cells[::-1]
+
+
+# How often a walk of so many steps is begun anew when it comes to where it cannot go on.
+ATTEMPTS = 100
+
+# The most bytes that counting the ways home may take.
+MOST_MEMORY = 1 << 30
+
+
+def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw a closed walk of as many steps as there may be."""
+    ways = ways_home(reach)
+    for steps in range(reach.within.size - 1, 1, -1):
+        for _ in range(ATTEMPTS):
+            walk = one_walk(reach.neighbors, ways[:steps], max_visits, rng)
+            if len(walk) > steps:
+                return reach.cells[walk]
+    return reach.cells[[0, 0]]
+
+
+def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
+    """Return the walks home in 0, 1, ... steps, as shares of the most (:eq:`walks`)."""
+    ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
+    ways[0][0] = 1.0
+    for _ in range(reach.within.size - 2):
+        onward = np.where(reach.neighbors >= 0, ways[-1][reach.neighbors], 0.0).sum(axis=1)
+        ways.append(onward / onward.max())
+    return ways
+
+
+def one_walk(
+    neighbors: NDArray[np.intp],
+    ways: list[NDArray[np.float64]],
+    max_visits: int,
+    rng: np.random.Generator,
+) -> list[int]:
+    """Return a walk as ranks, one step for each of the `ways`; cut off where it cannot go on."""
+    walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
+    for left in reversed(ways):
+        onward = neighbors[walk[-1]]
+        onward = onward[onward >= 0]
+        weight = np.cumsum(np.where(entered[onward] < max_visits, left[onward], 0.0))
+        if weight[-1] == 0.0:
+            break
+        step = int(onward[np.searchsorted(weight, rng.random() * weight[-1], side='right')])
+        entered[step] += 1
+        walk.append(step)
+    return walk
+
+
+def check_walk_memory(reach: Reach) -> None:
+    """Check that the ways home can have the memory that they take."""
+    estimate = 8 * reach.within.size * reach.cells.size
+    if estimate > MOST_MEMORY:
+        raise ValueError(
+            f'random walks of max_steps = {reach.within.size - 1} take about {estimate / 1e9:.1f} '
+            f'GB, and {MOST_MEMORY / 1e9:.1f} GB are allowed: lower it'
+        )
+
+
+def generator_of(*known: NDArray[np.generic]) -> np.random.Generator:
+    """Return a generator that is the same for the same arrays."""
+    digest = sha256()
+    for each in known:
+        digest.update(each.tobytes())
+    return np.random.default_rng(np.frombuffer(digest.digest(), dtype='<u4'))
+
 
 # What a planner returns.
 A_LIST = 'a list of Candidate.along(path, objective)'

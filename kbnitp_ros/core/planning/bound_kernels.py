@@ -13,8 +13,8 @@ from __future__ import annotations
 from math import exp, inf, log
 from typing import Any, NamedTuple
 
-from kbnitp_ros.core.field import compiled
-from kbnitp_ros.core.planning.search.label_kernels import surprisal
+from kbnitp_ros.core.field.compiled import compiled
+from kbnitp_ros.core.planning.label_kernels import surprisal
 import numpy as np
 
 # Boxes that are halved: after these the bound holds, and is less close.
@@ -22,25 +22,16 @@ MAX_BOXES = 20_000
 
 
 class Walks(NamedTuple):
-    """
-    Closed walks from the base and the visits that they may make.
+    """Closed walks from the base and the visits that they may make."""
 
-    Attributes
-    ----------
-    neighbors : ndarray of int, shape (cells, 9)
-        Ranks of the cells one step away, -1 where there is none.
-    within : ndarray of int, shape (max_steps + 1,)
-        How many cells are within so many steps of the base, up to half of them.
-    added : ndarray, shape (cells, visits + 1, 3)
-        W, r and r2 of so many visits.
-    most : ndarray of int, shape (cells,)
-        Of the visits to each cell.
-
-    """
-
+    # Ranks of the cells one step away, -1 where there is none. Shape (cells, 9).
     neighbors: Any
+    # How many cells are within so many steps of the base, up to half of them. Shape (max_steps +
+    # 1,).
     within: Any
+    # W, r and r2 of so many visits. Shape (cells, visits + 1, 3).
     added: Any
+    # Of the visits to each cell. Shape (cells,).
     most: Any
 
 
@@ -48,13 +39,7 @@ class Walks(NamedTuple):
 def best_walk(
     walks: Walks, steps: int, multipliers: Any, value: Any, origin: Any, gradient: Any
 ) -> float:
-    r"""
-    Return the greatest sum of prices of a closed walk; its visits become the gradient.
-
-    The first maximum of equation :eq:`bound-cut`, by
-
-    .. math:: v_t(j) = \pi_j + \max_{k \text{ next to } j} v_{t-1}(k) .
-    """
+    """Return the greatest price of a closed walk, and its visits (:eq:`bound-cut`)."""
     before = 1
     value[0, 0] = 0.0
     for t in range(1, steps + 1):
@@ -101,13 +86,7 @@ def best_visits(walks: Walks, multipliers: Any, gradient: Any) -> float:
 def minimise(
     walks: Walks, steps: int, multipliers: Any, r: float, r2: float, enough: float
 ) -> Any:
-    """
-    Lower the cut at the point (r, r2) by deflected subgradients; write the multipliers, return D.
-
-    The step is Polyak's towards a level below the best value, by a span that is halved when it is
-    not reached (Camerini, Fratta and Maffioli 1975; Goffin and Kiwiel 1999). A value of `enough`
-    need not be lowered.
-    """
+    """Lower the cut at (r, r2) by deflected subgradients; write the multipliers, return D."""
     cells = walks.most.size
     tried, direction = multipliers.copy(), np.zeros(cells + 2)
     walked, origin = np.empty((2, cells)), np.zeros((steps + 1, cells), np.int8)
@@ -155,23 +134,14 @@ def minimise(
 
 
 class Region(NamedTuple):
-    """
-    Bounds of the sums of paths of so many steps.
+    """Bounds of the sums of paths of so many steps (:eq:`bound-cut`)."""
 
-    Attributes
-    ----------
-    safest, least : float
-        The highest survival of any of them, q = s0^steps, and the lowest allowed.
-    loss_cost : float
-        Nats.
-    cuts : ndarray, shape (cuts, 3)
-        D, lambda and mu of equation :eq:`bound-cut`.
-
-    """
-
+    # The highest survival of any of them, q = s0^steps, and the lowest allowed.
     safest: float
     least: float
+    # Nats.
     loss_cost: float
+    # D, lambda and mu of equation :eq:`bound-cut`. Shape (cuts, 3).
     cuts: Any
 
 
@@ -243,11 +213,7 @@ def next_cut(region: Region, survival: float, ratio: float, total: float, value:
 def bound_of_box(
     region: Region, low: float, high: float, least: float, most: float, enough: float
 ) -> float:
-    """
-    Return a bound of `value_at` over a box, for the cut with which it is least.
-
-    Equation :eq:`bound-box`; for any cut with which it is at most `enough`.
-    """
+    """Return the bound of `value_at` over a box, for its best cut (:eq:`bound-box`)."""
     middle = 0.5 * (low + high)
     lost, lost_slope = surprisal(1.0 - middle), log(1.0 - middle) + 1.0
     kept, kept_slope = surprisal(middle), -log(middle) - 1.0
@@ -275,12 +241,7 @@ def bound_of_box(
 
 @compiled
 def maximum(region: Region, known: float, tolerance: float, at: Any) -> float:
-    """
-    Return a bound of `value_at` over all points, by halving boxes.
-
-    Equation :eq:`bound-maximum`. It may be above the maximum, or above a `known` value, by the
-    tolerance. The point of the greatest value seen above `known` is written to `at`.
-    """
+    """Return a bound of `value_at` over all points, by halving boxes (:eq:`bound-maximum`)."""
     boxes = np.empty((128, 4))
     boxes[0] = region.least, region.safest, 1.0, 2.0
     held, opened, found, bound = 1, 0, known, known

@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import exp, inf, log
 
-from kbnitp_ros.core.field import Belief, Grid, log_predicted_survival, SensorModel, times_log
-from kbnitp_ros.core.planning.objective.candidate import Candidate
-from kbnitp_ros.core.planning.objective.objective import Objective
-from kbnitp_ros.core.planning.objective.options import SearchOptions
-from kbnitp_ros.core.planning.objective.readings import new_information, readings_of
-from kbnitp_ros.core.planning.search.bound_kernels import (
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.planning.bound_kernels import (
     greatest_sum,
     maximum,
     minimise,
@@ -26,9 +24,11 @@ from kbnitp_ros.core.planning.search.bound_kernels import (
     Region,
     Walks,
 )
-from kbnitp_ros.core.planning.search.gains import reach_of
-from kbnitp_ros.core.planning.search.label_kernels import Floats, Places, Reach
-from kbnitp_ros.core.planning.search.labels import MAX_MEMORY
+from kbnitp_ros.core.planning.information import Candidate
+from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
+from kbnitp_ros.core.planning.labels import MAX_MEMORY, reach_of
+from kbnitp_ros.core.planning.objective import new_information, Objective, readings_of
+from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 
 # Cuts beyond one for each number of steps, and in a row that gain less than the tolerance.
@@ -49,28 +49,17 @@ MIN_SURVIVAL = 1e-100
 
 @dataclass(eq=False)
 class Cuts:
-    """
-    The cuts of paths of so many steps.
+    """The cuts of paths of so many steps."""
 
-    Attributes
-    ----------
-    steps : int
-        Of each path.
-    point : tuple of float
-        The survival, the ratio r2 / r and the sum of W to be cut off next.
-    multipliers : ndarray, shape (cells + 2,)
-        Of the last cut.
-    rows : ndarray, shape (cuts, 3)
-        As of `Region`.
-    bound : float
-        On the value of each path, nats.
-
-    """
-
+    # Of each path.
     steps: int
+    # The survival, the ratio r2 / r and the sum of W to be cut off next.
     point: tuple[float, float, float]
+    # Of the last cut. Shape (cells + 2,).
     multipliers: Floats
+    # As of `Region`. Shape (cuts, 3).
     rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    # On the value of each path, nats.
     bound: float = inf
 
 
@@ -138,12 +127,7 @@ def inside(survival: float) -> float:
 def visit_sums(
     belief: Belief, model: SensorModel, cells: Places, max_visits: int
 ) -> tuple[Floats, Places]:
-    """
-    Return the sums W, r and r2 of visits to cells, and how many visits can be survived.
-
-    Equation :eq:`bound-terms`; shapes (cells, max_visits + 1, 3), 0 where so many visits cannot be
-    survived, and (cells,).
-    """
+    """Return the sums W, r and r2 of visits, and the most visits survived (:eq:`bound-terms`)."""
     visits = np.arange(max_visits + 1)
     hazard = belief.hazard[cells, None]
     log_mean = log_predicted_survival(hazard, visits, model.log_survival)

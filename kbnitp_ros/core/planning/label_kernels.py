@@ -21,7 +21,7 @@ from __future__ import annotations
 from math import floor, inf, log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled, inlined
+from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,195 +30,119 @@ Places = NDArray[np.intp]
 
 
 class Reach(NamedTuple):
-    """
-    The cells from which a robot can still return.
+    """The cells from which a robot can still return."""
 
-    Attributes
-    ----------
-    cells : ndarray of int, shape (n,)
-        By their distance from the base, which comes first, and then ascending; the place of a
-        cell is its rank.
-    neighbors : ndarray of int, shape (n, 9)
-        Ranks of the cells one step away, -1 where there is none. Columns j and 8 - j lead into
-        opposite directions.
-    within : ndarray of int, shape (max_steps + 1,)
-        After so many steps the robot is in one of the first so many cells.
-    start : ndarray of int, shape (max_steps + 2,)
-        Where the cells of each step begin in what goes by steps and then cells; then its length.
-    length : ndarray, shape (9,)
-        Metres of a step by each column of `neighbors`; all 0 where paths may be of any length.
-    home : ndarray, shape (n,)
-        Metres of the shortest way home from each cell, or 0 likewise.
-    longest : float
-        Metres that a path may have, or 0 likewise.
-
-    """
-
+    # By their distance from the base, which comes first, and then ascending; the place of a cell
+    # is its rank. Shape (n,).
     cells: Places
+    # Ranks of the cells one step away, -1 where there is none. Columns j and 8 - j lead into
+    # opposite directions. Shape (n, 9).
     neighbors: Places
+    # After so many steps the robot is in one of the first so many cells. Shape (max_steps + 1,).
     within: Places
+    # Where the cells of each step begin in what goes by steps and then cells; then its length.
+    # Shape (max_steps + 2,).
     start: Places
+    # Metres of a step by each column of `neighbors`; all 0 where paths may be of any length. Shape
+    # (9,).
     length: Floats
+    # Metres of the shortest way home from each cell, or 0 likewise. Shape (n,).
     home: Floats
+    # Metres that a path may have, or 0 likewise.
     longest: float
 
 
 class Gains(NamedTuple):
-    """
-    Factors and terms of the next visit, by cell and the number of visits before.
+    """Factors and terms of the next visit, by cell and the number of visits before."""
 
-    Attributes
-    ----------
-    factor : ndarray, shape (cells, max_visits, powers + outcomes)
-        The moment E[p^a] after it over that before it for each exponent a; then the same of the
-        survival in each outcome. 0 where nobody survives.
-    term : ndarray, shape (cells, max_visits, 1 + outcomes)
-        The change of E[p ln p] / E[p]; then in each outcome that of the information of readings,
-        nats, less that of the log of the survival.
-
-    """
-
+    # The moment E[p^a] after it over that before it for each exponent a; then the same of the
+    # survival in each outcome.
     factor: Floats
+    # The change of E[p ln p] / E[p]; then in each outcome that of the information of readings,
+    # nats, less that of the log of the survival. Shape (cells, max_visits, 1 + outcomes).
     term: Floats
 
 
 class LabelProblem(NamedTuple):
-    """
-    The cells, and the value of labels.
+    """The cells, and the value of labels."""
 
-    Attributes
-    ----------
-    reach : Reach
-        The cells and their neighbours.
-    marks : ndarray of int, shape (cells,)
-        What a visit adds to the mark of a label; sums tell apart how often each was visited.
-    gains : Gains
-        Of visits to the cells.
-    weight : ndarray, shape (powers,)
-        Of each moment.
-    chance : ndarray, shape (outcomes,)
-        Of each joint outcome of the robots before.
-    loss_cost : float
-        Nats.
-    units : float
-        To the nat; values are compared in these, so that rounding never decides for a path.
-    unread : ndarray, shape (max_steps + 1,)
-        Upper bound of the information of readings of the steps left after so many, nats.
-
-    """
-
+    # The cells and their neighbours.
     reach: Reach
+    # What a visit adds to the mark of a label; sums tell apart how often each was visited. Shape
+    # (cells,).
     marks: NDArray[np.int64]
+    # Of visits to the cells.
     gains: Gains
+    # Of each moment. Shape (powers,).
     weight: Floats
+    # Of each joint outcome of the robots before. Shape (outcomes,).
     chance: Floats
+    # Nats.
     loss_cost: float
+    # To the nat; values are compared in these, so that rounding never decides for a path.
     units: float
+    # Upper bound of the information of readings of the steps left after so many, nats. Shape
+    # (max_steps + 1,).
     unread: Floats
 
 
 class Products(NamedTuple):
-    """
-    Factors and terms of labels.
+    """Factors and terms of labels."""
 
-    Attributes
-    ----------
-    factor : ndarray, shape (rows, powers + outcomes)
-        The moments; then the survival in each outcome.
-    term : ndarray, shape (rows, 1 + outcomes)
-        The sums of `Gains.term`.
-
-    """
-
+    # The moments; then the survival in each outcome. Shape (rows, powers + outcomes).
     factor: Floats
+    # The sums of `Gains.term`. Shape (rows, 1 + outcomes).
     term: Floats
 
 
 class Labels(NamedTuple):
-    """
-    The labels of one step; those at a cell have the first `kept` of its `width` rows.
+    """The labels of one step; those at a cell have the first `kept` of its `width` rows."""
 
-    Attributes
-    ----------
-    products : Products
-        Of each row.
-    mark : ndarray of int, shape (rows,)
-        Equal for equal visits.
-    length : ndarray, shape (rows,)
-        Metres, as of `Reach.length`.
-    seen : ndarray of int, shape (rows, 9)
-        The visits to the cells around.
-    kept : ndarray of int, shape (cells,)
-        How many labels each cell has.
-
-    """
-
+    # Of each row.
     products: Products
+    # Equal for equal visits. Shape (rows,).
     mark: NDArray[np.int64]
+    # Metres, as of `Reach.length`. Shape (rows,).
     length: Floats
+    # The visits to the cells around. Shape (rows, 9).
     seen: NDArray[np.int32]
+    # How many labels each cell has. Shape (cells,).
     kept: NDArray[np.int64]
 
 
 class Ranking(NamedTuple):
-    """
-    The best extensions of labels to a cell, the best first.
+    """The best extensions of labels to a cell, the best first."""
 
-    Attributes
-    ----------
-    score : ndarray, shape (places,)
-        In units; -inf for none.
-    mark : ndarray of int, shape (places,)
-        Of the label.
-    length : ndarray, shape (places,)
-        Of the label, metres; no places where paths may be of any length.
-    origin : ndarray of int, shape (places,)
-        16 * slot + column of `Reach.neighbors`, of the label that is extended.
-
-    """
-
+    # In units; -inf for none. Shape (places,).
     score: Floats
+    # Of the label. Shape (places,).
     mark: NDArray[np.int64]
+    # Of the label, metres; no places where paths may be of any length. Shape (places,).
     length: Floats
+    # 16 * slot + column of `Reach.neighbors`, of the label that is extended. Shape (places,).
     origin: NDArray[np.int64]
 
 
 class Completions(NamedTuple):
-    """
-    The best completion of so many steps at most from each cell that it may start in.
+    """The best completion of so many steps at most from each cell that it may start in."""
 
-    Attributes
-    ----------
-    moments : ndarray, shape (sum of within, powers + 5)
-        By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
-        both, and its length.
-    value : ndarray, shape (cells,)
-        Of the label that the last completion of each cell was made of.
-    room : ndarray, shape (powers + 5,)
-        For one of them, where lengths are limited: that which is short enough for a label.
-
-    """
-
+    # By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
+    # both, and its length. Shape (sum of within, powers + 5).
     moments: Floats
+    # Of the label that the last completion of each cell was made of. Shape (cells,).
     value: Floats
+    # For one of them, where lengths are limited: that which is short enough for a label. Shape
+    # (powers + 5,).
     room: Floats
 
 
 class Trail(NamedTuple):
-    """
-    The label that was followed back last.
+    """The label that was followed back last."""
 
-    Attributes
-    ----------
-    slot, cell : ndarray of int, shape (max_steps + 1,)
-        By steps; a slot of -1 is none.
-    visits : ndarray of int, shape (cells,)
-        To each cell.
-
-    """
-
+    # By steps; a slot of -1 is none. Shape (max_steps + 1,).
     slot: NDArray[np.int64]
     cell: NDArray[np.int64]
+    # To each cell. Shape (cells,).
     visits: NDArray[np.int64]
 
 
@@ -230,15 +154,7 @@ def surprisal(p: float) -> float:
 
 @inlined
 def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: float) -> float:
-    r"""
-    Return the value of a label without the entropy that hazards leave in its own outcome.
-
-    The first sum of equation :eq:`label-value`, with the surprisal of a loss averaged as in
-    equation :eq:`loss-surprisal`, from the mean of what readings bring, and those of the chance q
-    of a loss in each joint outcome and of its square:
-
-    .. math:: E[-q \ln q] \approx -\bar q \ln \bar q - \operatorname{Var}(q) / (2 \bar q).
-    """
+    """Return a value without hazards' entropy (:eq:`label-value`, :eq:`loss-surprisal`)."""
     value = brought + surprisal(lost) - loss_cost * lost
     if lost > 0.0:
         value -= 0.5 * (lost_square - lost * lost) / lost
@@ -257,15 +173,7 @@ def hoped_value(
 
 @compiled
 def label_value(products: Products, row: int, problem: LabelProblem) -> float:
-    r"""
-    Return the value of a label, in units.
-
-    Equation :eq:`label-value`: `averaged_value` less what hazards leave open of the outcome,
-
-    .. math:: E[h(p)] \approx \sum_j w_j E[p^{a_j}] - E[p \ln p],
-
-    by equations :eq:`entropy-powers` and :eq:`moment-log`.
-    """
+    """Return a value, in units (:eq:`label-value`, :eq:`entropy-powers`, :eq:`moment-log`)."""
     factor, term = products.factor, products.term
     weight, chance = problem.weight, problem.chance
     left_open = -factor[row, 0] * term[row, 0]
@@ -286,17 +194,7 @@ def label_value(products: Products, row: int, problem: LabelProblem) -> float:
 def visit(
     products: Products, row: int, gains: Gains, rank: int, before: int, to: Products, to_row: int
 ) -> None:
-    r"""
-    Write a label after one more visit to a cell that it visits so often before.
-
-    The moments of equation :eq:`moment-power` are multiplied, the sums of :eq:`moment-log` and of
-    the information of readings are added to: after visit n to cell i,
-
-    .. math::
-
-        E[p^a] \leftarrow E[p^a] \frac{\mu_{i,n}(a)}{\mu_{i,n-1}(a)}, \qquad
-        J_\omega \leftarrow J_\omega + J_{i,n,\omega} - J_{i,n-1,\omega}.
-    """
+    """Write a label after one more visit to a cell (:eq:`moment-power`, :eq:`moment-log`)."""
     for k in range(products.factor.shape[1]):
         to.factor[to_row, k] = products.factor[row, k] * gains.factor[rank, before, k]
     for k in range(products.term.shape[1]):
@@ -333,13 +231,7 @@ def new_ranking(places: int, is_limited: bool) -> Ranking:
 
 @compiled
 def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
-    """
-    Put a candidate among the best, the best first, unless one of them has its mark.
-
-    It must be as good as the last of them; of equal ones the earlier is the better. Those of
-    equal marks have equal scores, and of these the shorter is kept: what may follow it is all that
-    may follow the longer one.
-    """
+    """Put a candidate among the best, the best first, unless one of them has its mark."""
     scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
     low, high = 0, scores.size
     while low < high:
@@ -393,14 +285,7 @@ def find_best(
     by_value: Ranking,
     by_heuristic: Ranking,
 ) -> None:
-    """
-    Find the best extensions of labels to a cell.
-
-    They are ranked by `label_value`, and by the same with a completion, whose moments multiply
-    (equation :eq:`heuristic`). Extensions on which the robot could not come home within the length
-    allowed are left out, and those that no path is worth `least` units with, by equation
-    :eq:`hopeless`.
-    """
+    """Find the best extensions of labels to a cell (:eq:`heuristic`, :eq:`hopeless`)."""
     reach, marks, gains = problem.reach, problem.marks, problem.gains
     gain_factor, gain_term = gains.factor, gains.term
     weight, chance = problem.weight, problem.chance
@@ -537,12 +422,7 @@ def write_completions(
     best_value: Floats,
     completions: Completions,
 ) -> None:
-    """
-    Write the best completion of so many steps at most from each cell that it may start in.
-
-    A path has the same value in both directions, so a completion is a label at a neighbour, walked
-    backwards, and the step into the base. `best_value`, (cells,), has that of the best label.
-    """
+    """Write the best completion of so many steps at most from each cell that it may start in."""
     reach, moments, value = problem.reach, completions.moments, completions.value
     start = reach.start[step]
     for rank in range(reach.within[step]):
@@ -578,22 +458,7 @@ def follow(
 def search(
     problem: LabelProblem, width: int, by_heuristic_rows: int, least: float, moments: Floats
 ) -> tuple[NDArray[np.int32], Floats]:
-    r"""
-    Extend the best labels of each cell, step by step.
-
-    Labels at the same cell after the same number of steps compete by their value, and
-    `by_heuristic_rows` of their rows are for those that compete by their heuristic value: that of
-    their path and a good completion together, taken as if no cell were on both. Labels of equal
-    visits count once. With the value V of equation :eq:`label-value` and its heuristic H of
-    :eq:`heuristic`, the labels at cell i after t steps are
-
-    .. math::
-
-        L_t(i) = \operatorname{best}_{V, H} \bigl\{ \ell \oplus i :
-            \ell \in L_{t-1}(j), \; j \sim i \bigr\}, \qquad L_0 = \{ \text{base} \},
-
-    where :math:`\ell \oplus i` is label :math:`\ell` after one more visit, to cell i (`visit`).
-    """
+    """Extend the best labels of each cell, step by step (:eq:`label-value`, :eq:`heuristic`)."""
     reach, gains = problem.reach, problem.gains
     within, neighbors = reach.within, reach.neighbors
     max_steps, cells, powers = within.size - 1, neighbors.shape[0], problem.weight.size

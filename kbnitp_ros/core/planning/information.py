@@ -1,40 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The information that deployments are expected to bring."""
+"""Information that paths are expected to bring."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from kbnitp_ros.core.field import (
-    Belief,
-    binary_entropy,
-    log_predicted_survival,
-    of_each,
-    RobotType,
-    SensorModel,
-    typed,
-    Visits,
+from kbnitp_ros.core.field.belief import Belief, binary_entropy
+from kbnitp_ros.core.field.check import typed
+from kbnitp_ros.core.field.observation import as_path, Visits
+from kbnitp_ros.core.field.sensor import log_predicted_survival, of_each, RobotType, SensorModel
+from kbnitp_ros.core.planning.information_kernels import (
+    exposed,
+    Exposures,
+    left_open,
+    outcome_left_open,
+    Readings,
 )
-from kbnitp_ros.core.planning.objective.information_kernels import left_open, outcome_left_open
-from kbnitp_ros.core.planning.objective.joint_outcomes import (
+from kbnitp_ros.core.planning.objective import (
     after_deployment,
+    behavioral_entropy,
     JointOutcomes,
+    new_information,
     nobody_deployed,
+    Objective,
+    readings_of,
 )
-from kbnitp_ros.core.planning.objective.objective import behavioral_entropy
-from kbnitp_ros.core.planning.objective.options import beta_of, SHANNON
-from kbnitp_ros.core.planning.objective.prediction import predict
-from kbnitp_ros.core.planning.objective.readings import new_information
+from kbnitp_ros.core.planning.options import beta_of, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
-    """
-    Return the log of the chance that a robot comes back, with the hazards as believed.
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The predicted outcome of one deployment, given each joint outcome of the robots before."""
 
-    Equation :eq:`path-survival`.
-    """
+    # Of its path.
+    visits: Visits
+    # Of the cells visited, as `JointOutcomes.of_cells` returns them: P(Z = z, X = x), and the
+    # readings of the robots before.
+    joint: NDArray[np.float64]
+    earlier: NDArray[np.float64]
+    # The chance that the robot returns. Shape (outcomes,).
+    survival: NDArray[np.float64]
+    # What its own readings may be.
+    readings: Readings
+    # Of its path, the same whatever became of the others.
+    exposures: Exposures
+
+
+def predict(
+    belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
+) -> Prediction:
+    """Predict the outcome of a deployment after those of `outcomes`."""
+    cells = as_path(path)
+    if cells.min() < 0 or cells.max() >= belief.cells:
+        raise ValueError(
+            f'path has cells from {cells.min()} to {cells.max()}: '
+            f'the belief has the cells 0 to {belief.cells - 1}'
+        )
+    visits = Visits.of(cells)
+    joint, earlier = outcomes.of_cells(visits.cells)
+    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
+    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
+    return Prediction(
+        visits,
+        joint,
+        earlier,
+        np.exp(log_survival.sum(axis=1)),
+        readings_of(model, int(visits.counts.max()), outcomes.most_readings),
+        exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival),
+    )
+
+
+def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
+    """Return the log probability of a return under the belief (:eq:`path-survival`)."""
     visits = Visits.of(path)
     hazard = belief.hazard[visits.cells]
     return float(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
@@ -132,15 +173,7 @@ def added_information(
     alpha: float = SHANNON,
     interest: NDArray[np.float64] | None = None,
 ) -> float:
-    """
-    Return the information that a deployment is expected to add to what robots before it bring.
-
-    Equation :eq:`added-information`; with behavioral entropies :eq:`behavioral-information`.
-
-    Their readings of a cell and the path's own count together, less what theirs tell alone. Two
-    things are approximated: that losses tie cells together is forgotten, and what the earlier
-    robots' readings tell of hazards does not make the path's own outcome any surer.
-    """
+    """Return the information added (:eq:`added-information`, :eq:`behavioral-information`)."""
     ahead = predict(belief, model, path, outcomes)
     counts = ahead.visits.counts
     added = new_information(ahead.readings, ahead.joint, ahead.earlier, counts, alpha)
@@ -186,3 +219,30 @@ def behavioral_information(
     """
     outcomes = nobody_deployed(belief) if outcomes is None else outcomes
     return added_information(belief, model, path, outcomes, alpha, interest)
+
+
+# Values closer than this many decimals (nats) are ties, so rounding never decides for a path.
+DECIMALS = 9
+
+
+class Candidate(NamedTuple):
+    """A closed path and its objective value."""
+
+    # The objective value, nats, rounded.
+    value: float
+    # The base first and last. Shape (steps + 1,).
+    path: NDArray[np.intp]
+
+    @classmethod
+    def along(cls, path: NDArray[np.intp], objective: Objective) -> Candidate:
+        """Return a path, shape (steps + 1,), with its exact value (:eq:`objective-value`)."""
+        belief, model = objective.belief, objective.model
+        lost = -np.expm1(path_log_survival(belief, model, path))
+        alpha = objective.alpha
+        interest = None if alpha == SHANNON else objective.interest
+        information = added_information(belief, model, path, objective.outcomes, alpha, interest)
+        return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
+
+    def survival(self, objective: Objective) -> float:
+        """Return the chance that the robot returns, by the belief of its objective."""
+        return float(np.exp(path_log_survival(objective.belief, objective.model, self.path)))

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from math import log
 from typing import Any, cast
 
-from kbnitp_ros.core.field import cost, probability, RobotType, whole_number
+from kbnitp_ros.core.field.check import cost, probability, whole_number
+from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.plugins import Registry, takes
 
 # What is sought.
@@ -35,11 +36,7 @@ ALPHAS = (0.2, 5.0)
 
 
 def beta_of(alpha: float) -> float:
-    """
-    Return the beta of the Prelec weight with which 1/2 has the weight 1/2.
-
-    Equation :eq:`behavioral-entropy`.
-    """
+    """Return the beta of a Prelec weight that keeps 1/2 (:eq:`behavioral-entropy`)."""
     return float(log(2.0) ** (1.0 - alpha))
 
 

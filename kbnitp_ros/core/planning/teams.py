@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plans of a round: several robots that leave together."""
+"""Teams of robots that are planned together."""
 
 from __future__ import annotations
 
@@ -7,29 +7,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from kbnitp_ros.core.field import (
-    Belief,
-    Grid,
-    of_each,
-    RobotType,
-    SensorModel,
-    typed,
-    Value,
-    whole_number,
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import typed, Value, whole_number
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
+from kbnitp_ros.core.planning.allocations import (
+    allocated,
+    ALLOCATIONS,
+    Regions,
+    TeamMember,
+    without,
 )
-from kbnitp_ros.core.planning.objective import SearchOptions, team_information
-from kbnitp_ros.core.planning.objective.joint_outcomes import after_deployment, nobody_deployed
-from kbnitp_ros.core.planning.objective.readings import Camera, check_cameras
-from kbnitp_ros.core.planning.search import (
-    check_bounded,
-    check_distance,
-    PathFinder,
-    Plan,
-    plan_alone,
+from kbnitp_ros.core.planning.information import team_information
+from kbnitp_ros.core.planning.objective import (
+    after_deployment,
+    Camera,
+    check_cameras,
+    nobody_deployed,
 )
-from kbnitp_ros.core.planning.teams.allocations import allocated, ALLOCATIONS
-from kbnitp_ros.core.planning.teams.regions import Regions, without
-from kbnitp_ros.core.planning.teams.team_member import TeamMember
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import check_distance, PathFinder
+from kbnitp_ros.core.planning.search import check_bounded, Plan, plan_alone
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -74,22 +72,13 @@ class Team:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TeamPlan(Value):
-    """
-    Paths for robots that leave together and what is expected of them.
+    """Paths for robots that leave together and what is expected of them."""
 
-    Attributes
-    ----------
-    plans : tuple of Plan
-        One a robot, in their order; each says what is expected of that robot alone.
-    information : float
-        What is expected of all together, beyond what robots in flight bring, nats.
-    regions : Regions, optional
-        How the field was divided among the robots; None where the allocation does not.
-
-    """
-
+    # One a robot, in their order; each says what is expected of that robot alone.
     plans: tuple[Plan, ...]
+    # What is expected of all together, beyond what robots in flight bring, nats.
     information: float
+    # How the field was divided among the robots; None where the allocation does not.
     regions: Regions | None
 
 
@@ -177,23 +166,7 @@ def plan_team(
 
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
-    """
-    Check that paths for a team can be searched for, and within the memory allowed, before any is.
-
-    Parameters
-    ----------
-    finder : PathFinder
-        For robots that have no limits of their own.
-    types : sequence of RobotType
-        Of each robot that may leave or be in flight.
-
-    Raises
-    ------
-    ValueError
-        With an estimate, if it takes more; if a base is none of the grid's; if the distance of one
-        allows no step or the planner does not keep it; or if they have too many different cameras.
-
-    """
+    """Check that paths of a team can be searched for within the memory allowed."""
     # Of those that have no camera of their own the model is all the same.
     cameras = {(each.true_positive, each.false_positive) for each in types}
     for base, options in dict.fromkeys(
@@ -205,15 +178,7 @@ def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
 
 
 def team_size(grid: Grid, agents: int) -> int:
-    """
-    Return how many robots there are if the grid has a free cell for each.
-
-    Raises
-    ------
-    ValueError
-        If there are none, or more than free cells.
-
-    """
+    """Return how many robots there are if the grid has a free cell for each."""
     free = int(grid.free.sum())
     try:
         return whole_number('agents', agents, 1, free)

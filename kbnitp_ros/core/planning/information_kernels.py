@@ -6,54 +6,34 @@ from __future__ import annotations
 from math import exp, expm1, log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field import compiled
+from kbnitp_ros.core.field.compiled import compiled
 import numpy as np
 from numpy.typing import NDArray
 
 
 class Readings(NamedTuple):
-    """
-    What a robot may read of a cell, on top of what others have read.
+    """What a robot may read of a cell, on top of what others have read."""
 
-    A state says how many readings each camera has brought, and an outcome how many of them are
-    positive, which is sufficient.
-
-    Attributes
-    ----------
-    survival : ndarray, shape (most visits + 1, 2)
-        P(n visits survived | Z = z), indexed [n, z].
-    after : ndarray of int, shape (earlier states, most visits + 1)
-        The state after n more readings by the robot.
-    outcomes : ndarray of int, shape (states,)
-        How many each has.
-    likelihood : ndarray, shape (states, most outcomes, 2)
-        P(outcome | X = x), indexed [state, outcome, x]; 0 beyond the outcomes of a state.
-    noise : ndarray, shape (states, 2)
-        Entropy of the outcome, nats, indexed [state, x].
-
-    """
-
+    # P(n visits survived | Z = z), indexed [n, z]. Shape (most visits + 1, 2).
     survival: NDArray[np.float64]
+    # The state after n more readings by the robot. Shape (earlier states, most visits + 1).
     after: NDArray[np.intp]
+    # How many each has. Shape (states,).
     outcomes: NDArray[np.intp]
+    # P(outcome | X = x), indexed [state, outcome, x]; 0 beyond the outcomes of a state. Shape
+    # (states, most outcomes, 2).
     likelihood: NDArray[np.float64]
+    # Entropy of the outcome, nats, indexed [state, x]. Shape (states, 2).
     noise: NDArray[np.float64]
 
 
 class Exposures(NamedTuple):
-    """
-    How often a robot may be exposed to hazards on a path.
+    """How often a robot may be exposed to hazards on a path."""
 
-    Attributes
-    ----------
-    chance : ndarray, shape (most exposures + 1,)
-        P(c) of each number of exposures c.
-    log_survival : ndarray, shape (most exposures + 1,)
-        log P(survive | z), which depends on the hazards z through c alone.
-
-    """
-
+    # P(c) of each number of exposures c. Shape (most exposures + 1,).
     chance: NDArray[np.float64]
+    # log P(survive | z), which depends on the hazards z through c alone. Shape (most exposures +
+    # 1,).
     log_survival: NDArray[np.float64]
 
 
@@ -67,16 +47,7 @@ def new_readings(
     beta: float,
     information: NDArray[np.float64],
 ) -> None:
-    """
-    Find what a robot that survives n visits reads of cells on top of earlier robots' readings.
-
-    Equation :eq:`reading-information`; with behavioral entropies (alpha is not 1) the third term
-    of equation :eq:`behavioral-information`.
-
-    The sum over states e of P(e) * (I(X; Y in e and n more) - I(X; Y in e)), given the n visits
-    survived. A state is how many readings each camera has brought; readings enter through their
-    counts of positives, which are sufficient.
-    """
+    """Return new readings (:eq:`reading-information`, :eq:`behavioral-information`)."""
     for cell in range(joint.shape[0]):
         n, survival = visits[cell], readings.survival
         without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
@@ -99,11 +70,7 @@ def new_readings(
 
 @compiled
 def reading_information(target: float, state: int, readings: Readings) -> float:
-    """
-    Return I(X; Y) of a state for P(X = 1) = `target`, nats.
-
-    Equation :eq:`reading-information`.
-    """
+    """Return I(X; Y) of a state for P(X = 1) = `target`, nats (:eq:`reading-information`)."""
     entropy: float = 0.0
     for outcome in range(readings.outcomes[state]):
         p = (1.0 - target) * readings.likelihood[state, outcome, 0]
@@ -118,13 +85,7 @@ def reading_information(target: float, state: int, readings: Readings) -> float:
 def exposed(
     steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
 ) -> Exposures:
-    """
-    Find how often a robot may be exposed to hazards on a path, and what becomes of it then.
-
-    Equation :eq:`exposures`.
-
-    The hazards decide the number of exposures c, and with it P(survive | z) = s0^(steps - c) s1^c.
-    """
+    """Return the numbers of exposures on a path, and their outcomes (:eq:`exposures`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
@@ -153,11 +114,7 @@ def exposed(
 
 @compiled
 def left_open(exposures: Exposures) -> float:
-    """
-    Return E_z[h(P(survive | z))] of a path, nats.
-
-    Equation :eq:`outcome-entropy`.
-    """
+    """Return E_z[h(P(survive | z))] of a path, nats (:eq:`outcome-entropy`)."""
     chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):
@@ -169,11 +126,7 @@ def left_open(exposures: Exposures) -> float:
 
 @compiled
 def coin(p: float, q: float, alpha: float, beta: float) -> float:
-    """
-    Return the behavioral entropy of a coin that falls with probability p, and q = 1 - p.
-
-    Equation :eq:`behavioral-entropy`.
-    """
+    """Return the behavioral entropy of a coin of p, and q = 1 - p (:eq:`behavioral-entropy`)."""
     entropy = 0.0
     if p > 0.0 and p < 1.0:
         weighted = beta * (-log(p)) ** alpha
@@ -199,11 +152,7 @@ def fall(target: float, state: int, readings: Readings, alpha: float, beta: floa
 
 @compiled
 def outcome_left_open(exposures: Exposures, alpha: float, beta: float) -> float:
-    """
-    Return the expected behavioral entropy of a robot's return once the hazards are known.
-
-    The second term of equation :eq:`behavioral-information`.
-    """
+    """Return the entropy of a return given the hazards (:eq:`behavioral-information`)."""
     chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):

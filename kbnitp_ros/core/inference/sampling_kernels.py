@@ -1,0 +1,731 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of the Gibbs chains: draws of fields and numbers, and their tally."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from kbnitp_ros.core.field.compiled import compiled, inlined
+from kbnitp_ros.core.field.observation import Observation, Visits
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType
+import numpy as np
+from numpy.typing import NDArray
+
+
+def none_yet() -> NDArray[np.int32]:
+    """Return an empty list of whole numbers."""
+    return np.empty(0, np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """The evidence of all deployments, losses as factors (:eq:`loss-factor`); never changed."""
+
+    # Shape (types, cells). Steps of robots of each type into each cell that are known to have been
+    # survived, and how many of them brought a reading of a target, and of none.
+    survived: NDArray[np.int32]
+    positive: NDArray[np.int32]
+    negative: NDArray[np.int32]
+    # Of the robots so far, by what sets their sensor models apart.
+    robot_types: tuple[RobotType, ...] = (ORDINARY,)
+    # How many there were.
+    deployments: int = 0
+    # Shape (losses,). Of each path on which a robot was lost, without those it is known to have
+    # survived, and of which type the robot was. Those of which it is known how well each step fits
+    # are not among them.
+    steps: NDArray[np.int32] = field(default_factory=none_yet)
+    robot_type: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (entries,). Which cell is on which of these paths, and how often it enters it; in the
+    # order of paths.
+    cell: NDArray[np.int32] = field(default_factory=none_yet)
+    path: NDArray[np.int32] = field(default_factory=none_yet)
+    visits: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (located losses,). The same of losses of which that is known.
+    located_steps: NDArray[np.int32] = field(default_factory=none_yet)
+    located_type: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (steps,). The cells that the steps of these lead to, one loss after another.
+    step_cell: NDArray[np.int32] = field(default_factory=none_yet)
+    # Shape (steps,). How well a loss in each step fits what was observed.
+    lost_at: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def empty(cls, cells: int) -> Tally:
+        """Return the tally before the first deployment."""
+        return cls(*np.zeros((3, 1, cells), np.int32))
+
+    def with_deployment(self, observation: Observation, robot_type: RobotType) -> Tally:
+        """Return the tally with one more deployment, of a robot of this type."""
+        sensors = RobotType(**robot_type.sensors)
+        known = self.with_type(sensors)
+        of_type, steps = known.robot_types.index(sensors), observation.path[1:]
+        tally = replace(known, deployments=self.deployments + 1)
+        if observation.readings is not None:
+            seen, not_seen = (steps[observation.readings == reading] for reading in (1, 0))
+            return replace(
+                tally,
+                survived=add_steps(known.survived, of_type, steps),
+                positive=add_steps(known.positive, of_type, seen),
+                negative=add_steps(known.negative, of_type, not_seen),
+            )
+        alive = observation.steps_survived
+        tally = replace(tally, survived=add_steps(known.survived, of_type, steps[:alive]))
+        path, lost_at = observation.lost_on
+        if lost_at is not None:
+            return replace(
+                tally,
+                located_steps=np.append(self.located_steps, np.int32(lost_at.size)),
+                located_type=np.append(self.located_type, np.int32(of_type)),
+                step_cell=np.append(self.step_cell, path[1:].astype(np.int32)),
+                lost_at=np.append(self.lost_at, lost_at),
+            )
+        lost = Visits.of(path)
+        return replace(
+            tally,
+            steps=np.append(self.steps, np.int32(path.size - 1)),
+            robot_type=np.append(self.robot_type, np.int32(of_type)),
+            cell=np.append(self.cell, lost.cells.astype(np.int32)),
+            path=np.append(self.path, np.full(lost.cells.size, self.steps.size, np.int32)),
+            visits=np.append(self.visits, lost.counts.astype(np.int32)),
+        )
+
+    def with_type(self, robot_type: RobotType) -> Tally:
+        """Return the tally with room for a robot type."""
+        if robot_type in self.robot_types:
+            return self
+        survived, positive, negative = (
+            np.pad(counts, ((0, 1), (0, 0)))
+            for counts in (self.survived, self.positive, self.negative)
+        )
+        return replace(
+            self,
+            survived=survived,
+            positive=positive,
+            negative=negative,
+            robot_types=(*self.robot_types, robot_type),
+        )
+
+    @property
+    def visited(self) -> NDArray[np.bool_]:
+        """Which cells some robot was to step into, shape (cells,)."""
+        visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
+        visited[self.cell] = visited[self.step_cell] = True
+        return visited
+
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """In which cells a target was looked for, shape (cells,)."""
+        read: NDArray[np.bool_] = np.any(self.positive + self.negative > 0, axis=0)
+        return read
+
+    def within(self, cells: NDArray[np.intp]) -> Tally:
+        """Return the same of cells in ascending order, all that were visited among them."""
+        return replace(
+            self,
+            survived=self.survived[:, cells],
+            positive=self.positive[:, cells],
+            negative=self.negative[:, cells],
+            cell=np.searchsorted(cells, self.cell).astype(np.int32),
+            step_cell=np.searchsorted(cells, self.step_cell).astype(np.int32),
+        )
+
+    @property
+    def first_step(self) -> NDArray[np.int32]:
+        """Where the steps of each located loss start, and the end."""
+        return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
+
+    def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
+        """Return the lost paths with their cells of possible, and those of undecided, hazards."""
+        held = np.flatnonzero(possible[self.cell])
+        by_cell = held[np.argsort(self.cell[held], kind='stable')]
+        # Hazards may be moved along every lost path, those of located losses last.
+        loss, cell, *_ = self._located_visits()
+        path = np.append(self.path, loss + self.steps.size)
+        cell = np.append(self.cell, cell)
+        movable = undecided[cell]
+        return LossGraph(
+            group_starts(self.cell[held], self.survived.shape[1]),
+            self.path[by_cell],
+            self.visits[by_cell],
+            group_starts(path[movable], self.steps.size + self.located_steps.size),
+            cell[movable],
+        )
+
+    def located_graph(self, possible: NDArray[np.bool_]) -> LocatedGraph:
+        """Return the located losses with their cells of possible hazards."""
+        loss, cell, first, last = self._located_visits()
+        held = np.flatnonzero(possible[cell])
+        by_cell = held[np.argsort(cell[held], kind='stable')]
+        return LocatedGraph(
+            group_starts(cell[held], self.survived.shape[1]),
+            loss[by_cell],
+            first[by_cell],
+            last[by_cell],
+            self.first_step,
+            self.located_type,
+            self.step_cell,
+            self.lost_at,
+        )
+
+    def _located_visits(self) -> tuple[NDArray[np.int32], ...]:
+        """Return each located loss with each of its cells, and the first and last step into it."""
+        loss = np.repeat(np.arange(self.located_steps.size), self.located_steps)
+        order = np.lexsort((self.step_cell, loss))
+        loss, cell = loss[order], self.step_cell[order]
+        # Sorting keeps the order of steps into the same cell.
+        starts = np.ones(order.size, dtype=bool)
+        starts[1:] = (loss[1:] != loss[:-1]) | (cell[1:] != cell[:-1])
+        ends = np.append(starts[1:], True)[: order.size]
+        columns = loss[starts], cell[starts], order[starts], order[ends]
+        return tuple(each.astype(np.int32) for each in columns)
+
+
+def add_steps(
+    counts: NDArray[np.int32], robot_type: int, steps: NDArray[np.intp]
+) -> NDArray[np.int32]:
+    """Return how often each cell was stepped into, with some steps more of one type."""
+    more = counts.copy()
+    more[robot_type] += np.bincount(steps, minlength=counts.shape[1]).astype(np.int32)
+    return more
+
+
+def group_starts(group: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
+    """Return where each group starts among sorted entries, and the end, shape (groups + 1,)."""
+    return np.append(0, np.cumsum(np.bincount(group, minlength=groups))).astype(np.int32)
+
+
+# The chance of a loss is never less than this, so that a chain finds out of states that explain it
+# not at all; nothing is subtracted in it.
+LEAST_FIT = 1e-100
+# Products are divided before they leave the range of floating point.
+LARGE = 1e300
+
+
+class LocatedGraph(NamedTuple):
+    """The losses of which it is known how well each step fits."""
+
+    # Shape (cells + 1,). Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
+    first_entry: NDArray[np.int32]
+    # Shape (entries,). A loss, and its first and last steps into the cell.
+    loss: NDArray[np.int32]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+    # Shape (losses + 1,). The steps of loss a are those from ``first_step[a]`` to ``first_step[a +
+    # 1] - 1``.
+    first_step: NDArray[np.int32]
+    # Shape (losses,). Of the robot.
+    robot_type: NDArray[np.int32]
+    # Shape (steps,). The cell that each step leads to.
+    cell: NDArray[np.int32]
+    # Shape (steps,). How well a loss in each step fits what was observed.
+    lost_at: NDArray[np.float64]
+
+
+class LocatedSums(NamedTuple):
+    """Sums of one chain over the steps before and after each step of the located losses."""
+
+    # Shape (steps,). Chance of the loss in the steps before this one, each by how well it fits.
+    before: NDArray[np.float64]
+    # Shape (steps,). Chance to survive the steps before this one.
+    reached: NDArray[np.float64]
+    # Shape (steps,). Chance of the loss from this step on, of a robot that reaches it.
+    rest: NDArray[np.float64]
+    # Shape (types, 2). s_z of one step, by robot type.
+    survival: NDArray[np.float64]
+
+
+@compiled
+def new_sums(located: LocatedGraph, robot_types: int) -> LocatedSums:
+    """Return the sums of one chain, not found yet."""
+    steps = located.cell.size
+    return LocatedSums(
+        np.empty(steps), np.empty(steps), np.empty(steps), np.empty((robot_types, 2))
+    )
+
+
+@inlined
+def sum_steps(
+    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
+) -> None:
+    """Find the sums of a located loss by the hazards of a chain (equation :eq:`loss-located`)."""
+    survival = sums.survival[located.robot_type[path]]
+    first, end = located.first_step[path], located.first_step[path + 1]
+    before, reached = 0.0, 1.0
+    for step in range(first, end):
+        survived = survival[hazardous[located.cell[step]]]
+        sums.before[step], sums.reached[step] = before, reached
+        before += reached * located.lost_at[step] * (1.0 - survived)
+        reached *= survived
+    rest = 0.0
+    for step in range(end - 1, first - 1, -1):
+        survived = survival[hazardous[located.cell[step]]]
+        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
+        sums.rest[step] = rest
+
+
+@compiled
+def sum_all_steps(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    endured: NDArray[np.float64],
+    spared: NDArray[np.float64],
+) -> None:
+    """Find the sums of all located losses by the hazards and the rates of a chain."""
+    sums.survival[:, 0] = endured
+    sums.survival[:, 1] = endured * spared
+    for path in range(located.robot_type.size):
+        sum_steps(sums, located, hazardous, path)
+
+
+@inlined
+def located_chance(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    entry: int,
+    hazard: int,
+) -> float:
+    """Return the chance of a located loss if the cell of an entry had this hazard."""
+    path, first, last = located.loss[entry], located.first[entry], located.last[entry]
+    survival, cell = sums.survival[located.robot_type[path]], located.cell[first]
+    rest = sums.rest[last + 1] if last + 1 < located.first_step[path + 1] else 0.0
+    for step in range(last, first - 1, -1):
+        visited = located.cell[step]
+        survived = survival[hazard if visited == cell else hazardous[visited]]
+        rest = located.lost_at[step] * (1.0 - survived) + survived * rest
+    return float(max(sums.before[first] + sums.reached[first] * rest, LEAST_FIT))
+
+
+@compiled
+def sum_through(
+    sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], cell: int
+) -> None:
+    """Find the sums of the located losses through a cell again."""
+    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
+        sum_steps(sums, located, hazardous, located.loss[entry])
+
+
+@compiled
+def located_ratio(
+    sums: LocatedSums,
+    located: LocatedGraph,
+    hazardous: NDArray[np.int8],
+    cell: int,
+    hazard: int,
+    ratio: float,
+) -> float:
+    """Return `ratio` times that of the chances with this hazard in a cell and with the other."""
+    for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
+        now = located_chance(sums, located, hazardous, entry, hazard)
+        other = located_chance(sums, located, hazardous, entry, 1 - hazard)
+        ratio = min(ratio * (now / other), LARGE)
+    return ratio
+
+
+@compiled
+def weigh_by_located(
+    hazardous: NDArray[np.int8],
+    located: LocatedGraph,
+    safe: NDArray[np.float64],
+    exposed: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
+) -> None:
+    """Weigh numbers by the located losses (:eq:`loss-located`)."""
+    rest = np.empty(likelihood.shape[1])
+    for chain in range(likelihood.shape[0]):
+        own = likelihood[chain]
+        for path in range(located.robot_type.size):
+            robot_type = located.robot_type[path]
+            rest[:] = 0.0
+            for step in range(located.first_step[path + 1] - 1, located.first_step[path] - 1, -1):
+                if hazardous[chain, located.cell[step]]:
+                    survived = exposed[chain, robot_type]
+                else:
+                    survived = safe[chain, robot_type]
+                weight = located.lost_at[step]
+                for value in range(rest.size):
+                    alive = survived[value]
+                    rest[value] = weight * (1.0 - alive) + alive * rest[value]
+            largest = 0.0
+            for value in range(rest.size):
+                own[value] *= max(rest[value], LEAST_FIT)
+                largest = max(largest, own[value])
+            for value in range(rest.size):
+                own[value] /= largest
+
+
+# How many losses may be multiplied up before products are divided.
+OFTEN = 6
+
+
+class LossSurvival(NamedTuple):
+    """The chance to survive each lost path as a product of two, of which a rate changes one."""
+
+    # Shape (chains, losses). The chance that the rate has nothing to do with.
+    fixed: NDArray[np.float64]
+    # Shape (chains, losses). The row of the other.
+    place: NDArray[np.int32]
+    # Shape (places, values). The other for each value of the rate.
+    by_rate: NDArray[np.float64]
+
+
+@compiled
+def draw_values(
+    weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
+) -> None:
+    """Draw the place of each chain by its `weights`, (chains, values), and normalise these."""
+    for chain in range(weights.shape[0]):
+        own = weights[chain]
+        total = 0.0
+        for value in range(own.size):
+            total += own[value]
+        sought, below, drawn = uniform[chain] * total, 0.0, 0
+        for value in range(own.size):
+            below += own[value]
+            if below <= sought:
+                drawn = value + 1
+            own[value] /= total
+        place[chain] = min(drawn, own.size - 1)
+
+
+@compiled
+def weigh_by_losses(survival: LossSurvival, likelihood: NDArray[np.float64]) -> None:
+    """Multiply `likelihood`, (chains, values), by that of all losses (:eq:`rate-conditional`)."""
+    for chain in range(likelihood.shape[0]):
+        own = likelihood[chain]
+        for path in range(survival.fixed.shape[1]):
+            fixed = survival.fixed[chain, path]
+            by_rate = survival.by_rate[survival.place[chain, path]]
+            for value in range(own.size):
+                own[value] *= lost(fixed * by_rate[value])
+            if path % OFTEN == OFTEN - 1:
+                largest = 0.0
+                for value in range(own.size):
+                    largest = max(largest, own[value])
+                for value in range(own.size):
+                    own[value] /= largest
+
+
+@compiled
+def sum_of_cells(
+    chosen: NDArray[np.bool_], table: NDArray[np.float64], total: NDArray[np.float64]
+) -> None:
+    """Add the rows of chosen cells to `total`, (chains, values) (:eq:`map-conditional`)."""
+    for chain in range(chosen.shape[0]):
+        for cell in range(chosen.shape[1]):
+            if chosen[chain, cell]:
+                for value in range(table.shape[1]):
+                    total[chain, value] += table[cell, value]
+
+
+# A loss is never less likely than this, so that a chain finds out of states that explain it not
+# at all; far above what rounding leaves of 1 - 1.
+LEAST = 1e-30
+# Products are divided before they leave the range of floating point.
+SMALL = 1e-200
+
+
+class LossGraph(NamedTuple):
+    """Which cells are on which lost paths, both ways round."""
+
+    # Shape (cells + 1,). The lost paths through cell i are ``loss[first_loss[i]:first_loss[i +
+    # 1]]``.
+    first_loss: NDArray[np.int32]
+    # Shape (entries,). A lost path, and how often it enters the cell.
+    loss: NDArray[np.int32]
+    visits: NDArray[np.int32]
+    # Shape (losses + 1,). The cells of lost path a that may be hazardous or safe are
+    # ``cell[first_cell[a]:first_cell[a + 1]]``; located losses come last.
+    first_cell: NDArray[np.int32]
+    cell: NDArray[np.int32]
+
+
+class HazardState(NamedTuple):
+    """The hazards of each chain, and what follows from them; kernels change it."""
+
+    # Shape (chains, cells). Z of each cell.
+    hazardous: NDArray[np.int8]
+    # Shape (chains, losses). How many steps of each lost path led into a hazard.
+    exposures: NDArray[np.int32]
+    # Shape (chains,). Rows of `Factors.endured` and `Factors.spared`.
+    malfunction: NDArray[np.intp]
+    strike: NDArray[np.intp]
+
+
+class Coupling(NamedTuple):
+    """Coupling of neighbouring hazards in the prior (equation :eq:`clustered-prior`)."""
+
+    # Shape (cells, 4). The cells that share a side with each, -1 for none; no rows if hazards are
+    # independent.
+    neighbors: NDArray[np.intp]
+    # Shape (chains,). e^J.
+    strength: NDArray[np.float64]
+
+
+class Factors(NamedTuple):
+    """The factors of the conditionals that hazards are drawn from."""
+
+    # Shape (1 or chains, cells). Of each hazard without the losses; from `SMALL` to `LARGE`.
+    odds: NDArray[np.float64]
+    # Shape (losses,). Which of the lengths that lost paths have is that of each; of robots of
+    # different types they count as different.
+    length: NDArray[np.intp]
+    # Shape (lengths,). Of the robots whose paths have each length.
+    robot_type: NDArray[np.intp]
+    # Shape (values, lengths). Chance of no malfunction in a path of each length.
+    endured: NDArray[np.float64]
+    # Shape (values, types, most exposures + 1). Chance of no strike in that many exposures of a
+    # robot of each type.
+    spared: NDArray[np.float64]
+    # Shape (values, types). Chances of no malfunction and of no strike in one step.
+    step_endured: NDArray[np.float64]
+    step_spared: NDArray[np.float64]
+    # The lost paths.
+    graph: LossGraph
+    # The losses of which it is known how well each step fits.
+    located: LocatedGraph
+    # Of neighbouring hazards.
+    coupling: Coupling
+
+
+class LossTable(NamedTuple):
+    """The losses of one chain by how many of their steps led into a hazard; kernels change it."""
+
+    # Shape (losses,). As of `HazardState`.
+    exposures: NDArray[np.int32]
+    # Shape (losses,). As of `Factors`.
+    length: NDArray[np.intp]
+    # Shape (lengths, most exposures + 1). Of a loss, by the rates of the chain.
+    chance: NDArray[np.float64]
+
+
+class FieldOdds(NamedTuple):
+    """The odds of hazards and targets, each of shape (1 or chains, cells)."""
+
+    # Of a hazard.
+    hazard: NDArray[np.float64]
+    # Of a target without and with one.
+    target_if_safe: NDArray[np.float64]
+    target_if_hazardous: NDArray[np.float64]
+
+
+@compiled
+def lost(survived: float) -> float:
+    """Return the chance to be lost, from that to survive (equation :eq:`loss-probability`)."""
+    return max(1.0 - survived, LEAST)
+
+
+@compiled
+def tabulate_losses(
+    endured: NDArray[np.float64],
+    spared: NDArray[np.float64],
+    robot_type: NDArray[np.intp],
+    table: NDArray[np.float64],
+) -> None:
+    """Fill `table`, (lengths, exposures), with the chance to be lost by the rates of a chain."""
+    for length in range(endured.size):
+        of_type = spared[robot_type[length]]
+        for exposures in range(of_type.size):
+            table[length, exposures] = lost(endured[length] * of_type[exposures])
+
+
+@compiled
+def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, hazards: int) -> None:
+    """Add the exposures of lost paths to hazards that come into a cell, or go if negative."""
+    for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
+        exposures[graph.loss[entry]] += hazards * graph.visits[entry]
+
+
+@compiled
+def loss_ratio(
+    losses: LossTable, graph: LossGraph, cell: int, hazards: int, ratio: float
+) -> float:
+    """Do what `add_exposures` does, and return `ratio` times that of the losses' chances."""
+    exposures = losses.exposures
+    for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
+        path = graph.loss[entry]
+        chance = losses.chance[losses.length[path]]
+        before = chance[exposures[path]]
+        exposures[path] += hazards * graph.visits[entry]
+        ratio = min(ratio * (chance[exposures[path]] / before), LARGE)
+    return ratio
+
+
+@compiled
+def hazards_around(coupling: Coupling, hazardous: NDArray[np.int8], cell: int) -> int:
+    """Return how many of a cell's neighbours are hazardous."""
+    count = 0
+    for side in range(coupling.neighbors.shape[1]):
+        neighbor = coupling.neighbors[cell, side]
+        if neighbor >= 0:
+            count += hazardous[neighbor]
+    return count
+
+
+@compiled
+def count_coupled(
+    coupling: Coupling, hazardous: NDArray[np.int8], pairs: NDArray[np.int64]
+) -> None:
+    """Count the pairs of neighbouring hazards in each chain."""
+    for chain in range(hazardous.shape[0]):
+        count = 0
+        for cell in range(hazardous.shape[1]):
+            if hazardous[chain, cell]:
+                count += hazards_around(coupling, hazardous[chain], cell)
+        pairs[chain] = count // 2
+
+
+@compiled
+def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int, n: int) -> int:
+    """Return the cell number n, from 0, of those that have this hazard."""
+    for cell in cells:
+        if hazardous[cell] == hazard:
+            if n == 0:
+                return int(cell)
+            n -= 1
+    return -1
+
+
+@compiled
+def draw_hazards(
+    state: HazardState,
+    factors: Factors,
+    cells: NDArray[np.intp],
+    uniform: NDArray[np.float64],
+    drawn_with: NDArray[np.float64],
+) -> None:
+    """Draw each cell given all others (:eq:`hazard-conditional`, :eq:`loss-located`)."""
+    graph, located, coupling = factors.graph, factors.located, factors.coupling
+    # Handing so many arrays to a function takes longer than what it does without such losses.
+    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
+    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = new_sums(located, factors.step_endured.shape[1])
+    # By the number of hazardous neighbours: a power takes longer than all else of most cells.
+    weight_around = np.empty(5)
+    for chain in range(state.hazardous.shape[0]):
+        malfunction, strike = state.malfunction[chain], state.strike[chain]
+        endured, spared = factors.endured[malfunction], factors.spared[strike]
+        hazardous, exposures = state.hazardous[chain], state.exposures[chain]
+        tabulate_losses(endured, spared, factors.robot_type, table)
+        if any_located:
+            endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
+            sum_all_steps(sums, located, hazardous, endured, alive)
+        if any_coupled:
+            for around in range(weight_around.size):
+                weight_around[around] = coupling.strength[chain] ** around
+        odds = factors.odds[chain % factors.odds.shape[0]]
+        for cell in cells:
+            start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
+            here = hazardous[cell]
+            ratio = odds[cell]
+            with_hazard, without = 1.0, 1.0
+            for entry in range(start, end):
+                path, visits = graph.loss[entry], graph.visits[entry]
+                others = exposures[path] - here * visits
+                length = factors.length[path]
+                with_hazard *= table[length, others + visits]
+                without *= table[length, others]
+                if without < SMALL:
+                    ratio = min(ratio * (with_hazard / without), LARGE)
+                    with_hazard, without = 1.0, 1.0
+            ratio = min(ratio * (with_hazard / without), LARGE)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
+            if any_coupled:
+                around = hazards_around(coupling, hazardous, cell)
+                ratio = min(ratio * weight_around[around], LARGE)
+            drawn_with[chain, cell] = ratio
+            drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
+            if drawn != here:
+                hazardous[cell] = drawn
+                add_exposures(exposures, graph, cell, drawn - here)
+                if any_located:
+                    sum_through(sums, located, hazardous, cell)
+
+
+@compiled
+def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
+    """Propose that a hazardous and a safe cell of a lost path change places (:eq:`swap`)."""
+    graph, located, coupling = factors.graph, factors.located, factors.coupling
+    # Handing so many arrays to a function takes longer than what it does without such losses.
+    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
+    table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
+    sums = new_sums(located, factors.step_endured.shape[1])
+    for chain in range(state.hazardous.shape[0]):
+        malfunction, strike = state.malfunction[chain], state.strike[chain]
+        endured, spared = factors.endured[malfunction], factors.spared[strike]
+        hazardous, exposures = state.hazardous[chain], state.exposures[chain]
+        tabulate_losses(endured, spared, factors.robot_type, table)
+        if any_located:
+            endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
+            sum_all_steps(sums, located, hazardous, endured, alive)
+        losses = LossTable(exposures, factors.length, table)
+        odds = factors.odds[chain % factors.odds.shape[0]]
+        for proposal in range(uniform.shape[1]):
+            numbers = uniform[chain, proposal]
+            path = int(numbers[0] * (graph.first_cell.size - 1))
+            first, end = graph.first_cell[path], graph.first_cell[path + 1]
+            cells = graph.cell[first:end]
+            hazards = 0
+            for cell in cells:
+                hazards += hazardous[cell]
+            if hazards == 0 or hazards == cells.size:
+                continue
+            old = nth_cell(cells, hazardous, 1, int(numbers[1] * hazards))
+            new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
+            ratio = odds[new] / odds[old]
+            if any_coupled:
+                # Neither is a neighbour of the other's hazard.
+                hazardous[old] = 0
+                more = hazards_around(coupling, hazardous, new)
+                more -= hazards_around(coupling, hazardous, old)
+                hazardous[old] = 1
+                ratio = min(ratio * coupling.strength[chain] ** more, LARGE)
+            # The new hazard comes first, so that no loss is left unexplained in between.
+            ratio = loss_ratio(losses, graph, new, 1, ratio)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
+                hazardous[new] = 1
+                sum_through(sums, located, hazardous, new)
+            ratio = loss_ratio(losses, graph, old, -1, ratio)
+            if any_located:
+                ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
+            changed = old if numbers[3] < ratio else new
+            hazardous[new], hazardous[old] = 1, 1
+            hazardous[changed] = 0
+            if changed == new:
+                add_exposures(exposures, graph, new, -1)
+                add_exposures(exposures, graph, old, 1)
+            if any_located:
+                sum_through(sums, located, hazardous, changed)
+
+
+@compiled
+def count_exposures(state: HazardState, graph: LossGraph) -> None:
+    """Add up the exposures of each lost path, which are 0."""
+    for chain in range(state.hazardous.shape[0]):
+        hazardous, exposures = state.hazardous[chain], state.exposures[chain]
+        for cell in range(hazardous.size):
+            if hazardous[cell]:
+                add_exposures(exposures, graph, cell, 1)
+
+
+@compiled
+def add_joints(odds: FieldOdds, joints: NDArray[np.float64]) -> None:
+    """Add the joints, averaged over each group of chains (:eq:`averaged-belief`)."""
+    chains, cells = odds.hazard.shape
+    size = chains // joints.shape[0]
+    for chain in range(chains):
+        if_safe = odds.target_if_safe[chain % odds.target_if_safe.shape[0]]
+        if_hazardous = odds.target_if_hazardous[chain % odds.target_if_hazardous.shape[0]]
+        group = joints[chain // size]
+        for cell in range(cells):
+            safe = 1.0 / (1.0 + odds.hazard[chain, cell]) / size
+            hazard = odds.hazard[chain, cell] * safe
+            safe /= 1.0 + if_safe[cell]
+            hazard /= 1.0 + if_hazardous[cell]
+            group[cell, 0, 0] += safe
+            group[cell, 0, 1] += safe * if_safe[cell]
+            group[cell, 1, 0] += hazard
+            group[cell, 1, 1] += hazard * if_hazardous[cell]

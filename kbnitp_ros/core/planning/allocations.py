@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Division of the field among the robots of a team."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from kbnitp_ros.core.field.belief import Belief, surprisal
+from kbnitp_ros.core.field.check import frozen, Value
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.planning.information import DECIMALS
+from kbnitp_ros.core.planning.objective import JointOutcomes, nobody_deployed, Objective
+from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.plugins import Registry, takes
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class TeamMember:
+    """A robot that a path is planned for; those of one type are one and the same."""
+
+    # With the limits of its path, from its own base.
+    finder: PathFinder
+    # Of its path, given the robots that have left before the round.
+    objective: Objective
+
+    @classmethod
+    def of(
+        cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
+    ) -> TeamMember:
+        """Return a robot of a type that goes alone, from what those like all others have."""
+        own = replace(
+            finder,
+            grid=finder.grid.at(robot_type.base),
+            options=finder.options.of_type(robot_type),
+        )
+        own_model = robot_type.model(model)
+        return cls(own, Objective.alone(own.grid, belief, own_model, own.options))
+
+    def given(self, outcomes: JointOutcomes) -> TeamMember:
+        """Return the robot when others have left before."""
+        return replace(self, objective=self.objective.given(outcomes))
+
+
+def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
+    """Return the region that a path is sent to, and smaller ones in its place."""
+    cells = np.unique(np.asarray(path, dtype=np.intp))
+    steps = grid.at(int(np.asarray(path)[0])).steps_to_base
+    farthest = cells[[np.argmax(steps[cells])]]
+
+    def far(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        kept: NDArray[np.intp] = cells[2 * steps[cells] > steps[farthest]]
+        return kept[~np.isin(kept, list(grid.bases))]
+
+    def around(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        neighbors: list[NDArray[np.intp]] = [grid.neighbors(cell) for cell in cells]
+        together: NDArray[np.intp] = np.unique(np.concatenate([cells, *neighbors]))
+        return together
+
+    half = far(cells)
+    return [far(around(half)), half, far(around(farthest)), far(farthest)]
+
+
+def without(grid: Grid, cells: Iterable[int]) -> Grid:
+    """Return the grid on which robots keep off these cells as well."""
+    return replace(grid, blocked=tuple({*grid.blocked, *map(int, cells)}))
+
+
+def keepout_cells(
+    grid: Grid,
+    max_steps: int,
+    bases: Sequence[int | None],
+    rounds: Sequence[Sequence[ArrayLike]],
+    max_distance: float = 0.0,
+) -> NDArray[np.intp]:
+    """Return the cells that the next robots keep off after rounds of plans were refused."""
+
+    def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return how many cells are left in reach of each base and, last, of any."""
+        open_grid = without(grid, cells)
+        in_reach = [
+            open_grid.at(base).in_reach(max_steps, max_distance) for base in dict.fromkeys(bases)
+        ]
+        in_reach.append(np.any(in_reach, axis=0))
+        sizes: NDArray[np.intp] = np.sum(in_reach, axis=1)
+        return sizes
+
+    in_reach = left(np.empty(0, dtype=np.intp))[-1]
+    kept: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+    for paths in rounds:
+        sizes = [
+            np.unique(np.concatenate(each))
+            for each in zip(*(regions_of(grid, path) for path in paths))
+        ]
+        for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
+            *of_each, of_all = left(cells).tolist()
+            # A base is always in reach from itself.
+            is_enough = of_all > len(bases) and min(of_each) > 1
+            if is_enough and 2 * of_all > in_reach - cells.size:
+                break
+        kept = cells
+    return kept
+
+
+# More sweeps over the regions change next to nothing.
+SWEEPS = 50
+
+# By how much the sites are turned about their base, radians: no border then runs along a row or a
+# diagonal, and cells cross it one by one.
+TURN = 0.05
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Regions(Value):
+    """
+    A partition of the cells that robots can visit and come back from.
+
+    Attributes
+    ----------
+    owner : ndarray of int, shape (cells,)
+        The region of each of these cells, from 0; -1 elsewhere.
+    entropy : ndarray, shape (regions,)
+        What each region holds of what was shared out, nats.
+
+    """
+
+    owner: NDArray[np.intp]
+    entropy: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        frozen(self.owner)
+        frozen(self.entropy)
+
+    @property
+    def imbalance(self) -> float:
+        """How far the fullest region is above the mean, as a part of the mean: 0 when even."""
+        mean = self.entropy.mean()
+        return float(self.entropy.max() / mean - 1.0) if mean > 0.0 else 0.0
+
+
+def divide(
+    grids: Sequence[Grid],
+    cells: NDArray[np.intp],
+    entropy: NDArray[np.float64],
+    reach: NDArray[np.bool_],
+) -> Regions:
+    """Divide cells into regions of about the same entropy (:eq:`power-diagram`)."""
+    width, parts = grids[0].width, reach.shape[1]
+    row, col = np.divmod(cells, width)
+    base_row, base_col = np.divmod([grid.base for grid in grids], width)
+    start = (base_col - base_col[0]) + 1j * (base_row - base_row[0])
+    place = (col - base_col[0]) + 1j * (row - base_row[0])
+    sites = np.empty(parts, dtype=np.complex128)
+    steps = np.array([grid.steps_to_base[cells] for grid in grids])
+    nearest = start[np.where(reach.T, steps, grids[0].cells).argmin(axis=0)]
+    for at in dict.fromkeys(start.tolist()):
+        own, near = start == at, nearest == at
+        centres = _sector_centres(place[near] - at, entropy[near], own.sum())
+        sites[own] = at + centres * np.exp(1j * TURN)
+    distance = np.where(reach, np.abs(place[:, None] - sites) ** 2, np.inf)
+    weight = np.zeros(parts)
+    share = entropy.sum() / parts
+    best = _regions(distance, entropy)
+    for _ in range(SWEEPS if parts > 1 else 0):
+        before = weight.copy()
+        for site in range(parts):
+            others = np.delete(distance - weight, site, axis=1).min(axis=1)
+            weight[site] = _weight_for(share, distance[:, site] - others, entropy)
+        found = _regions(distance - weight, entropy)
+        if found.imbalance < best.imbalance:
+            best = found
+        if np.array_equal(weight, before):
+            break
+    owner = np.full(grids[0].cells, -1)
+    owner[cells] = best.owner
+    return Regions(owner, best.entropy)
+
+
+def _sector_centres(
+    place: NDArray[np.complex128], mass: NDArray[np.float64], parts: int
+) -> NDArray[np.complex128]:
+    """Return the centres of mass of sectors around 0 of about equal mass; 0 for empty ones."""
+    order = np.argsort(np.angle(place), kind='stable')
+    middle = np.cumsum(mass[order]) - mass[order] / 2.0
+    sector = np.empty(len(mass), dtype=np.intp)
+    sector[order] = np.minimum(parts * middle / max(mass.sum(), 1e-300), parts - 1)
+    of_sector = (sector == np.arange(parts)[:, None]) * mass
+    total = of_sector.sum(axis=1)
+    centres: NDArray[np.complex128] = of_sector @ place / np.where(total > 0.0, total, 1.0)
+    return centres
+
+
+def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
+    """Return the weight above whose margins lie cells of about `share` in all."""
+    share -= float(mass[margin == -np.inf].sum())
+    is_open = np.isfinite(margin)
+    margin, mass = margin[is_open], mass[is_open]
+    if not margin.size:
+        return 0.0
+    order = np.argsort(margin, kind='stable')
+    held = np.concatenate([[0.0], np.cumsum(mass[order])])
+    taken = int(np.abs(held - share).argmin())
+    edges = np.concatenate([margin[order[:1]] - 1.0, margin[order], margin[order[-1:]] + 1.0])
+    return float((edges[taken] + edges[taken + 1]) / 2.0)
+
+
+def _regions(power: NDArray[np.float64], mass: NDArray[np.float64]) -> Regions:
+    """Return who owns each place, shape (places, parts), and what each region holds."""
+    owner = power.argmin(axis=1)
+    held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
+    return Regions(owner, held)
+
+
+def independent(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], None]:
+    """Return the same path for all of a type: the same belief gives the same plan."""
+    nobody = nobody_deployed(robots[0].objective.belief)
+    paths = {
+        robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
+        for robot in dict.fromkeys(robots)
+    }
+    return [paths[robot] for robot in robots], None
+
+
+# The best path may leave too little to the next robot, so several teams grow side by side: as
+# many as make this number of robots, and one at least.
+ROBOTS_SIDE_BY_SIDE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Assigned:
+    """The first robots of a team, with their paths."""
+
+    # Of their paths together, nats.
+    value: float = 0.0
+    # In the order of the robots. Shape (steps + 1,).
+    paths: tuple[NDArray[np.intp], ...] = ()
+    # What the last of them was planned for; None if there is none.
+    last: Objective | None = None
+
+    def grown(self, robot: TeamMember) -> list[Assigned]:
+        """Return the teams with this robot as well, on each of its candidates."""
+        objective = robot.objective
+        if self.last is not None:
+            objective = objective.given(self.last.after(self.paths[-1]))
+        return [
+            Assigned(round(self.value + each.value, DECIMALS), (*self.paths, each.path), objective)
+            for each in robot.finder.after(self.paths).candidates(objective)
+        ]
+
+    def visits(self, robots: Sequence[TeamMember]) -> Hashable:
+        """Return which cells robots of each type visit, which determines the value."""
+        return tuple(
+            sorted(
+                (robots.index(robot), *sorted(path[1:].tolist()))
+                for robot, path in zip(robots, self.paths)
+            )
+        )
+
+
+def greedy(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], None]:
+    """Return paths, each planned given that those before it are taken, returned or lost."""
+    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
+    teams = [Assigned()]
+    for robot in robots:
+        grown = [longer for team in teams for longer in team.grown(robot)]
+        distinct: dict[Hashable, Assigned] = {}
+        for team in sorted(grown, key=lambda team: -team.value):
+            distinct.setdefault(team.visits(robots), team)
+            if len(distinct) == side_by_side:
+                break
+        teams = list(distinct.values())
+    return list(teams[0].paths), None
+
+
+# What counts of the readings that a robot brings from the regions of others.
+ELSEWHERE = 0.1
+
+
+def voronoi(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], Regions]:
+    """Return paths that look for information in their own regions."""
+    belief = robots[0].objective.belief
+    in_reach = {
+        robot: robot.finder.grid.in_reach(
+            robot.finder.options.max_steps, robot.finder.options.max_distance
+        )
+        for robot in dict.fromkeys(robots)
+    }
+    reach = np.stack([in_reach[robot] for robot in robots], axis=1)
+    cells = np.flatnonzero(reach.any(axis=1))
+    entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
+    regions = divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
+    paths = []
+    for number, robot in enumerate(robots):
+        interest = np.where(regions.owner == number, 1.0, ELSEWHERE)
+        objective = replace(robot.objective, interest=interest)
+        paths.append(robot.finder.candidates(objective)[0].path)
+    return paths, regions
+
+
+Allocation = Callable[[Sequence[TeamMember]], tuple[list[NDArray[np.intp]], Regions | None]]
+
+
+def as_allocation(given: object) -> Allocation:
+    """Return an allocation that is to be registered."""
+    takes(given, ('robots',))
+    return cast(Allocation, given)
+
+
+ALLOCATIONS = Registry(
+    'allocation',
+    as_allocation,
+    {
+        'independent': independent,
+        'voronoi': voronoi,
+        'greedy': greedy,
+    },
+)
+
+
+def allocated(
+    allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
+) -> tuple[list[NDArray[np.intp]], Regions | None]:
+    """Return a path for each robot, and the regions if the allocation divides the field."""
+    with ALLOCATIONS.blamed(allocation):
+        paths, regions = ALLOCATIONS.find(allocation)(robots)
+        if allocation not in ALLOCATIONS.own:
+            _check_allocated(allocation, robots, paths, regions)
+    return paths, regions
+
+
+def _check_allocated(
+    allocation: str | Callable[..., Any],
+    robots: Sequence[TeamMember],
+    paths: Sequence[NDArray[np.intp]],
+    regions: Regions | None,
+) -> None:
+    """Refuse what another package's allocation may not return."""
+    if len(paths) != len(robots):
+        raise ALLOCATIONS.fault(allocation, f'returns {len(paths)} paths for {len(robots)} robots')
+    for number, (robot, path) in enumerate(zip(robots, paths)):
+        try:
+            robot.finder.check_path(path)
+        except ValueError as error:
+            words = f'returns a path for robot {number} that is none: {error}'
+            raise ALLOCATIONS.fault(allocation, words) from error
+    cells = robots[0].finder.grid.cells
+    if regions is not None and regions.owner.shape != (cells,):
+        words = f'divides {regions.owner.size} cells where the field has {cells}'
+        raise ALLOCATIONS.fault(allocation, words)

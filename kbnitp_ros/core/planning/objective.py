@@ -1,0 +1,359 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a path is worth beside robots in flight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import lgamma, prod
+from typing import NamedTuple
+
+from kbnitp_ros.core.field.belief import Belief, surprisal
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import as_path, Visits
+from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.inference.filters import condition, lost_likelihood
+from kbnitp_ros.core.planning.information_kernels import coin, new_readings, Readings
+from kbnitp_ros.core.planning.options import beta_of, SearchOptions, SHANNON
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# The first is 1: its moment is the predicted survival itself.
+EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
+WEIGHTS = np.array(
+    [
+        1.000314622,
+        -0.547169326,
+        -0.271418285,
+        -0.119928225,
+        -0.043547782,
+        -0.013911176,
+        -0.003654438,
+        -0.000665898,
+    ]
+)
+
+# The most that the sum of powers is off, nats.
+ERROR = 1.95e-5
+
+
+# How many different cameras robots may have that are planned for together, and in how many ways
+# readings may then be shared out among them: where cameras differ, more readings of a cell by one
+# than that allows count as so many, which tells all but nothing less.
+MOST_CAMERAS = 6
+MOST_WAYS = 1024
+
+
+class Camera(NamedTuple):
+    """What of a sensor model readings depend on, as there."""
+
+    true_positive: float
+    false_positive: float
+
+    @classmethod
+    def of(cls, model: SensorModel) -> Camera:
+        """Return the camera of robots with this model."""
+        return cls(model.true_positive, model.false_positive)
+
+
+# Of each camera the most readings that it brings of a cell.
+Most = tuple[tuple[Camera, int], ...]
+
+
+def most_counted(cameras: int) -> int | None:
+    """Return to how many the readings of a cell by one of so many cameras count; None for all."""
+    return None if cameras < 2 else int(MOST_WAYS ** (1.0 / cameras)) - 1
+
+
+def check_cameras(cameras: int) -> None:
+    """Check that it can be planned for robots with so many different cameras."""
+    if cameras > MOST_CAMERAS:
+        raise ValueError(
+            f'the robots have {cameras} different cameras: paths can be planned for at most '
+            f'{MOST_CAMERAS}, by true_positive and false_positive, at a time'
+        )
+
+
+@lru_cache(maxsize=8)
+def readings_of(model: SensorModel, visits: int, earlier: Most) -> Readings:
+    """Return what up to `visits` readings of a robot, and those of others before, may be."""
+    own = Camera.of(model)
+    most = dict(earlier)
+    before = tuple(count + 1 for count in most.values())
+    most[own] = most.get(own, 0) + visits
+    tables = [positives(camera, count) for camera, count in most.items()]
+    counts = np.indices([count + 1 for count in most.values()]).reshape(len(most), -1).T
+    outcomes = (counts + 1).prod(axis=1)
+    likelihood = np.zeros((len(counts), outcomes.max(), 2))
+    for state, of_cameras in enumerate(counts):
+        row = np.ones((1, 2))
+        for table, count in zip(tables, of_cameras):
+            # The last camera's count of positives varies fastest.
+            row = (row[:, None] * table[count, : count + 1]).reshape(-1, 2)
+        likelihood[state, : len(row)] = row
+    places = np.arange(len(counts)).reshape([count + 1 for count in most.values()])
+    start = places[tuple(slice(size) for size in before)]
+    if own not in dict(earlier):
+        start = start[..., 0]
+    further = places.strides[list(most).index(own)] // places.itemsize
+    return Readings(
+        survival=np.exp(times_log(np.arange(visits + 1)[:, None], model.log_survival)),
+        after=start.reshape(-1, 1) + further * np.arange(visits + 1),
+        outcomes=outcomes,
+        likelihood=likelihood,
+        noise=surprisal(likelihood).sum(axis=1),
+    )
+
+
+def new_information(
+    readings: Readings,
+    joint: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    visits: NDArray[np.intp],
+    alpha: float = SHANNON,
+) -> NDArray[np.float64]:
+    """Return what a robot that survives n visits reads of cells on top of earlier readings."""
+    found = np.empty(joint.shape[:-2])
+    new_readings(
+        readings,
+        np.ascontiguousarray(joint).reshape(-1, 2, 2),
+        np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
+        np.broadcast_to(visits, found.shape).ravel(),
+        alpha,
+        beta_of(alpha),
+        found.reshape(-1),
+    )
+    return found
+
+
+def positives(camera: Camera, most: int) -> NDArray[np.float64]:
+    """Return P(k of m readings positive | X = x), indexed [m, k, x] (:eq:`reading-counts`)."""
+    m, k = np.ogrid[: most + 1, : most + 1]
+    log_factorial = np.array([lgamma(count + 1.0) for count in range(most + 1)])
+    orderings = log_factorial[m] - log_factorial[k] - log_factorial[np.maximum(m - k, 0)]
+    read_not, read = SensorModel(0.0, 0.0, 0.0, *camera).log_reading
+    log_likelihood = times_log(k[..., None], read)
+    log_likelihood = log_likelihood + times_log(np.maximum(m - k, 0)[..., None], read_not)
+    likelihood: NDArray[np.float64] = np.exp(orderings[..., None] + log_likelihood)
+    return likelihood * (k <= m)[..., None]
+
+
+# Each robot doubles the joint outcomes; beyond these the least probable are merged.
+MOST_OUTCOMES = 16
+
+# A joint outcome less likely than this decides nothing, and its numbers would run out of digits.
+NEGLIGIBLE = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class JointOutcomes:
+    """What may have become of the robots sent before: who of them returned and who was lost."""
+
+    # Before any of them was sent; it holds on in the cells that none of them visits.
+    belief: Belief
+    # Of each outcome. Shape (outcomes,).
+    probability: NDArray[np.float64]
+    # The cells that they visit, ascending. Shape (n,).
+    cells: NDArray[np.intp]
+    # P(Z = z, X = x) of these cells given who returned and who was lost, but not yet what the
+    # returned ones read. Shape (outcomes, n, 2, 2).
+    joint: NDArray[np.float64]
+    # P(the returned robots bring so many readings of the cell by each of their cameras), from 0 up
+    # along an axis for each: certain but where several outcomes are merged.
+    readings: NDArray[np.float64]
+    # Those of the robots.
+    cameras: tuple[Camera, ...] = ()
+
+    @property
+    def most_readings(self) -> Most:
+        """Return the most readings of a cell by each camera."""
+        return tuple(zip(self.cameras, (count - 1 for count in self.readings.shape[2:])))
+
+    @property
+    def states(self) -> int:
+        """Return how many numbers of readings by each camera there may be."""
+        return prod(self.readings.shape[2:])
+
+    def states_after(self, model: SensorModel, visits: int) -> int:
+        """Return how many there may be with so many visits of one more robot."""
+        own = dict(self.most_readings).get(Camera.of(model), 0) + 1
+        return self.states // own * (own + visits)
+
+    def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the joints and the readings of any cells."""
+        outcomes = self.probability.size
+        joint = np.tile(self.belief.joint[cells], (outcomes, 1, 1, 1))
+        readings = np.zeros((outcomes, cells.size, self.states))
+        readings[:, :, 0] = 1.0
+        here, there = self.places_of(cells)
+        joint[:, here] = self.joint[:, there]
+        readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
+        return joint, readings
+
+    def places_of(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return where in any `cells`, shape (k,), and where in its own the same cells stand."""
+        there = np.searchsorted(self.cells, cells)
+        here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
+        return here, there[here]
+
+
+def nobody_deployed(belief: Belief) -> JointOutcomes:
+    """Return the only joint outcome of no robots: all is as believed."""
+    none = np.empty(0, dtype=np.intp)
+    return JointOutcomes(belief, np.ones(1), none, np.empty((1, 0, 2, 2)), np.empty((1, 0)))
+
+
+def after_deployment(
+    outcomes: JointOutcomes, model: SensorModel, path: ArrayLike
+) -> JointOutcomes:
+    """Return the joint outcomes once one more robot is sent (:eq:`joint-outcomes`)."""
+    visits = Visits.of(as_path(path))
+    cells = np.union1d(outcomes.cells, visits.cells)
+    at = np.searchsorted(cells, visits.cells)
+    joint, readings = outcomes.of_cells(cells)
+    camera, counts = Camera.of(model), outcomes.readings.shape[2:]
+    cameras = outcomes.cameras
+    if camera not in cameras:
+        cameras, counts = (*cameras, camera), (*counts, 1)
+    axis = 2 + cameras.index(camera)
+    room = [(0, 0)] * (2 + len(cameras))
+    room[axis] = (0, visits.counts.max())
+    readings = np.pad(readings.reshape(*readings.shape[:2], *counts), room)
+
+    hazard = joint[:, at, 1].sum(axis=-1).clip(max=1.0)
+    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival).sum(axis=1)
+
+    # Each outcome's loss and then its return, without those that are next to impossible.
+    chance = np.stack([-np.expm1(log_survival), np.exp(log_survival)], axis=1)
+    probability = (outcomes.probability[:, None] * chance).ravel()
+    order = np.argsort(-probability, kind='stable')
+    kept = order[probability[order] > NEGLIGIBLE]
+    origin, is_return = kept // 2, kept % 2 == 1
+    probability, joint, readings = probability[kept], joint[origin], readings[origin]
+
+    log_likelihood = np.tile(
+        times_log(visits.counts[:, None], model.log_survival), (kept.size, 1, 1)
+    )
+    with np.errstate(divide='ignore'):
+        log_likelihood[~is_return] = np.log(
+            lost_likelihood(hazard[origin[~is_return]], model, visits)
+        )
+    visited = joint[:, at].reshape(-1, 2, 2)
+    joint[:, at] = condition(visited, log_likelihood.reshape(-1, 2, 1)).reshape(
+        kept.size, at.size, 2, 2
+    )
+    for count in np.unique(visits.counts):
+        more = np.ix_(is_return, at[visits.counts == count])
+        readings[more] = np.roll(readings[more], count, axis=axis)
+    readings = _counted(readings, most_counted(len(cameras)))
+    return _merged(JointOutcomes(outcomes.belief, probability, cells, joint, readings, cameras))
+
+
+def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
+    """Return readings by several cameras, of which those beyond `most` by one count no more."""
+    if most is None:
+        return readings
+    for axis in range(2, readings.ndim):
+        beyond = np.moveaxis(readings, axis, -1)
+        if beyond.shape[-1] > most + 1:
+            last = beyond[..., most:].sum(axis=-1, keepdims=True)
+            readings = np.moveaxis(np.concatenate([beyond[..., :most], last], -1), -1, axis)
+    return readings
+
+
+def _merged(outcomes: JointOutcomes) -> JointOutcomes:
+    """Return at most `MOST_OUTCOMES`, averaging the last ones (:eq:`merged-outcomes`)."""
+    if outcomes.probability.size <= MOST_OUTCOMES:
+        return outcomes
+    alone = MOST_OUTCOMES - 1
+    weights = outcomes.probability[alone:]
+    joint, readings = (
+        np.concatenate([each[:alone], np.average(each[alone:], axis=0, weights=weights)[None]])
+        for each in (outcomes.joint, outcomes.readings)
+    )
+    probability = np.append(outcomes.probability[:alone], weights.sum())
+    return replace(outcomes, probability=probability, joint=joint, readings=readings)
+
+
+# While labels are compared, the entropy of an outcome is a sum of these powers of a survival. As
+# among those of Shannon's, the first moment is the predicted survival itself.
+BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
+
+
+def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
+    """Return the behavioral entropy of a coin (:eq:`behavioral-entropy`)."""
+    p = np.asarray(probability, dtype=np.float64)
+    beta = beta_of(alpha)
+    entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
+    return np.array(entropy, dtype=np.float64).reshape(p.shape)
+
+
+class Weights(NamedTuple):
+    """Of the powers that the entropy of an outcome is a sum of, each shape (powers,)."""
+
+    # With these it is h(p).
+    entropy: NDArray[np.float64]
+    # With these it is h(p) + (1 - p) ln(1 - p), what a label search does not add by itself.
+    rest: NDArray[np.float64]
+
+
+def powers_of(alpha: float, outcomes: int) -> int:
+    """Return how many powers the labels of a search carry that may have so many outcomes."""
+    return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
+
+
+def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weights with which the powers of a label make the entropy left in its outcome."""
+    if alpha == SHANNON:
+        return WEIGHTS
+    weights = weights_of(alpha)
+    return np.concatenate([weights.entropy, *(-each * weights.rest for each in chance)])
+
+
+@lru_cache(maxsize=16)
+def weights_of(alpha: float) -> Weights:
+    """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
+    ends = np.geomspace(1e-8, 1e-2, 300)
+    survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
+    powers = survival[:, None] ** BEHAVIORAL_EXPONENTS
+    entropy = behavioral_entropy(survival, alpha)
+    targets = np.stack([entropy, entropy - surprisal(1.0 - survival)], axis=1)
+    found, *_ = np.linalg.lstsq(powers, targets, rcond=1e-10)
+    return Weights(*np.ascontiguousarray(found.T))
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """The expected information of a path, less the cost of expected losses."""
+
+    # Before the round.
+    belief: Belief
+    # What the robot and its sensors are believed to be like.
+    model: SensorModel
+    # The cost of its loss, nats, at least 0.
+    loss_cost: float
+    # What counts of the information of readings in each cell, in [0, 1]. Shape (cells,).
+    interest: NDArray[np.float64]
+    # Of the robots that leave in the same round and whose paths are known.
+    outcomes: JointOutcomes
+    # Of the Prelec weight of what is likely and unlikely: 1 for Shannon's entropy, otherwise
+    # `behavioral_information` is in the place of the information.
+    alpha: float = SHANNON
+
+    @classmethod
+    def alone(
+        cls, grid: Grid, belief: Belief, model: SensorModel, options: SearchOptions
+    ) -> Objective:
+        """Return the objective of a robot that goes alone."""
+        if belief.cells != grid.cells:
+            raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
+        interest, nobody = np.ones(belief.cells), nobody_deployed(belief)
+        return cls(belief, model, options.loss_cost, interest, nobody, options.alpha)
+
+    def after(self, path: NDArray[np.intp]) -> JointOutcomes:
+        """Return what may become of the robots once this one takes `path` as well."""
+        return after_deployment(self.outcomes, self.model, path)
+
+    def given(self, outcomes: JointOutcomes) -> Objective:
+        """Return the objective of the robot if others have left before."""
+        return replace(self, outcomes=outcomes)
