@@ -66,8 +66,9 @@ def sources():
 
 
 def layer_of(path):
-    """Return the folder of a module in kbnitp_ros, dotted; empty for those beside the folders."""
-    return '.'.join(path.relative_to(ROOT / 'kbnitp_ros').parts[:-1])
+    """Return the folder of a module in kbnitp_ros, dotted, or a file that is a layer; or ''."""
+    inside = path.relative_to(ROOT / 'kbnitp_ros')
+    return '.'.join(inside.parts[:-1]) or (inside.stem if inside.stem in BELOW else '')
 
 
 def layer_seen(layer, module):

@@ -39,7 +39,7 @@ def worst(finder, objective):
 
 def allocate(robots):
     first, *others = ([each.path for each in r.finder.candidates(r.objective)] for r in robots)
-    return [first[0], *(paths[-1] for paths in others)], None
+    return [first[0], *(paths[-1] for paths in others)]
 """
 ADDED = {
     'methods': {NAME: 'Returns'},

@@ -16,6 +16,7 @@ from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import search_options, type_to_plan
 from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, RobotType, Team
+from kbnitp_ros.core.decision.rounds import why_worthless
 from kbnitp_ros.core.planning.allocations import keepout_cells
 from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.messages.beliefs import Snapshot
@@ -156,14 +157,14 @@ class Rounds:
 
         def planned() -> PlannedRound:
             start = time.monotonic()
-            team = plan()
+            found = plan()
             plans = {
                 DeploymentKey(agent, stamp + number): each
-                for number, (agent, each) in enumerate(zip(agents, team.plans))
+                for number, (agent, each) in enumerate(zip(agents, found))
             }
-            worthless = team.why_worthless(loss_cost)
+            worthless = why_worthless(found, loss_cost)
             seconds = time.monotonic() - start
-            return PlannedRound(plans, stop.why_not_worth(team), worthless, seconds)
+            return PlannedRound(plans, stop.why_not_worth(found), worthless, seconds)
 
         return planned
 

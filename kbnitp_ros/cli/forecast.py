@@ -28,7 +28,7 @@ from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.folder import check_is_free
-from kbnitp_ros.study.summary import Cell, Table
+from kbnitp_ros.study.results import Cell, Table
 from kbnitp_ros.study.workers import Workers, workers
 import numpy as np
 from numpy.typing import NDArray

@@ -73,16 +73,7 @@ class SimulatedMission(list[Deployment]):
         return f'SimulatedMission({len(self)} robots, {lost} lost)'
 
     def to_dataframe(self) -> DataFrame:
-        """
-        Return one row a deployment.
-
-        Returns
-        -------
-        pandas.DataFrame
-            As `deployments_table`, with the columns ``information`` in nats and ``survival`` that
-            were expected, and the mean and standard deviation of each number that is learnt.
-
-        """
+        """Return one row a deployment."""
         table = deployments_table(
             [each.observation for each in self],
             [each.belief for each in self],
@@ -293,7 +284,7 @@ def continue_mission(
     while len(deployments) < robots and not stop.why(decision, lost):
         leaving = team.first(robots - len(deployments))
         try:
-            planned = plan_round(
+            plans = plan_round(
                 goal,
                 draws,
                 grid,
@@ -305,10 +296,10 @@ def continue_mission(
             )
         except NoPathError:
             break
-        if stop.why_not_worth(planned):
+        if stop.why_not_worth(plans):
             break
-        visited += count_visits(grid, [plan.path for plan in planned.plans])
-        for plan, robot_type in zip(planned.plans, leaving.types):
+        visited += count_visits(grid, [plan.path for plan in plans])
+        for plan, robot_type in zip(plans, leaving.types):
             made = truth.execution.traverse(
                 world,
                 grid.at(robot_type.base),

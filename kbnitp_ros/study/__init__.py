@@ -5,8 +5,7 @@ from kbnitp_ros.plugins import extra
 
 with extra('study'):
     from kbnitp_ros.study.comparing import compare
-    from kbnitp_ros.study.report import figures_of, tables_of
-    from kbnitp_ros.study.results import Results
-    from kbnitp_ros.study.summary import Table
+    from kbnitp_ros.study.comparison import figures_of, tables_of
+    from kbnitp_ros.study.results import Results, Table
 
 __all__ = ['Results', 'Table', 'compare', 'figures_of', 'tables_of']

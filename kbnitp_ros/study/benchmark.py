@@ -24,9 +24,8 @@ from kbnitp_ros.figures import FORMATS, LETTERS, save, SERIES, WIDTH
 from kbnitp_ros.files import naming, share
 from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import as_json, Cell, LOG_LOSS, Mean, mean_of, Results, shown, Table
 from kbnitp_ros.study.scenario import read_scenario, Scenario, scenario_file
-from kbnitp_ros.study.summary import as_json, Cell, LOG_LOSS, Mean, mean_of, shown, Table
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from kbnitp_ros.figures import SERIES, Style, WIDTH
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import LOG_LOSS, mean_of, Results
 from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Strategy, team_labels
-from kbnitp_ros.study.summary import LOG_LOSS, mean_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter

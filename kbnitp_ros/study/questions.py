@@ -18,7 +18,18 @@ from kbnitp_ros.study.charts import (
     panels_figure,
     trials_in,
 )
-from kbnitp_ros.study.results import Results, Series
+from kbnitp_ros.study.results import (
+    after_robots,
+    interval,
+    LOG_LOSS,
+    Mean,
+    mean_of,
+    means_after,
+    resampled_means,
+    Results,
+    Row,
+    Series,
+)
 from kbnitp_ros.study.scenario import (
     Contender,
     in_percent,
@@ -27,16 +38,6 @@ from kbnitp_ros.study.scenario import (
     Scenario,
     Strategy,
     team_labels,
-)
-from kbnitp_ros.study.summary import (
-    after_robots,
-    interval,
-    LOG_LOSS,
-    Mean,
-    mean_of,
-    means_after,
-    resampled_means,
-    Row,
 )
 from kbnitp_ros.study.trial import LEARNT
 from matplotlib.axes import Axes

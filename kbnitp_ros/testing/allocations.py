@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
-from kbnitp_ros.core.planning.allocations import Allocation, Regions, TeamMember
+from kbnitp_ros.core.planning.allocations import Allocation, TeamMember
 from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
-from kbnitp_ros.testing.laws import hold, require, require_close
+from kbnitp_ros.testing.laws import hold, require
 import numpy as np
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0
 def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
     """See that there is a path for each robot, which that robot can take."""
     for robots in (given.robots, given.after):
-        paths, _ = allocation(robots)
+        paths = allocation(robots)
         require(len(paths) == len(robots), f'There are {len(paths)} for {len(robots)} robots')
         for number, (robot, path) in enumerate(zip(robots, paths)):
             try:
@@ -68,7 +67,7 @@ def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
 def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
     """See that a robot which goes alone takes the path that was found best for it."""
     for robot in given.robots:
-        (path, *_), _ = allocation([robot])
+        (path,) = allocation([robot])
         best = robot.finder.candidates(robot.objective)[0].path
         require(
             np.array_equal(path, best),
@@ -91,48 +90,11 @@ def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
 
 def paths_of(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:
     """Return the paths that an allocation gives."""
-    return [np.asarray(path).tolist() for path in allocation(robots)[0]]
-
-
-def regions_are_a_partition(allocation: Allocation, given: RoundCase) -> None:
-    """See that regions share out the cells in reach, each to a robot that reaches it."""
-    _, regions = allocation(given.robots)
-    if regions is None:
-        return
-    require(isinstance(regions, Regions), f'It returns {regions!r}, which is no Regions')
-    owner, cells = regions.owner, given.grid.cells
-    require(owner.shape == (cells,), f'They are of {owner.size} cells, and the field has {cells}')
-    reach = np.stack(
-        [each.finder.grid.in_reach(each.finder.options.max_steps) for each in given.robots]
-    )
-    require_owners(owner, reach)
-    held = regions.entropy
-    require(held.shape == (len(reach),), f'They have the entropies of {held.size} robots')
-    # A cell without entropy, since a region may be empty.
-    certain = np.array([[[1.0, 0.0], [0.0, 0.0]]])
-    entropy = [
-        Belief(np.concatenate([given.prior.joint[owner == number], certain])).joint_entropy()
-        for number in range(len(reach))
-    ]
-    require_close(held, np.array(entropy), 'Of the joint entropy of a region')
-
-
-def require_owners(owner: NDArray[np.intp], reach: NDArray[np.bool_]) -> None:
-    """Raise an AssertionError unless each cell in reach, (robots, cells), has a fit owner."""
-    for cell, of_cell in enumerate(owner.tolist()):
-        words = f'Cell {cell} is of robot {of_cell}'
-        if not reach[:, cell].any():
-            require(of_cell == -1, f'{words}, and no robot can reach it')
-        else:
-            require(0 <= of_cell < len(reach), f'{words}, and some robot can reach it')
-            require(reach[of_cell, cell], f'{words}, which cannot reach it')
+    return [np.asarray(path).tolist() for path in allocation(robots)]
 
 
 LAWS: dict[str, Callable[[Allocation, RoundCase], None]] = {
     'each robot has one path, within its own limits': gives_each_robot_a_path,
     'a robot alone is planned as ever': plans_one_as_alone,
     'the same belief gives the same paths': is_reproducible,
-    'regions share out what robots can reach, each cell to one that reaches it': (
-        regions_are_a_partition
-    ),
 }

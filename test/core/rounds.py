@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans of rounds, asked for in one line."""
 
-from kbnitp_ros.core import plan_team, SearchOptions, Team
+from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team
+from kbnitp_ros.core.planning.allocations import divided, TeamMember
 
 
 def plan_round(
@@ -24,3 +25,10 @@ def plan_round(
     return plan_team(
         grid, belief, model, team, search, in_flight=in_flight, visited=visited, keepout=keepout
     )
+
+
+def regions_of_team(grid, belief, model, max_steps, agents, types=()):
+    """Return the regions in which the allocation voronoi has robots look for information."""
+    finder = PathFinder(grid, SearchOptions('relaxed', max_steps))
+    members = {each: TeamMember.of(each, finder, belief, model) for each in types or (ORDINARY,)}
+    return divided([members[each] for each in types or (ORDINARY,) * agents])

@@ -30,7 +30,7 @@ from kbnitp_ros.core.planning.allocations import keepout_cells
 from laws import for_each
 import numpy as np
 import pytest
-from rounds import plan_round
+from rounds import plan_round, regions_of_team
 
 MODEL = SensorModel(0.5)
 CORNERS = Grid(6, 5, base=0, blocked=(9, 27), other_bases=(29,))
@@ -59,7 +59,7 @@ def random_problem(seed):
 def test_a_plan_from_any_base_is_that_of_the_grid_at_this_base(seed):
     grid, belief, model, robot_type = random_problem(seed)
     options = SearchOptions(max_steps=6)
-    (found,) = plan_team(grid, belief, model, Team(types=(robot_type,)), options).plans
+    (found,) = plan_team(grid, belief, model, Team(types=(robot_type,)), options)
     alone = plan(grid.at(robot_type.base), belief, model, 6)
     assert found.path.tolist() == alone.path.tolist()
     assert (found.information, found.survival) == (alone.information, alone.survival)
@@ -79,7 +79,7 @@ def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
         together = brute_force.information_of_pairs(belief.joint, model, np.vstack(visits))
         of_first = len(visits[0])
         best = together[:of_first, of_first:].max()
-        plans = plan_round(grid, belief, model, steps, 2, types=types, max_visits=steps).plans
+        plans = plan_round(grid, belief, model, steps, 2, types=types, max_visits=steps)
         assert [each.path[0] for each in plans] == [first, second]
         taken = np.array([np.bincount(each.path[1:], minlength=grid.cells) for each in plans])
         share = brute_force.information_of_pairs(belief.joint, model, taken)[0, 1] / best
@@ -211,12 +211,11 @@ def test_the_field_is_shared_by_where_robots_start():
     grid = Grid(12, 3, base=12, other_bases=(23,))
     belief = Belief.prior(grid, 0.2, 0.3, 0.8)
     for types, first in (((HERE, RobotType(base=23)), 0), ((RobotType(base=23), HERE), 1)):
-        team = plan_round(grid, belief, MODEL, 24, 2, 'voronoi', 'relaxed', types=types)
-        owner = team.regions.owner.reshape(3, 12)
+        owner = regions_of_team(grid, belief, MODEL, 24, 2, types).owner.reshape(3, 12)
         assert (owner[:, :6] == first).all()
         assert (owner[:, 6:] == 1 - first).all()
     four = (HERE, RobotType(base=23), HERE, RobotType(base=23))
-    owner = plan_round(grid, belief, MODEL, 24, 4, 'voronoi', 'relaxed', types=four).regions.owner
+    owner = regions_of_team(grid, belief, MODEL, 24, 4, four).owner
     left, right = owner.reshape(3, 12)[:, :6], owner.reshape(3, 12)[:, 6:]
     assert set(left.ravel()) == {0, 2}
     assert set(right.ravel()) == {1, 3}
@@ -231,7 +230,7 @@ def test_regions_hold_only_what_their_robots_reach(seed):
         RobotType(base=int(base), max_steps=int(rng.integers(4, 20)))
         for base in rng.choice([0, 59, 30], 4)
     )
-    regions = plan_round(grid, belief, MODEL, 9, 4, 'voronoi', 'relaxed', types=types).regions
+    regions = regions_of_team(grid, belief, MODEL, 9, 4, types)
     reach = [grid.at(each.base).in_reach(each.max_steps) for each in types]
     assert ((regions.owner >= 0) == np.any(reach, axis=0)).all()
     for robot, within in enumerate(reach):
@@ -240,9 +239,9 @@ def test_regions_hold_only_what_their_robots_reach(seed):
 
 def test_robots_in_flight_from_another_base_are_planned_around():
     belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
-    (alone,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,)).plans
+    (alone,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,))
     out = [(alone.path, THERE)]
-    (other,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,), in_flight=out).plans
+    (other,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,), in_flight=out)
     assert sorted(other.path) != sorted(alone.path)
     with pytest.raises(ValueError, match='start at the base 0, not at cell 29'):
         plan_round(CORNERS, belief, MODEL, 12, 1, in_flight=[(alone.path, HERE)])
@@ -254,7 +253,7 @@ def test_no_base_is_kept_off():
     for _ in range(12):
         kept = keepout_cells(CORNERS, 12, bases, refused)
         assert not {0, 29} & set(kept.tolist())
-        plans = plan_round(CORNERS, belief, MODEL, 12, 2, types=types, keepout=kept).plans
+        plans = plan_round(CORNERS, belief, MODEL, 12, 2, types=types, keepout=kept)
         assert [each.path[0] for each in plans] == [0, 29]
         assert all(len(set(each.path.tolist())) > 1 for each in plans)
         refused.append([each.path for each in plans])

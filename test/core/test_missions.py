@@ -154,7 +154,7 @@ def test_a_round_is_planned_at_once_and_taken_in_in_order(allocation):
     estimator, held = Estimator(PRIOR, MODEL), iter(deployments)
     for agents in (3, 3, 2):
         team = plan_round(GRID, estimator.belief, MODEL, 8, agents, **options)
-        for planned in team.plans:
+        for planned in team:
             deployment = next(held)
             assert deployment.plan.path.tolist() == planned.path.tolist()
             fate = world.traverse(planned.path, MODEL, rng.spawn(1)[0])

@@ -73,7 +73,7 @@ def test_a_copy_is_equal_and_another_value_is_not(learnt):
         learnt[0],
         learnt[0].parameters['lethality'],
         learnt[0].observation,
-        plan_team(GRID, PRIOR, MODEL, Team(2, 'voronoi'), OPTIONS),
+        *plan_team(GRID, PRIOR, MODEL, Team(2, 'voronoi'), OPTIONS),
         Team(2),
         core.Execution(detour=0.1).traverse(WORLD, GRID, learnt[0].plan.path, MODEL, 3),
         core.Truth(),
@@ -125,10 +125,10 @@ def test_functions_and_classes_stand_for_names():
     assert 'Ignorant' in repr(Estimator(PRIOR, MODEL, Ignorant))
 
     def both_alike(robots):
-        return [robot.finder.grid.base * np.ones(2, dtype=int) for robot in robots], None
+        return [robot.finder.grid.base * np.ones(2, dtype=int) for robot in robots]
 
     planned = plan_team(GRID, PRIOR, MODEL, Team(2, both_alike), OPTIONS)
-    assert [each.path.tolist() for each in planned.plans] == [[0, 0], [0, 0]]
+    assert [each.path.tolist() for each in planned] == [[0, 0], [0, 0]]
 
 
 def nonsense(finder, objective):

@@ -45,7 +45,7 @@ def shortest(finder, objective):
 
 def in_turn(robots):
     found = [robot.finder.candidates(robot.objective) for robot in robots]
-    return [each[n % len(each)].path for n, each in enumerate(found)], None
+    return [each[n % len(each)].path for n, each in enumerate(found)]
 """
 ADDED = {
     'methods': {'theirs': 'ReturnsFirst'},
@@ -97,7 +97,7 @@ def half_way(finder, objective):
 
 
 def one_for_all(robots):
-    return [robots[0].finder.candidates(robots[0].objective)[0].path], None
+    return [robots[0].finder.candidates(robots[0].objective)[0].path]
 """
 BAD = {
     'methods': {

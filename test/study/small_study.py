@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.comparison import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.trial import run_trial, trials_of
 import yaml

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from disk import room_for
 from kbnitp_ros.study.charts import reliability
-from kbnitp_ros.study.report import write_report
+from kbnitp_ros.study.comparison import write_report
 from kbnitp_ros.study.results import Results
 from laws import for_each
 import numpy as np

@@ -12,10 +12,9 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS
-from kbnitp_ros.study.report import figures_of, write_report
+from kbnitp_ros.study.comparison import figures_of, OF_LEARNING, OF_NUMBERS, write_report
+from kbnitp_ros.study.results import LOG_LOSS
 from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
-from kbnitp_ros.study.summary import LOG_LOSS
 from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts

@@ -4,9 +4,8 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.study.comparison import BY_LOSS_COST
+from kbnitp_ros.study.comparison import BY_LOSS_COST, write_report
 from kbnitp_ros.study.questions import at_equal_log_loss, compare, EQUAL
-from kbnitp_ros.study.report import write_report
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from laws import for_each

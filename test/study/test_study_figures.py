@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from kbnitp_ros.figures import SERIES
 from kbnitp_ros.study.charts import columns_for, groups_of, labels_of
-from kbnitp_ros.study.report import figures_of
+from kbnitp_ros.study.comparison import figures_of
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Contender, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of

@@ -4,9 +4,8 @@
 from dataclasses import replace
 import json
 
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.results import LOG_LOSS, mean_of, Results, summarise, table_of
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.summary import LOG_LOSS, mean_of, summarise, table_of
 import numpy as np
 import pytest
 from small_study import run

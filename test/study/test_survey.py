@@ -3,7 +3,7 @@
 
 from kbnitp_ros.core import Belief, Grid, World
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.worlds import surveyed
+from kbnitp_ros.study.trial import surveyed
 import numpy as np
 import pytest
 

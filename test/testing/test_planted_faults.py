@@ -5,7 +5,6 @@ from contextlib import suppress
 from itertools import count
 
 from kbnitp_ros.core import Belief, Candidate, KnownModel, PLANNERS, update
-from kbnitp_ros.core.planning.allocations import Regions
 from kbnitp_ros.testing import check_allocation, check_method, check_planner
 from laws import for_each
 import numpy as np
@@ -202,31 +201,25 @@ def test_a_fault_of_a_planner_is_found(law, planner):
 
 
 def independent(robots):
-    return [robot.finder.candidates(robot.objective)[0].path for robot in robots], None
+    return [robot.finder.candidates(robot.objective)[0].path for robot in robots]
 
 
 def one_for_all(robots):
-    return independent(robots)[0][:1], None
+    return independent(robots)[:1]
 
 
 def as_the_first(robots):
-    return independent(robots)[0][:1] * len(robots), None
+    return independent(robots)[:1] * len(robots)
 
 
 def second_best(robots):
-    return [robot.finder.candidates(robot.objective)[-1].path for robot in robots], None
-
-
-def regions_of_blocked_cells(robots):
-    owner = np.zeros(robots[0].finder.grid.cells, dtype=np.intp)
-    return independent(robots)[0], Regions(owner, np.ones(len(robots)))
+    return [robot.finder.candidates(robot.objective)[-1].path for robot in robots]
 
 
 ALLOCATIONS = {
     'each robot has one path, .* There are 1 for': one_for_all,
     'each robot has one path, .* at most max_steps': as_the_first,
     'a robot alone is planned as ever': second_best,
-    'regions share out what robots can reach': regions_of_blocked_cells,
 }
 
 

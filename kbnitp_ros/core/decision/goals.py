@@ -170,15 +170,7 @@ class Area:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """
-        Check that robots can come to all cells from some base, and back.
-
-        Raises
-        ------
-        ValueError
-            If a cell is off the map, on an obstacle, or out of reach.
-
-        """
+        """Check that robots can come to all cells from some base, and back."""
         cells = cells_on(grid, list(self.cells), 'goal')
         in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
         out = cells[~np.any(in_reach, axis=0)[cells]]
@@ -299,15 +291,7 @@ class Lane:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """
-        Check that a lane of so many steps can lead there.
-
-        Raises
-        ------
-        ValueError
-            If the goal is off the map, on an obstacle, the base, or out of reach.
-
-        """
+        """Check that a lane of so many steps can lead there."""
         if self.to == grid.base:
             raise ValueError(f'goal is cell {self.to}, the base: choose another cell')
         check_way(grid, grid.base, self.to, max_steps)

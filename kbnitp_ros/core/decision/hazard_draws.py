@@ -62,24 +62,7 @@ class HazardDraws:
 
     @classmethod
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
-        """
-        Draw from what an estimator knows; the same again for the same evidence.
-
-        Parameters
-        ----------
-        estimator : Estimator
-            Given the deployments so far.
-        deployments : int
-            How many these are.
-        count : int
-            How many draws to make, at least 1.
-
-        Raises
-        ------
-        ValueError
-            With an estimate, if the draws take more memory than is allowed.
-
-        """
+        """Draw from what an estimator knows; the same again for the same evidence."""
         if (estimate := count * estimator.belief.cells) > MOST_MEMORY:
             raise ValueError(
                 f'{count} draws of {estimator.belief.cells} cells take about '
@@ -105,19 +88,11 @@ class HazardDraws:
         return none
 
     def p_free(self, cells: ArrayLike) -> float:
-        """
-        Return the probability that none of some cells has a hazard.
-
-        Equation :eq:`set-free`.
-        """
+        """Return the probability that none of some cells has a hazard (:eq:`set-free`)."""
         return self._chance(self.is_free(cells))
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
-        """
-        Return how likely each number of hazards in some cells is, shape (different cells + 1,).
-
-        Equation :eq:`hazards-remaining`.
-        """
+        """Return P(number of hazards in some cells), from 0 up (:eq:`hazards-remaining`)."""
         there = np.unique(cells)
         count = self.hazardous[:, there].sum(axis=1)
         chances: Floats = np.bincount(count, self.weight, there.size + 1).astype(np.float64)
@@ -149,12 +124,7 @@ class HazardDraws:
         return hazards.astype(np.float64)
 
     def survival(self, path: ArrayLike, model: SensorModel) -> float:
-        """
-        Return the probability that a traveller survives a path, shape (steps + 1,).
-
-        Equation :eq:`traveller-survives`. The path may start and end anywhere; its first cell is
-        where the traveller is.
-        """
+        """Return the probability to survive a path from anywhere (:eq:`traveller-survives`)."""
         return self._chance(self.survivals([path], model)[0])
 
     def _chance(self, each: NDArray[np.bool_] | Floats) -> float:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 
 from kbnitp_ros.core.decision.goals import Goal, GOALS, Situation
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws
@@ -23,28 +24,18 @@ from numpy.typing import ArrayLike, NDArray
 LEAST_INFORMATION = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Round:
-    """Paths of robots that leave together."""
-
-    # One a robot, in their order.
-    plans: tuple[Plan, ...]
-    # How much nearer the goal each is expected to bring, in its unit.
-    gains: tuple[float, ...]
-
-    def why_worthless(self, loss_cost: float) -> str:
-        """Return why none of the plans is worth a robot; empty if one is."""
-        best = max(self.plans, key=lambda plan: plan.information)
-        if best.information < LEAST_INFORMATION:
-            return f'no plan is expected to bring more than {best.information:.2g} nats'
-        costs = [loss_cost * (1.0 - plan.survival) for plan in self.plans]
-        if any(plan.information > cost for plan, cost in zip(self.plans, costs)):
-            return ''
-        cost = loss_cost * (1.0 - best.survival)
-        return (
-            f'the best plan is expected to bring {best.information:.3g} nats and to cost '
-            f'{cost:.3g} (parameter loss_cost)'
-        )
+def why_worthless(plans: Sequence[Plan], loss_cost: float) -> str:
+    """Return why none of the plans of a round is worth a robot; empty if one is."""
+    best = max(plans, key=lambda plan: plan.information)
+    if best.information < LEAST_INFORMATION:
+        return f'no plan is expected to bring more than {best.information:.2g} nats'
+    if any(plan.information > loss_cost * (1.0 - plan.survival) for plan in plans):
+        return ''
+    cost = loss_cost * (1.0 - best.survival)
+    return (
+        f'the best plan is expected to bring {best.information:.3g} nats and to cost '
+        f'{cost:.3g} (parameter loss_cost)'
+    )
 
 
 def plan_round(
@@ -60,7 +51,7 @@ def plan_round(
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
     bound: bool = False,
-) -> Round:
+) -> list[Plan]:
     """
     Plan a round for a goal, robot after robot, each for what it adds to those before it.
 
@@ -81,21 +72,18 @@ def plan_round(
         As of `plan_team` and `check_sought`.
 
     """
-
-    def for_information() -> Round:
-        planned = plan_team(
-            grid,
-            belief,
-            model,
-            team,
-            options,
-            in_flight=in_flight,
-            visited=visited,
-            keepout=keepout,
-            bound=bound,
-        )
-        return Round(planned.plans, tuple(plan.information for plan in planned.plans))
-
+    for_information = partial(
+        plan_team,
+        grid,
+        belief,
+        model,
+        team,
+        options,
+        in_flight=in_flight,
+        visited=visited,
+        keepout=keepout,
+        bound=bound,
+    )
     for robot_type in team.types:
         check_sought(goal, options.of_type(robot_type), bound)
     if goal is None or draws is None:
@@ -104,7 +92,7 @@ def plan_round(
     situation = Situation(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))
-    plans, gains = [], []
+    plans = []
     for robot_type in team.types:
         own = situation.of_robot(
             robot_type.base, robot_type.model(model), options.of_type(robot_type)
@@ -121,10 +109,9 @@ def plan_round(
                 f'{own.options.max_steps} and max_visits = {own.options.max_visits}'
             )
         path = own.grid.check_path(flight.path, own.options.max_steps)
-        plans.append(Plan.along(path, belief, own.model))
-        gains.append(flight.gain)
+        plans.append(replace(Plan.along(path, belief, own.model), gain=flight.gain))
         situation = situation.with_sent(path, own.model)
-    return Round(tuple(plans), tuple(gains))
+    return plans
 
 
 def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None:

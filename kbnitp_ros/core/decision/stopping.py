@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core.decision.decision import Decision, too_few_draws
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.hazard_draws import DRAWS
-from kbnitp_ros.core.decision.rounds import Round
 from kbnitp_ros.core.field.check import cost, whole_number
+from kbnitp_ros.core.planning.search import Plan
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,7 @@ class Stop:
         object.__setattr__(self, 'losses', whole_number('stop.losses', self.losses, 0))
 
     def check(self, goal: Goal | None, robots: int) -> None:
-        """
-        Refuse stops that contradict each other or the mission.
-
-        Raises
-        ------
-        ValueError
-            If the losses can never come about, or the confidence takes more draws than are made.
-
-        """
+        """Refuse stops that contradict each other or the mission."""
         if self.losses > robots:
             raise ValueError(
                 f'stop.losses is {self.losses}, and no more than robots = {robots} are sent: '
@@ -59,17 +52,7 @@ class Stop:
             raise ValueError(few)
 
     def why(self, decision: Decision | None, lost: int) -> str:
-        """
-        Return why the mission is over now; empty if it is not.
-
-        Parameters
-        ----------
-        decision : Decision or None
-            What may be relied on, if there is a goal.
-        lost : int
-            How many robots are lost.
-
-        """
+        """Return why the mission is over now; empty if it is not."""
         if decision is not None and decision.reached:
             return (
                 f'the goal {decision.goal} is reached: free of hazards with probability '
@@ -79,10 +62,10 @@ class Stop:
             return f'{lost} robots are lost (stop.losses)'
         return ''
 
-    def why_not_worth(self, planned: Round) -> str:
+    def why_not_worth(self, plans: Sequence[Plan]) -> str:
         """Return why the robots of a round are not worth sending; empty if they are."""
-        gain = sum(planned.gains)
-        lost = sum(1.0 - plan.survival for plan in planned.plans)
+        gain = sum(plan.information if plan.gain is None else plan.gain for plan in plans)
+        lost = sum(1.0 - plan.survival for plan in plans)
         if gain >= self.gain * lost:
             return ''
         return (

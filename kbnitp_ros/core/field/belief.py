@@ -127,15 +127,7 @@ class Belief(Value):
         return cls.from_maps(*maps).on(grid)
 
     def on(self, grid: Grid) -> Belief:
-        """
-        Return the belief with what is known of a grid, as of `prior`.
-
-        Raises
-        ------
-        ValueError
-            If a base is believed to be certainly hazardous.
-
-        """
+        """Return the belief with what is known of a grid, as of `prior`."""
         joint = self.joint.copy()
         for base in sorted(grid.bases):
             joint[base, 1] = 0.0
@@ -177,19 +169,11 @@ class Belief(Value):
         return kappa
 
     def entropy(self) -> float:
-        """
-        Return H(Z) + H(X) summed over the cells, in nats: the measure of the paper.
-
-        Equation :eq:`belief-entropy`.
-        """
+        """Return H(Z) + H(X) summed over the cells, in nats (:eq:`belief-entropy`)."""
         return float(binary_entropy(self.hazard).sum() + binary_entropy(self.target).sum())
 
     def joint_entropy(self) -> float:
-        """
-        Return H(Z, X) summed over the cells, in nats.
-
-        Equation :eq:`belief-entropy`.
-        """
+        """Return H(Z, X) summed over the cells, in nats (:eq:`belief-entropy`)."""
         return float(surprisal(self.joint).sum())
 
     def independent(self) -> Belief:

@@ -131,28 +131,7 @@ class Clustering:
     def fields(
         self, possible: NDArray[np.bool_], densities: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """
-        Return the field a and log Z of each coupling and density.
-
-        Equation :eq:`clustered-density`.
-
-        Parameters
-        ----------
-        possible : ndarray of bool, shape (cells,)
-            Which cells may have a hazard.
-        densities : ndarray, shape (values,)
-            In (0, 1).
-
-        Returns
-        -------
-        field, log_z : ndarray, shape (couplings, values)
-
-        Raises
-        ------
-        ValueError
-            If the field is too wide for its obstacles.
-
-        """
+        """Return the field a and log Z of each coupling and density (:eq:`clustered-density`)."""
         free = possible.reshape(self.grid.height, self.grid.width)
         if densities.size > 1 and min(free.shape) > STRIP and np.count_nonzero(~free) > 1:
             raise ValueError(

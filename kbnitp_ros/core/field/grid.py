@@ -168,20 +168,7 @@ class Grid:
         return frozenset(self.other_bases) | {self.base}
 
     def at(self, base: int | None) -> Grid:
-        """
-        Return the same field for robots of one of its bases, which is `base` there.
-
-        Parameters
-        ----------
-        base : int or None
-            None for that of robots that have none of their own.
-
-        Raises
-        ------
-        ValueError
-            If it is none of the bases.
-
-        """
+        """Return the same field for robots of one of its bases; None is that of the grid."""
         if base is None or base == self.base:
             return self
         if base not in self.bases:
@@ -200,12 +187,7 @@ class Grid:
 
     @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:
-        """
-        Return what a step may lead to from every cell, in ascending order, -1 for what it may not.
-
-        The shape is (cells, 9): the column is 3 * (rows up + 1) + columns to the right + 1. The
-        rows of blocked cells are all -1.
-        """
+        """Return the neighbours of every cell, ascending, -1 for none. Shape (cells, 9)."""
         row, col = np.divmod(np.arange(self.cells), self.width)
         step_row, step_col = STEPS
         to_row = row[:, None] + step_row
@@ -251,17 +233,7 @@ class Grid:
         return steps
 
     def steps_from(self, cell: int, is_open: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """
-        Return the fewest steps from a cell to each, shape (cells,); `cells` if there is no way.
-
-        Parameters
-        ----------
-        cell : int
-            Where to start.
-        is_open : ndarray of bool, shape (cells,)
-            Which cells may be entered.
-
-        """
+        """Return the fewest steps from a cell to each, (cells,); `cells` if there is no way."""
         steps = np.full(self.cells, self.cells, dtype=np.intp)
         frontier = np.array([cell])
         distance = 0
@@ -290,17 +262,7 @@ class Grid:
         return distance
 
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
-        """
-        Return which cells a path can lead through, shape (cells,).
-
-        Parameters
-        ----------
-        max_steps : int
-            The most steps of a path, at least 0. It takes as many to a cell as back from it.
-        max_distance : float
-            The longest path, metres, likewise; 0 for no limit.
-
-        """
+        """Return the cells, (cells,), that a path within both limits can visit (0 m: no limit)."""
         steps = self.steps_to_base
         in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
         if max_distance:
@@ -317,25 +279,7 @@ class Grid:
     def check_path(
         self, path: ArrayLike, max_steps: int | None = None, max_distance: float = 0.0
     ) -> NDArray[np.intp]:
-        """
-        Return `path` as an array of cells if a robot can take it.
-
-        Parameters
-        ----------
-        path : array_like of int, shape (steps + 1,)
-            Cells, the base first and last, each a neighbour of the one before.
-        max_steps : int, optional
-            The most steps allowed.
-        max_distance : float
-            The longest path allowed, metres; 0 for no limit.
-
-        Raises
-        ------
-        ValueError
-            If it is empty, leaves the grid, enters a blocked cell, jumps, does not start and end
-            at the base, or is longer than `max_steps` or `max_distance`.
-
-        """
+        """Return `path` as an array of cells; raise ValueError if no robot can take it."""
         cells = as_path(path)
         steps = len(cells) - 1
         if max_steps is not None and steps > max_steps:
@@ -369,55 +313,20 @@ class Grid:
         return cells
 
     def check_any_path(self, path: ArrayLike) -> NDArray[np.intp]:
-        """
-        Return `path` as an array of cells if a robot of one of the bases can take it.
-
-        Raises
-        ------
-        ValueError
-            As `check_path`.
-
-        """
+        """Return `path` as an array of cells if a robot of one of the bases can take it."""
         cells = as_path(path)
         base = int(cells[0])
         return (self.at(base) if base in self.bases else self).check_path(cells)
 
     def in_metres(self, places: ArrayLike) -> NDArray[np.float64]:
-        """
-        Return where points of the grid lie in the frame.
-
-        Parameters
-        ----------
-        places : array_like, shape (..., 2)
-            Column and row, real numbers: (0, 0) is the lower-left corner of cell 0, and (0.5, 0.5)
-            its centre.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            x and y in metres.
-
-        """
+        """Return x and y in the frame, (..., 2), of columns and rows; (0, 0) is a corner."""
         points: NDArray[np.float64] = turned(
             np.asarray(places) * self.resolution, self.yaw
         ) + np.array(self.origin)
         return points
 
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
-        """
-        Return where points of the frame lie in the grid; the inverse of `in_metres`.
-
-        Parameters
-        ----------
-        points : array_like, shape (..., 2)
-            x and y in metres.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            Column and row, real numbers; they may lie beyond the grid.
-
-        """
+        """Return columns and rows, (..., 2), of x and y in metres; the inverse of `in_metres`."""
         places: NDArray[np.float64] = (
             turned(np.asarray(points) - np.array(self.origin), -self.yaw) / self.resolution
         )
@@ -429,20 +338,7 @@ class Grid:
         return self.in_metres(np.stack([col, row], axis=-1) + 0.5)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """
-        Return the cells that hold `points`.
-
-        Parameters
-        ----------
-        points : array_like, shape (n, 2)
-            x and y in metres.
-
-        Raises
-        ------
-        ValueError
-            If a point is not finite or lies outside the grid.
-
-        """
+        """Return the cells that hold points, (n, 2) metres; raise ValueError outside the grid."""
         array = np.asarray(points, dtype=np.float64)
         if array.ndim != 2 or array.shape[1] != 2:
             raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')

@@ -145,17 +145,7 @@ class Observation(Value):
 
     @property
     def lost_on(self) -> tuple[NDArray[np.intp], NDArray[np.float64] | None]:
-        """
-        Return the stretch of its path that a lost robot may have been lost on.
-
-        Returns
-        -------
-        path : ndarray of int, shape (n + 1,)
-            Where the first step that fits starts, and where each one to the last that fits leads.
-        lost_at : ndarray or None, shape (n,)
-            How well each of them fits; None: all alike.
-
-        """
+        """Return the stretch of its path where a robot may be lost, and how each step fits."""
         first = self.steps_survived
         if self.lost_at is None:
             return self.path[first:], None

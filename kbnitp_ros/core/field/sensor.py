@@ -49,51 +49,23 @@ class SensorModel:
         probabilities(self)
 
     def survival(self, hazard: ArrayLike) -> NDArray[np.float64]:
-        """
-        Return P(step survived | Z), per step.
-
-        Equation :eq:`step-survival`.
-
-        Parameters
-        ----------
-        hazard : array_like
-            Z in {0, 1} or its probability; any shape, which is the result's.
-
-        """
+        """Return P(step survived | Z), per step (:eq:`step-survival`)."""
         strike = self.lethality * (1.0 - self.false_negative)
         return (1.0 - self.malfunction) * (1.0 - np.asarray(hazard, dtype=np.float64) * strike)
 
     def reading(self, target: ArrayLike) -> NDArray[np.float64]:
-        """
-        Return P(Y = 1 | X), per step.
-
-        Equation :eq:`reading`.
-
-        Parameters
-        ----------
-        target : array_like
-            X in {0, 1} or its probability; any shape, which is the result's.
-
-        """
+        """Return P(Y = 1 | X), per step (:eq:`reading`)."""
         present = np.asarray(target, dtype=np.float64)
         return present * self.true_positive + (1.0 - present) * self.false_positive
 
     @property
     def log_survival(self) -> NDArray[np.float64]:
-        """
-        Log P(step survived | Z = z) for z = 0, 1, shape (2,), in [-inf, 0].
-
-        Equation :eq:`step-survival`.
-        """
+        """Log P(step survived | Z = z) for z = 0, 1, shape (2,) (:eq:`step-survival`)."""
         return _log_survival(self.lethality * (1.0 - self.false_negative), self.malfunction)
 
     @property
     def log_reading(self) -> NDArray[np.float64]:
-        """
-        Log P(Y = y | X = x), indexed [y, x], shape (2, 2), in [-inf, 0].
-
-        Equation :eq:`reading`.
-        """
+        """Log P(Y = y | X = x), indexed [y, x], shape (2, 2), in [-inf, 0] (:eq:`reading`)."""
         return _log_reading(self.true_positive, self.false_positive)
 
 

@@ -60,11 +60,7 @@ class Beta:
             )
 
     def bins(self) -> Bins:
-        """
-        Return the interval in bins and what the prior gives each.
-
-        Equation :eq:`value-bins`.
-        """
+        """Return the interval in bins and what the prior gives each (:eq:`value-bins`)."""
         low, high = np.arcsin(np.sqrt([self.low, self.high]))
         edges = np.linspace(low, high, VALUES * POINTS + 1)
         middle = np.sin((edges[1:] + edges[:-1]) / 2.0) ** 2
@@ -139,15 +135,7 @@ class Learnt(Value):
         return float(np.sqrt((self.weights * (self.bins.values - self.mean) ** 2).sum()))
 
     def quantile(self, q: float) -> float:
-        """
-        Return the value that the number is below with probability `q`.
-
-        Raises
-        ------
-        ValueError
-            If `q` is not in [0, 1].
-
-        """
+        """Return the value that the number is below with probability `q`."""
         below = np.concatenate([[0.0], np.cumsum(self.weights)])
         return float(np.interp(probability('q', q) * below[-1], below, self.bins.edges))
 
@@ -310,15 +298,7 @@ class Dynamics:
         )
 
     def known_rates(self) -> dict[str, float]:
-        """
-        Return the rates by name.
-
-        Raises
-        ------
-        ValueError
-            If the kind or a rate is unknown: no world can have such hazards.
-
-        """
+        """Return the rates by name."""
         if self.kind == 'learn':
             raise ValueError(
                 "dynamics is 'learn', which is no kind that the hazards of a world can be of: "

@@ -104,15 +104,7 @@ class World(Value):
 
     @typed
     def check(self, grid: Grid) -> None:
-        """
-        Refuse a grid that this is no world of.
-
-        Raises
-        ------
-        ValueError
-            If the number of cells differs, a base has a hazard or a blocked cell is not empty.
-
-        """
+        """Refuse a grid that this is no world of."""
         if self.hazard.size != grid.cells:
             raise ValueError(
                 f'world has {self.hazard.size} cells: the grid has {grid.width} x {grid.height}'
@@ -162,27 +154,7 @@ class World(Value):
         rng: np.random.Generator,
         dynamics: Dynamics = STATIC,
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], World]:
-        """
-        Return whether each step of a path is survived, what is read in it, and what it leaves.
-
-        One number a step tells what happens to the robot in it, as equation :eq:`step-events`
-        says.
-
-        Parameters
-        ----------
-        path, model, rng
-            As of `traverse`, as errors are.
-        dynamics : Dynamics
-            Whether hazards are used up.
-
-        Returns
-        -------
-        survived, readings : ndarray of bool, shape (steps,)
-            Up to the step in which the robot is lost; what stands behind it means nothing.
-        after : World
-            The field as the robot leaves it.
-
-        """
+        """Return survival and reading of each step, and the field after it (:eq:`step-events`)."""
         beyond = path[(path < 0) | (path >= self.hazard.size)]
         if beyond.size:
             raise ValueError(
@@ -208,24 +180,7 @@ class World(Value):
     def after_change(
         self, dynamics: Dynamics, grid: Grid, possible: NDArray[np.bool_], rng: np.random.Generator
     ) -> World:
-        """
-        Draw the field after hazards changed or moved.
-
-        Equation :eq:`hazard-change`, with one uniform number a cell. Moving hazards go one after
-        another, in random order.
-
-        Parameters
-        ----------
-        dynamics : Dynamics
-            How it changes.
-        grid : Grid
-            Where hazards move.
-        possible : ndarray of bool, shape (cells,)
-            Which cells may have a hazard; the others stay as they are.
-        rng : numpy.random.Generator
-            The only source of randomness.
-
-        """
+        """Draw the field after hazards changed or moved (:eq:`hazard-change`)."""
         rates = dynamics.known_rates()
         if dynamics.kind == 'changing':
             stays_or_comes = np.where(self.hazard, 1.0 - rates['vanish'], rates['appear'])
@@ -298,37 +253,7 @@ class Execution:
         dynamics: Dynamics = STATIC,
         changing: NDArray[np.bool_] | None = None,
     ) -> Traverse:
-        """
-        Send a robot along a path; one that keeps to it fares as by `World.traverse`.
-
-        A lost robot is heard of after each step survived with the chance `contact`, and what
-        that and the silence afterwards tell of where it was lost is equation
-        :eq:`contact-probability`.
-
-        Parameters
-        ----------
-        world : World
-            The hidden truth.
-        grid : Grid
-            Where the robot can go.
-        path : array_like of int, shape (steps + 1,)
-            Its orders.
-        model : SensorModel
-            What the robot, its sensor and the hazards are really like.
-        rng : int or numpy.random.Generator
-            The only source of randomness: of what happens in the steps made, and its first child
-            of all that is told here, its second of how hazards change.
-        dynamics : Dynamics
-            How they do.
-        changing : ndarray of bool, shape (cells,), optional
-            Where hazards change or move before the robot leaves; None before the first.
-
-        Raises
-        ------
-        ValueError
-            If no robot can take the path on the grid.
-
-        """
+        """Send a robot along a path, heard of by `contact` (:eq:`contact-probability`)."""
         ordered = grid.check_path(path)
         rng = np.random.default_rng(rng)
         own = rng.spawn(1)[0]

@@ -318,29 +318,7 @@ class Estimator:
         return hazardous, float(independent)
 
     def worlds(self, count: int, rng: np.random.Generator) -> list[tuple[World, SensorModel]]:
-        """
-        Draw fields and robots as they may be given all deployments so far.
-
-        The hazards are drawn as by `draws`, and targets independently given the hazards of their
-        cells. Numbers of the sensor model that are not known are drawn together with the hazards.
-
-        Parameters
-        ----------
-        count : int
-            How many, at least 1.
-        rng : numpy.random.Generator
-            The only source of randomness.
-
-        Returns
-        -------
-        list of (World, SensorModel)
-
-        Raises
-        ------
-        ValueError, PluginError
-            As of `draws`.
-
-        """
+        """Draw fields as by `draws`, their targets, and the sensor model that goes with each."""
         draw = getattr(self._inference, 'draws_with_models', None)
         if draw is None:
             hazardous, models = self.draws(count, rng)[0], [self.model] * count

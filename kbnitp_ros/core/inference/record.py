@@ -176,30 +176,7 @@ class MissionRecord:
         return other
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """
-        Record a deployment's path.
-
-        Parameters
-        ----------
-        key : DeploymentKey
-            The deployment.
-        path : array_like of int, shape (steps + 1,)
-            Cells, the base first and last.
-        content : int
-            Hash of the message that it came with, by which a log names it.
-
-        Returns
-        -------
-        bool
-            Whether the deployment's outcome is known now, because a report was pending.
-
-        Raises
-        ------
-        ValueError
-            If no robot could take the path, the deployment is known with another one, or none of
-            the pending reports can be assimilated; those are then dropped.
-
-        """
+        """Record a path; return whether a pending report gives its outcome now."""
         cells = self.check_path(key, path)
         if key in self.paths:
             if not np.array_equal(cells, self.paths[key]):
@@ -220,24 +197,7 @@ class MissionRecord:
         return key in self.outcomes
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """
-        Record a deployment's report; a refusal leaves everything as it was.
-
-        Returns
-        -------
-        bool
-            Whether the outcome is another one now; not if the report says nothing new or its path
-            is unknown.
-
-        Raises
-        ------
-        ValueError
-            If the report does not fit its path, tells of another return than the one known, which
-            counts, or is refused by `_assimilate`; or if more than `MOST_PENDING` bytes are
-            pending: then those are dropped that no planner's stamp fits, furthest from the newest
-            path.
-
-        """
+        """Record a report; return whether the outcome changes. A refusal changes nothing."""
         if key not in self.paths:
             self._keep_pending(key, report)
             return False

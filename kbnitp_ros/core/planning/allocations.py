@@ -116,19 +116,11 @@ TURN = 0.05
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Regions(Value):
-    """
-    A partition of the cells that robots can visit and come back from.
+    """A partition of the cells that robots can visit and come back from."""
 
-    Attributes
-    ----------
-    owner : ndarray of int, shape (cells,)
-        The region of each of these cells, from 0; -1 elsewhere.
-    entropy : ndarray, shape (regions,)
-        What each region holds of what was shared out, nats.
-
-    """
-
+    # The region of each of these cells, from 0; -1 elsewhere. Shape (cells,).
     owner: NDArray[np.intp]
+    # What each region holds of what was shared out, nats. Shape (regions,).
     entropy: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -215,14 +207,14 @@ def _regions(power: NDArray[np.float64], mass: NDArray[np.float64]) -> Regions:
     return Regions(owner, held)
 
 
-def independent(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], None]:
+def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return the same path for all of a type: the same belief gives the same plan."""
     nobody = nobody_deployed(robots[0].objective.belief)
     paths = {
         robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
         for robot in dict.fromkeys(robots)
     }
-    return [paths[robot] for robot in robots], None
+    return [paths[robot] for robot in robots]
 
 
 # The best path may leave too little to the next robot, so several teams grow side by side: as
@@ -261,7 +253,7 @@ class Assigned:
         )
 
 
-def greedy(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], None]:
+def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return paths, each planned given that those before it are taken, returned or lost."""
     side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
     teams = [Assigned()]
@@ -273,15 +265,15 @@ def greedy(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], None]:
             if len(distinct) == side_by_side:
                 break
         teams = list(distinct.values())
-    return list(teams[0].paths), None
+    return list(teams[0].paths)
 
 
 # What counts of the readings that a robot brings from the regions of others.
 ELSEWHERE = 0.1
 
 
-def voronoi(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], Regions]:
-    """Return paths that look for information in their own regions."""
+def divided(robots: Sequence[TeamMember]) -> Regions:
+    """Return regions of about the same entropy, one a robot."""
     belief = robots[0].objective.belief
     in_reach = {
         robot: robot.finder.grid.in_reach(
@@ -292,16 +284,20 @@ def voronoi(robots: Sequence[TeamMember]) -> tuple[list[NDArray[np.intp]], Regio
     reach = np.stack([in_reach[robot] for robot in robots], axis=1)
     cells = np.flatnonzero(reach.any(axis=1))
     entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
-    regions = divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
-    paths = []
+    return divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
+
+
+def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+    """Return paths that look for information in their own regions."""
+    owner, paths = divided(robots).owner, []
     for number, robot in enumerate(robots):
-        interest = np.where(regions.owner == number, 1.0, ELSEWHERE)
+        interest = np.where(owner == number, 1.0, ELSEWHERE)
         objective = replace(robot.objective, interest=interest)
         paths.append(robot.finder.candidates(objective)[0].path)
-    return paths, regions
+    return paths
 
 
-Allocation = Callable[[Sequence[TeamMember]], tuple[list[NDArray[np.intp]], Regions | None]]
+Allocation = Callable[[Sequence[TeamMember]], list[NDArray[np.intp]]]
 
 
 def as_allocation(given: object) -> Allocation:
@@ -323,31 +319,19 @@ ALLOCATIONS = Registry(
 
 def allocated(
     allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
-) -> tuple[list[NDArray[np.intp]], Regions | None]:
-    """Return a path for each robot, and the regions if the allocation divides the field."""
+) -> list[NDArray[np.intp]]:
+    """Return a path for each robot; refuse what another package's allocation may not return."""
     with ALLOCATIONS.blamed(allocation):
-        paths, regions = ALLOCATIONS.find(allocation)(robots)
-        if allocation not in ALLOCATIONS.own:
-            _check_allocated(allocation, robots, paths, regions)
-    return paths, regions
-
-
-def _check_allocated(
-    allocation: str | Callable[..., Any],
-    robots: Sequence[TeamMember],
-    paths: Sequence[NDArray[np.intp]],
-    regions: Regions | None,
-) -> None:
-    """Refuse what another package's allocation may not return."""
-    if len(paths) != len(robots):
-        raise ALLOCATIONS.fault(allocation, f'returns {len(paths)} paths for {len(robots)} robots')
-    for number, (robot, path) in enumerate(zip(robots, paths)):
-        try:
-            robot.finder.check_path(path)
-        except ValueError as error:
-            words = f'returns a path for robot {number} that is none: {error}'
-            raise ALLOCATIONS.fault(allocation, words) from error
-    cells = robots[0].finder.grid.cells
-    if regions is not None and regions.owner.shape != (cells,):
-        words = f'divides {regions.owner.size} cells where the field has {cells}'
-        raise ALLOCATIONS.fault(allocation, words)
+        paths = ALLOCATIONS.find(allocation)(robots)
+        if allocation in ALLOCATIONS.own:
+            return paths
+        if len(paths) != len(robots):
+            words = f'returns {len(paths)} paths for {len(robots)} robots'
+            raise ALLOCATIONS.fault(allocation, words)
+        for number, (robot, path) in enumerate(zip(robots, paths)):
+            try:
+                robot.finder.check_path(path)
+            except ValueError as error:
+                words = f'returns a path for robot {number} that is none: {error}'
+                raise ALLOCATIONS.fault(allocation, words) from error
+    return paths

@@ -219,17 +219,7 @@ class PathFinder(Value):
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
     def candidates(self, objective: Objective) -> list[Candidate]:
-        """
-        Return closed paths by their value for an objective, at least one, the best first.
-
-        Raises
-        ------
-        NoPathError
-            If none is survived with `minimum_survival`.
-        PluginError
-            If a planner of another package breaks its rules.
-
-        """
+        """Return closed paths by value, the best first; raise NoPathError if there is none."""
         planner = self.options.planner
         with PLANNERS.blamed(planner):
             candidates = PLANNERS.find(planner)(self, objective)
@@ -246,15 +236,7 @@ class PathFinder(Value):
         return candidates
 
     def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
-        """
-        Return a path as an array of cells, shape (steps + 1,), if it keeps to the limits.
-
-        Raises
-        ------
-        ValueError
-            If a robot cannot take it, it is too long or visits a cell too often.
-
-        """
+        """Return a path as an array of cells, shape (steps + 1,), if it keeps to the limits."""
         options = self.options
         cells = self.grid.check_path(path, options.max_steps, options.max_distance)
         visits = count_visits(self.grid, [cells])
@@ -282,22 +264,7 @@ class PathFinder(Value):
             raise PLANNERS.fault(planner, f'returns a path that is none: {error}') from error
 
     def check_memory(self, robots: int, cameras: int = 1) -> None:
-        """
-        Check that paths can be searched for within the memory allowed, before any is.
-
-        Parameters
-        ----------
-        robots : int
-            How many leave together or are in flight, at least 1.
-        cameras : int
-            How many different ones they have.
-
-        Raises
-        ------
-        ValueError
-            With an estimate, if it takes more; or if the cameras are too many.
-
-        """
+        """Check that paths can be searched for within the memory allowed, before any is."""
         check_cameras(cameras)
         options = self.options
         if options.planner == 'random':

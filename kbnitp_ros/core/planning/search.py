@@ -39,6 +39,9 @@ class Plan(Value):
         nats; None unless a bound was asked for.
     gap : float or None
         How far the plan is below `upper_bound`, nats, at least 0.
+    gain : float or None
+        How much nearer its goal the mission is expected to be, in the unit of the goal; None
+        where there is no goal but information.
 
     """
 
@@ -47,6 +50,7 @@ class Plan(Value):
     survival: float
     upper_bound: float | None = None
     gap: float | None = None
+    gain: float | None = None
 
     def __post_init__(self) -> None:
         frozen(self.path)

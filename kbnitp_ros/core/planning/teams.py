@@ -8,17 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import typed, Value, whole_number
+from kbnitp_ros.core.field.check import typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.allocations import (
-    allocated,
-    ALLOCATIONS,
-    Regions,
-    TeamMember,
-    without,
-)
-from kbnitp_ros.core.planning.information import team_information
+from kbnitp_ros.core.planning.allocations import allocated, ALLOCATIONS, TeamMember, without
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     Camera,
@@ -70,18 +63,6 @@ class Team:
         return replace(self, agents=len(types), types=types)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class TeamPlan(Value):
-    """Paths for robots that leave together and what is expected of them."""
-
-    # One a robot, in their order; each says what is expected of that robot alone.
-    plans: tuple[Plan, ...]
-    # What is expected of all together, beyond what robots in flight bring, nats.
-    information: float
-    # How the field was divided among the robots; None where the allocation does not.
-    regions: Regions | None
-
-
 @typed
 def plan_team(
     grid: Grid,
@@ -94,7 +75,7 @@ def plan_team(
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
     bound: bool = False,
-) -> TeamPlan:
+) -> list[Plan]:
     """
     Plan a round: a closed path for each of several robots that leave together.
 
@@ -118,8 +99,9 @@ def plan_team(
 
     Returns
     -------
-    TeamPlan
-        The same belief gives the same plans. A single robot's is that of `plan`.
+    list of Plan
+        One a robot, in their order: each says what is expected of that robot alone. The same
+        belief gives the same plans. A single robot's is that of `plan`.
 
     Raises
     ------
@@ -150,19 +132,12 @@ def plan_team(
     }
     if bound:
         (robot,) = members.values()
-        alone = plan_alone(robot.finder, robot.objective, bound)
-        return TeamPlan((alone,), alone.information, None)
-    paths, regions = allocated(team.allocation, [members[each] for each in team.types])
-    plans = tuple(
+        return [plan_alone(robot.finder, robot.objective, bound)]
+    paths = allocated(team.allocation, [members[each] for each in team.types])
+    return [
         Plan.along(path, belief, robot_type.model(model))
         for path, robot_type in zip(paths, team.types)
-    )
-    information = (
-        plans[0].information
-        if len(plans) == 1 and not in_flight
-        else team_information(belief, model, paths, outcomes, team.types)
-    )
-    return TeamPlan(plans, information, regions)
+    ]
 
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:

@@ -35,6 +35,7 @@ from kbnitp_ros.core.decision.goals import (
     information,
     Situation,
 )
+from kbnitp_ros.core.decision.rounds import why_worthless
 from laws import for_each
 import numpy as np
 import pytest
@@ -322,18 +323,18 @@ def test_missions_stop_by_themselves():
 def test_robots_of_a_round_are_sent_for_what_each_adds():
     draws = HazardDraws.of(Estimator(PRIOR, MODEL), 0)
     planned = plan_round(Lane(24), draws, GRID, PRIOR, MODEL, Team(8), NEAR)
-    assert len(planned.plans) == 8
-    assert len({plan.path.tobytes() for plan in planned.plans}) > 1
+    assert len(planned) == 8
+    assert len({plan.path.tobytes() for plan in planned}) > 1
 
 
 def test_a_round_is_worth_as_much_as_the_best_of_its_plans():
     planned = plan_round(None, None, GRID, PRIOR, MODEL, Team(2), NEAR)
-    most = max(plan.information / (1.0 - plan.survival) for plan in planned.plans)
-    assert not planned.why_worthless(0.0)
-    assert not planned.why_worthless(0.999 * most)
-    assert 'loss_cost' in planned.why_worthless(1.001 * most)
+    most = max(plan.information / (1.0 - plan.survival) for plan in planned)
+    assert not why_worthless(planned, 0.0)
+    assert not why_worthless(planned, 0.999 * most)
+    assert 'loss_cost' in why_worthless(planned, 1.001 * most)
     known = plan_round(None, None, GRID, uniform(GRID, 0.0), MODEL, Team(2), NEAR)
-    assert 'no plan is expected to bring more' in known.why_worthless(0.0)
+    assert 'no plan is expected to bring more' in why_worthless(known, 0.0)
 
 
 @pytest.mark.parametrize('make, named', [

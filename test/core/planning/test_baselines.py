@@ -128,7 +128,7 @@ def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
     grid = Grid(7, 7)
     team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
     alone = sent(grid, planner, 3, 14)
-    assert [each.path.tolist() for each in team.plans] == [path.tolist() for path in alone]
+    assert [each.path.tolist() for each in team] == [path.tolist() for path in alone]
 
 
 @for_each('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])

@@ -53,7 +53,7 @@ for seed, lethality in enumerate((0.0, 0.5, 1.0)):
 for allocation in ('greedy', 'voronoi'):
     options = SearchOptions(max_steps=4, width=3, loss_cost=0.2)
     team = plan_team(grid, belief, model, Team(3, allocation), options)
-    print([planned.path.tolist() for planned in team.plans], team.information.hex())
+    print([(planned.path.tolist(), planned.information.hex()) for planned in team])
 print('numba' in sys.modules and sys.modules['numba'] is not None, file=sys.stderr)
 """
 

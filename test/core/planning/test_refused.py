@@ -48,7 +48,7 @@ def test_the_near_half_stays_open(data):
 
 def plans(refused, prior=FAR, agents=1, **options):
     cells = keepout_cells(GRID, 18, [None] * agents, refused)
-    return plan_round(GRID, prior, MODEL, 18, agents, keepout=cells, **options).plans, cells
+    return plan_round(GRID, prior, MODEL, 18, agents, keepout=cells, **options), cells
 
 
 @for_each('allocation, prior', product(['greedy', 'voronoi', 'independent'], [FAR, NEAR]))
@@ -93,7 +93,7 @@ def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
     prior, refused = Belief.prior(grid, 0.1, 0.45, 0.8), []
     for _ in range(4):
         cells = keepout_cells(grid, max_steps, [None] * 2, refused)
-        team = plan_round(grid, prior, MODEL, max_steps, 2, keepout=cells).plans
+        team = plan_round(grid, prior, MODEL, max_steps, 2, keepout=cells)
         refused.append([plan.path for plan in team])
     ways = [[path.tolist() for path in paths] for paths in refused]
     assert all(one != other for one, other in pairwise(ways))

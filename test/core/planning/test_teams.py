@@ -21,7 +21,7 @@ from kbnitp_ros.core.planning import allocations, objective as joint_outcomes
 from laws import for_each
 import numpy as np
 import pytest
-from rounds import plan_round
+from rounds import plan_round, regions_of_team
 
 BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
@@ -114,7 +114,7 @@ def test_what_may_have_happened_averages_to_what_is_believed(seed):
 @for_each('seed', range(5))
 def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
     belief = random_belief(seed)
-    paths = [p.path for p in plan_round(GRID, belief, MODEL, 8, 7, 'voronoi', 'relaxed').plans]
+    paths = [p.path for p in plan_round(GRID, belief, MODEL, 8, 7, 'voronoi', 'relaxed')]
     merged = team_information(belief, MODEL, paths)
     monkeypatch.setattr(joint_outcomes, 'MOST_OUTCOMES', 256)
     assert merged == pytest.approx(team_information(belief, MODEL, paths), rel=0.03)
@@ -131,7 +131,7 @@ def shares_of_the_best(grid, belief, model, steps):
 
     found = {}
     for allocation in ALLOCATIONS:
-        plans = plan_round(grid, belief, model, steps, 2, allocation).plans
+        plans = plan_round(grid, belief, model, steps, 2, allocation)
         found[allocation] = of_pairs(np.array([visits_of(p.path, 16) for p in plans]))[0, 1]
     visits = every_path(grid.base, steps)
     alone = brute_force.information_of_visits(belief.joint, model, visits)
@@ -168,7 +168,8 @@ def test_a_greedy_team_is_the_best_of_those_that_grow_side_by_side(agents, monke
 
     def found(seed):
         belief = random_belief(seed)
-        return plan_round(GRID, belief, MODEL, 7, agents).information
+        paths = [planned.path for planned in plan_round(GRID, belief, MODEL, 7, agents)]
+        return team_information(belief, MODEL, paths)
 
     together = np.array([found(seed) for seed in range(8)])
     monkeypatch.setattr(allocations, 'ROBOTS_SIDE_BY_SIDE', 1)
@@ -182,30 +183,29 @@ def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, 
     belief = random_belief(agents)
     team = plan_round(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)
     around = brute_force.adjacent(6, 5, GRID.blocked)
-    assert len(team.plans) == agents
-    for planned in team.plans:
+    assert len(team) == agents
+    for planned in team:
         path = planned.path.tolist()
         assert path[0] == path[-1] == 8
         assert 2 <= len(path) <= 8
         assert all(after in around[before] for before, after in pairwise(path))
         assert visits_of(path, 30).max() <= 2
         assert planned.information == path_information(belief, MODEL, path)
-    together = team_information(belief, MODEL, [planned.path for planned in team.plans])
-    assert team.information == together
-    assert together <= sum(planned.information for planned in team.plans) + 1e-9
+    together = team_information(belief, MODEL, [planned.path for planned in team])
+    assert together <= sum(planned.information for planned in team) + 1e-9
 
 
 def test_independent_robots_go_the_same_way():
     alone = plan(GRID, PRIOR, MODEL, 8).path.tolist()
     team = plan_round(GRID, PRIOR, MODEL, 8, 3, 'independent')
-    assert [planned.path.tolist() for planned in team.plans] == [alone] * 3
+    assert [planned.path.tolist() for planned in team] == [alone] * 3
 
 
 @for_each('allocation', ALLOCATIONS)
 def test_there_may_be_as_many_robots_as_free_cells(allocation):
     grid = Grid(3, 2, base=1, blocked=(5,))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    assert len(plan_round(grid, belief, MODEL, 4, 5, allocation).plans) == 5
+    assert len(plan_round(grid, belief, MODEL, 4, 5, allocation)) == 5
 
 
 # Regions
@@ -215,7 +215,7 @@ def test_there_may_be_as_many_robots_as_free_cells(allocation):
 def test_regions_divide_the_free_cells_evenly(base, agents):
     grid = Grid(9, 9, base=base, blocked=(13, 14, 22))
     for belief in (Belief.prior(grid, 0.5, 0.45, 0.8), random_belief(agents, grid)):
-        regions = plan_round(grid, belief, MODEL, 18, agents, 'voronoi', 'relaxed').regions
+        regions = regions_of_team(grid, belief, MODEL, 18, agents)
         assert (regions.owner[[13, 14, 22]] == -1).all()
         assert set(np.delete(regions.owner, [13, 14, 22]).tolist()) == set(range(agents))
         each = [Belief(belief.joint[regions.owner == r]).joint_entropy() for r in range(agents)]
@@ -232,7 +232,7 @@ def test_regions_are_the_same_in_a_larger_field():
     joint = Belief.prior(large, 0.5, 0.45, 0.8).joint.copy()
     joint[inside] = near.joint
     found, wide = (
-        plan_round(grid, belief, MODEL, 8, 4, 'voronoi', 'relaxed').regions
+        regions_of_team(grid, belief, MODEL, 8, 4)
         for grid, belief in ((small, near), (large, Belief(joint)))
     )
     assert found.owner.tolist() == wide.owner[inside].tolist()
@@ -243,8 +243,9 @@ def test_robots_prefer_their_regions():
     grid = Grid(9, 9, base=40)
     belief = Belief.prior(grid, 0.1, 0.15, 0.8)
     team = plan_round(grid, belief, SensorModel(0.3), 12, 4, 'voronoi')
-    for robot, planned in enumerate(team.plans):
-        inside = team.regions.owner[planned.path] == robot
+    owner = regions_of_team(grid, belief, SensorModel(0.3), 12, 4).owner
+    for robot, planned in enumerate(team):
+        inside = owner[planned.path] == robot
         assert inside.mean() > 0.6
 
 

@@ -118,7 +118,7 @@ def test_one_camera_written_twice_is_one_camera(seed):
 
 def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
     belief, kinds = random_belief(1), [RobotType(), KEEN] * 4
-    paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8).plans]
+    paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8)]
     all_counted = team_information(belief, MODEL, paths, robot_types=kinds)
     monkeypatch.setattr(readings, 'MOST_WAYS', 5**2)
     after = nobody_deployed(belief)
@@ -140,13 +140,11 @@ def test_each_robot_keeps_to_its_own_limits(allocation):
     for seed in range(2):
         belief = random_belief(seed)
         team = plan_round(GRID, belief, model, 8, 5, allocation, types=kinds)
-        for planned, kind in zip(team.plans, kinds, strict=True):
+        for planned, kind in zip(team, kinds, strict=True):
             assert len(planned.path) - 1 <= (kind.max_steps or 8)
             own = kind.model(model)
             assert planned.information == path_information(belief, own, planned.path)
-        assert max(len(planned.path) - 1 for planned in team.plans) > 8
-        paths = [planned.path for planned in team.plans]
-        assert team.information == team_information(belief, model, paths, robot_types=kinds)
+        assert max(len(planned.path) - 1 for planned in team) > 8
 
 
 @for_each('allocation', ALLOCATIONS)
@@ -155,8 +153,7 @@ def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
     belief = random_belief(4)
     team = plan_round(GRID, belief, MODEL, 12, 3, allocation, types=[kind] * 3)
     alike = plan_round(GRID, belief, kind.model(MODEL), 7, 3, allocation, loss_cost=0.3)
-    assert [p.path.tolist() for p in team.plans] == [p.path.tolist() for p in alike.plans]
-    assert team.information == alike.information
+    assert [p.path.tolist() for p in team] == [p.path.tolist() for p in alike]
 
 
 @for_each('allocation', ALLOCATIONS)
@@ -166,9 +163,9 @@ def test_a_robot_alone_is_planned_with_its_own_numbers(allocation):
         team = plan_round(GRID, belief, MODEL, 9, 1, allocation, types=[kind])
         cost, steps = kind.loss_cost or 0.0, kind.max_steps or 9
         alone = plan(GRID, belief, kind.model(MODEL), steps, loss_cost=cost)
-        assert team.plans[0].path.tolist() == alone.path.tolist()
-        assert team.plans[0].information == alone.information == team.information
-        assert team.plans[0].survival == alone.survival
+        assert team[0].path.tolist() == alone.path.tolist()
+        assert team[0].information == alone.information
+        assert team[0].survival == alone.survival
 
 
 def two_wings():
@@ -184,7 +181,7 @@ def test_each_goes_where_it_is_of_use(order, allocation):
     """The cheap blind one finds out where hazards are, the dear one what its camera sees."""
     grid, belief = two_wings()
     model = SensorModel(0.9, malfunction=0.001)
-    plans = plan_round(grid, belief, model, 10, 2, allocation, types=order).plans
+    plans = plan_round(grid, belief, model, 10, 2, allocation, types=order)
     for planned, kind in zip(plans, order):
         inside = planned.path[1:-1]
         assert (inside < 5).all() if kind is BLIND else (inside > 5).all()
@@ -197,7 +194,7 @@ def test_what_robots_are_out_for_is_left_to_them():
     for out, goes_west in ((KEEN, True), (BLIND, False)):
         kind = RobotType(true_positive=0.99, false_positive=0.01)
         team = plan_round(grid, belief, model, 10, 1, types=[kind], in_flight=[(east, out)])
-        assert (team.plans[0].path.min() < 5) == goes_west
+        assert (team[0].path.min() < 5) == goes_west
 
 
 # Whole missions

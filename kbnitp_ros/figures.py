@@ -1,33 +1,147 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The field as seen from above, and how missions in it may go."""
+"""How figures look: the field from above, colours, line styles and markers, sizes, files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Belief, Forecast, Grid, Observation, World
-from kbnitp_ros.figures.files import (
-    LETTERS,
-    LOST,
-    MAPS,
-    RETURNED,
-    Scale,
-    SERIES,
-    Style,
-    UNVISITED,
-    WIDTH,
-)
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path
-from matplotlib.transforms import Affine2D, Transform
+from kbnitp_ros.plugins import extra
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+with extra('report'):
+    from matplotlib import rc_context
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+    from matplotlib.transforms import Affine2D, Transform
+
+# How many markers a line has, which tell it from others without colour.
+MARKERS = 8
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a line is drawn."""
+
+    # As '#rrggbb'.
+    colour: str
+    # Matplotlib's line style.
+    dash: str | tuple[int, tuple[float, ...]]
+    # Plotly's.
+    plotly_dash: str
+    # Matplotlib's marker.
+    marker: str
+
+    def line(self, points: int) -> dict[str, Any]:
+        """Return what Matplotlib is told to draw a line of so many points, by its keywords."""
+        return {
+            'color': self.colour,
+            'linestyle': self.dash,
+            'linewidth': 1.2,
+            'marker': self.marker,
+            'markersize': 3,
+            'markevery': max(1, points // MARKERS),
+        }
+
+
+# At most as many lines are in a panel.
+SERIES = (
+    Style('#0072b2', '-', 'solid', 'o'),
+    Style('#d55e00', (0, (5.0, 1.5)), 'dash', 's'),
+    Style('#009e73', (0, (5.0, 1.5, 1.0, 1.5)), 'dashdot', '^'),
+    Style('#cc79a7', (0, (1.2, 1.2)), 'dot', 'D'),
+    Style('#56b4e9', (0, (9.0, 2.0)), 'longdash', 'v'),
+    Style('#e69f00', (0, (9.0, 2.0, 1.0, 2.0)), 'longdashdot', 'P'),
+)
+
+RETURNED, LOST = SERIES[0], SERIES[1]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The colours of a probability, which part at what was assumed before the mission."""
+
+    # At 0, half way to the assumption, at it, half way from it to 1, and at 1, as '#rrggbb'.
+    colours: tuple[str, str, str, str, str]
+
+    def stops(self, prior: float) -> list[tuple[float, str]]:
+        """Return where from 0 to 1 each colour stands, if `prior` was assumed."""
+        middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
+        places = (0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0)
+        return list(zip(places, self.colours))
+
+
+# How much room each half of a scale has at least.
+NARROWEST = 0.1
+
+# Of the maps, on light paper and on a dark screen: what is unknown has the colour of neither.
+MAPS = {
+    'hazard': Scale(('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d')),
+    'target': Scale(('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b')),
+    'kappa': Scale(('#f0a94e', '#fad6a5', '#f7f7f7', '#a48cc4', '#40004b')),
+}
+DARK_MAPS = {
+    'hazard': Scale(('#3a7fb5', '#315878', '#2e3238', '#a3523a', '#ffab8c')),
+    'target': Scale(('#80602c', '#58492f', '#2e3238', '#3f7f4a', '#a5f3b0')),
+    'kappa': Scale(('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff')),
+}
+
+# How many robots were lost in a cell: from none to the most.
+COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
+
+# Of the hatching of cells that nobody visited: what is below, and the lines themselves.
+UNVISITED = ('#ffffff80', '#505050')
+
+
+DPI = 300
+FORMATS = ('png', 'svg', 'pdf')
+
+# Letters are embedded as outlines in SVG and as TrueType in PDF, where they stay text.
+EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype': 42}
+
+# In inches: two columns of a journal.
+WIDTH = 7.2
+
+# No layout but that which a figure asks for.
+AS_ASKED = {'figure.autolayout': False, 'figure.constrained_layout.use': False}
+
+# Letters as they are in print at that width.
+LETTERS = {
+    'font.size': 8,
+    'axes.titlesize': 8,
+    'axes.labelsize': 8,
+    'figure.labelsize': 8,
+    'xtick.labelsize': 7,
+    'ytick.labelsize': 7,
+    'legend.fontsize': 7,
+    'legend.frameon': False,
+    'axes.linewidth': 0.6,
+    'xtick.major.width': 0.6,
+    'ytick.major.width': 0.6,
+}
+
+# Nothing that differs from one run to the next.
+METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
+
+
+def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
+    """Write a figure once for each format."""
+    files = [path.with_suffix(f'.{each}') for each in formats]
+    with rc_context({**EMBEDDED, **AS_ASKED}):
+        for file, each in zip(files, formats):
+            figure.savefig(file, dpi=DPI, metadata=METADATA[each])
+            # It is laid out once, and so the same in each format, and drawn once for each.
+            figure.set_layout_engine(None)
+    return files
+
 
 # Cells are told apart by lines where there are at most so many a side.
 MOST_LINED = 20
@@ -132,14 +246,14 @@ def draw_field(axes: Axes, grid: Grid) -> None:
     axes.tick_params(labelsize='small')
 
 
-def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Path:
+def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
     """Return the outlines of some cells as one path, which has one hatching."""
     around = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
     row, col = np.divmod(np.flatnonzero(cells), grid.width)
     corners = np.stack([col, row], axis=-1).reshape(-1, 1, 2) + around
-    codes = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
+    codes = [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
     vertices = grid.in_metres(corners).reshape(-1, 2)
-    return Path(vertices, codes * len(corners)) if len(corners) else Path(np.empty((0, 2)))
+    return Outline(vertices, codes * len(corners)) if len(corners) else Outline(np.empty((0, 2)))
 
 
 def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
