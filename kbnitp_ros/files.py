@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parent
 
 
 def installed() -> str:

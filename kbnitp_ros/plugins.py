@@ -177,8 +177,8 @@ def name_of(given: str | Callable[..., Any]) -> str:
     return str(getattr(given, '__qualname__', type(given).__qualname__))
 
 
-def takes(given: object, arguments: Iterable[str]) -> None:
-    """Raise a TypeError if something cannot be called with so many arguments."""
+def takes(given: object, arguments: Iterable[str]) -> Any:
+    """Return what is given; raise a TypeError if it cannot be called with these arguments."""
     names = tuple(arguments)
     how = f'it must be callable with ({", ".join(names)})'
     if not callable(given):
@@ -188,6 +188,7 @@ def takes(given: object, arguments: Iterable[str]) -> None:
     # Some builtins have no signature.
     except (TypeError, ValueError) as error:
         raise TypeError(f'{how}: {error}') from error
+    return given
 
 
 def source_of(point: EntryPoint) -> str:

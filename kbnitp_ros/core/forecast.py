@@ -165,7 +165,12 @@ def forecast(
 
     """
     robots = whole_number('robots', robots, 1)
-    drawn = possible_worlds(estimator, worlds, generator(rng))
+    rng, worlds = generator(rng), whole_number('worlds', worlds, 1)
+    drawn = estimator.worlds(worlds, rng)
+    possible = [
+        PossibleWorld(number, *each, own)
+        for number, (each, own) in enumerate(zip(drawn, rng.spawn(worlds)))
+    ]
     begin = decided(goal, grid, estimator, len(before), options)[1]
     go_on = partial(
         continue_mission,
@@ -178,21 +183,9 @@ def forecast(
         goal=goal,
         stop=stop,
     )
-    courses = run(partial(course, go_on, robots, estimator.belief, begin), drawn)
+    courses = run(partial(course, go_on, robots, estimator.belief, begin), possible)
     name, confidence = ('map', None) if goal is None else (goal.name, goal.confidence)
     return Forecast(name, confidence, *map(np.array, zip(*courses, strict=True)))
-
-
-def possible_worlds(
-    estimator: Estimator, count: int, rng: np.random.Generator
-) -> list[PossibleWorld]:
-    """Draw fields and robots from what is known, each with randomness of its own."""
-    count = whole_number('worlds', count, 1)
-    drawn = estimator.worlds(count, rng)
-    return [
-        PossibleWorld(number, *each, own)
-        for number, (each, own) in enumerate(zip(drawn, rng.spawn(count)))
-    ]
 
 
 def course(

@@ -23,14 +23,12 @@ Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 def labels_of(scenario: Scenario) -> dict[Contender, str]:
     """Return what tells each contender from the others."""
-    teams = team_labels(scenario)
-    return {each: _label(each, scenario, teams[each.team]) for each in scenario.contenders}
-
-
-def _label(contender: Contender, scenario: Scenario, team: str) -> str:
-    if len(scenario.methods) == 1 and team:
-        return team
-    return f'{contender.method}, {team}' if team else contender.method
+    teams, are_named = team_labels(scenario), len(scenario.methods) > 1
+    return {
+        each: ', '.join(filter(None, [each.method if are_named else '', teams[each.team]]))
+        or each.method
+        for each in scenario.contenders
+    }
 
 
 def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
@@ -79,9 +77,19 @@ def panels_figure(
             axes.set_yscale(scale)
         legend_above(part, row[0])
         panels += row
-    share_limits(panels)
-    if scale == 'log':
-        mark_decades(panels)
+    # All panels show the same range, also where they share no axis.
+    left, right = zip(*(axes.get_xlim() for axes in panels))
+    low, high = zip(*(axes.get_ylim() for axes in panels))
+    bottom, top = min(low), max(high)
+    # Numbers on logarithmic axes are the closer the less they span.
+    steps = (1, 2, 3, 5, 7) if top < 20.0 * bottom else (1, 2, 5) if top < 1e3 * bottom else (1,)
+    for axes in panels:
+        axes.set_xlim(min(left), max(right))
+        axes.set_ylim(bottom, top)
+        if scale == 'log':
+            axes.yaxis.set_major_locator(LogLocator(subs=steps))
+            axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+            axes.yaxis.set_minor_locator(NullLocator())
     # Where all have one method no label names it.
     methods, teams = scenario.methods, scenario.teams
     method = f'{methods[0]}, ' if len(methods) == 1 < len(teams) else ''
@@ -128,25 +136,6 @@ def legend_above(part: FigureBase, axes: Axes) -> None:
         rows = -(-len(labels) // max(1, int(room / max(widths))))
         columns = -(-len(labels) // rows)
     part.legend(handles, labels, loc='outside upper center', ncols=columns, handlelength=3.0)
-
-
-def share_limits(panels: Sequence[Axes]) -> None:
-    """Let all panels show the same range, also where they share no axis."""
-    left, right = zip(*(axes.get_xlim() for axes in panels))
-    bottom, top = zip(*(axes.get_ylim() for axes in panels))
-    for axes in panels:
-        axes.set_xlim(min(left), max(right))
-        axes.set_ylim(min(bottom), max(top))
-
-
-def mark_decades(panels: Sequence[Axes]) -> None:
-    """Put numbers on logarithmic axes as people count, the closer the less they span."""
-    low, high = panels[0].get_ylim()
-    steps = (1, 2, 3, 5, 7) if high < 20.0 * low else (1, 2, 5) if high < 1e3 * low else (1,)
-    for axes in panels:
-        axes.yaxis.set_major_locator(LogLocator(subs=steps))
-        axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
-        axes.yaxis.set_minor_locator(NullLocator())
 
 
 # Predictions are compared with what is there in this many classes of equally many cells.

@@ -194,7 +194,7 @@ ROBOTS = (10, 25, 50, 100, 200)
 
 def learnt_numbers(results: Results) -> list[str]:
     """Return the names of the numbers that were learnt."""
-    return list(results.scenario.learn.priors())
+    return list(results.scenario.learn.priors)
 
 
 def of_number(

@@ -30,7 +30,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.decision.goals import GOALS
-from kbnitp_ros.core.field.unknowns import HAZARD_RATES, HAZARDS
+from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
 from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.teams import check_team, team_size
 from kbnitp_ros.files import read_yaml, share
@@ -63,6 +63,15 @@ Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
 KINDS = {int: 'a whole number', float: 'a number'}
+
+# What is not told to the method that learns, and the prior of each of these numbers.
+PRIORS: dict[type, dict[str, Any]] = {
+    Unknowns: dict.fromkeys(NUMBERS, Beta | None),
+    Beta: {
+        **dict.fromkeys('ab', Annotated[float, (0.01, 1000.0)]),
+        **dict.fromkeys(('low', 'high'), Probability),
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -151,48 +160,11 @@ class Contender(NamedTuple):
     team: Strategy
 
 
-@dataclass(frozen=True)
-class Distribution:
-    """The prior of a number that is learnt, as for `Beta`."""
-
-    low: Probability = 0.0
-    high: Probability = 1.0
-    a: Annotated[float, (0.01, 1000.0)] = 1.0
-    b: Annotated[float, (0.01, 1000.0)] = 1.0
-
-    def beta(self) -> Beta:
-        """Return it in the terms of the core."""
-        return Beta(self.a, self.b, self.low, self.high)
-
-    def draw(self, rng: np.random.Generator) -> float:
-        """Draw a number: where its uniform quantile lies among the bins of the prior."""
-        bins = self.beta().bins()
-        below = np.append(0.0, np.cumsum(np.exp(bins.log_prior)))
-        return float(np.interp(rng.random() * below[-1], below, bins.edges))
-
-
-@dataclass(frozen=True)
-class NumberPriors:
-    """What is not told to the method that learns; without a prior it is told."""
-
-    lethality: Distribution | None = None
-    malfunction: Distribution | None = None
-    hazard_density: Distribution | None = None
-    kappa: Distribution | None = None
-    target_background: Distribution | None = None
-    true_positive: Distribution | None = None
-    false_positive: Distribution | None = None
-
-    def priors(self) -> dict[str, Distribution]:
-        """Return the priors of what is learnt, by name."""
-        return {name: prior for name, prior in vars(self).items() if prior is not None}
-
-    def unknowns(self) -> Unknowns:
-        """Return it in the terms of the core."""
-        return Unknowns(**{name: prior.beta() for name, prior in self.priors().items()})
-
-
-TELL_ALL = NumberPriors()
+def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
+    """Draw a number: where its uniform quantile lies among the bins of its prior."""
+    bins = prior.bins()
+    below = np.append(0.0, np.cumsum(np.exp(bins.log_prior)))
+    return float(np.interp(rng.random() * below[-1], below, bins.edges))
 
 
 @dataclass(frozen=True)
@@ -271,7 +243,7 @@ class Scenario:
     # Without them robots go one by one.
     teams: tuple[Strategy, ...] = (ALONE,)
     # What the method that learns is not told, and what numbers that are None are drawn from.
-    learn: NumberPriors = TELL_ALL
+    learn: Unknowns = ALL_KNOWN
     # Without them they are static and lie independently.
     hazards: Hazards = INDEPENDENT
     # The decision that missions are asked for.
@@ -327,8 +299,7 @@ class Scenario:
 
     def check_learning(self) -> None:
         """Refuse numbers to be drawn or learnt that have no prior."""
-        priors = self.learn.priors()
-        self.learn.unknowns()
+        priors = self.learn.priors
         if LEARNING in self.methods and not priors:
             raise ValueError(f'{LEARNING} has nothing to learn: name numbers with their priors')
         drawn = [name for name, value in self._given(self.lethalities[0]).items() if value is None]
@@ -369,7 +340,7 @@ class Scenario:
             prior,
             model,
             SAMPLED if learns else method,
-            self.learn.unknowns() if learns else Unknowns(),
+            self.learn if learns else ALL_KNOWN,
             seed,
             dynamics=self.hazards.of_kind(team.dynamics),
             clustering=Clustering(self.field(), team.clustering) if team.clustering else None,
@@ -381,7 +352,7 @@ class Scenario:
     def truth(self, lethality: float | None, trial: int) -> dict[str, float]:
         """Return the numbers of a world and of the robots in it, by name."""
         rng = np.random.default_rng([DRAWN, self.seed, trial])
-        drawn = {name: prior.draw(rng) for name, prior in self.learn.priors().items()}
+        drawn = {name: drawn_from(prior, rng) for name, prior in self.learn.priors.items()}
         given = self._given(lethality)
         return {name: drawn[name] if value is None else value for name, value in given.items()}
 
@@ -530,10 +501,12 @@ def _read_section(annotation: Any, content: Any, key: str) -> Any:
     ]
     if missing:
         raise ValueError(f'{inside}{missing[0]} is missing: {name} has {", ".join(known)}')
-    annotations = get_type_hints(annotation, include_extras=True)
-    return annotation(
-        **{k: _read(annotations[k], value, f'{inside}{k}') for k, value in content.items()}
-    )
+    annotations = PRIORS.get(annotation) or get_type_hints(annotation, include_extras=True)
+    values = {k: _read(annotations[k], value, f'{inside}{k}') for k, value in content.items()}
+    try:
+        return annotation(**values)
+    except ValueError as error:
+        raise ValueError(f'{key}: {error}') from error
 
 
 def shipped() -> list[str]:

@@ -2,7 +2,7 @@
 """A small study, run once, whose pictures are drawn by one test unless all are run."""
 
 from extent import FULL
-from kbnitp_ros.study import benchmark, report
+from kbnitp_ros.study import benchmark, comparison
 from kbnitp_ros.study.scenario import read_scenario
 import pytest
 import small_study
@@ -24,7 +24,7 @@ def pictures():
 @pytest.fixture(autouse=True)
 def _pictures_if_asked_for(request, monkeypatch):
     if not FULL and 'pictures' not in request.fixturenames:
-        for module in (benchmark, report):
+        for module in (benchmark, comparison):
             monkeypatch.setattr(module, 'save', placeholders)
 
 

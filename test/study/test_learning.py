@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from kbnitp_ros.core import (
     Belief,
+    Beta,
     Learning,
     run_mission,
     SearchOptions,
@@ -14,7 +15,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.study.comparison import figures_of, OF_LEARNING, OF_NUMBERS, write_report
 from kbnitp_ros.study.results import LOG_LOSS
-from kbnitp_ros.study.scenario import Distribution, LEARNING, NUMBERS, read_scenario, SAMPLED
+from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, read_scenario, SAMPLED
 from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts
@@ -87,9 +88,7 @@ def test_the_method_that_learns_is_told_the_rest(learnt, believed):
         rng,
         SAMPLED,
         SearchOptions('relaxed', max_steps=6, max_visits=2),
-        learning=Learning(
-            Unknowns(lethality=(0.1, 1.0), malfunction=Distribution(a=2.0, b=30.0).beta()), seed=2
-        ),
+        learning=Learning(Unknowns(lethality=(0.1, 1.0), malfunction=Beta(2.0, 30.0)), seed=2),
     )
     assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
     place = NUMBERS.index('lethality')
@@ -128,10 +127,10 @@ def test_what_is_drawn_is_drawn_for_each_world_and_told_to_those_that_know(drawn
 def test_numbers_are_drawn_from_their_priors():
     rng = np.random.default_rng(0)
     for prior, mean, sd in (
-        (Distribution(0.2, 0.8), 0.5, 0.6 / 12**0.5),
-        (Distribution(a=2.0, b=30.0), 2 / 32, (2 * 30 / (32**2 * 33)) ** 0.5),
+        (Beta(low=0.2, high=0.8), 0.5, 0.6 / 12**0.5),
+        (Beta(2.0, 30.0), 2 / 32, (2 * 30 / (32**2 * 33)) ** 0.5),
     ):
-        sample = [prior.draw(rng) for _ in range(4000)]
+        sample = [drawn_from(prior, rng) for _ in range(4000)]
         assert np.mean(sample) == pytest.approx(mean, abs=4 * sd / 4000**0.5)
         assert np.std(sample) == pytest.approx(sd, rel=0.05)
         assert prior.low <= min(sample) < max(sample) <= prior.high

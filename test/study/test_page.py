@@ -130,7 +130,7 @@ def test_the_page_shows_full_studies_of_what_is_learnt(name):
     final, known, costs = learnt(name)
     lethalities = [in_short(lethality) for lethality in scenario.lethalities]
     assert set(final) == set(product(lethalities, scenario.methods))
-    assert set(known) == set(product(lethalities, scenario.learn.priors()))
+    assert set(known) == set(product(lethalities, scenario.learn.priors))
     assert set(costs) == set(product(lethalities, (SAMPLED,)))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from kbnitp_ros.core.decision.decision import (
     cheapest_lanes,
@@ -77,10 +77,6 @@ class Situation:
     # Shape (outcomes, draws). The probability of each draw together with each outcome of the
     # robots that are out.
     outcomes: Floats
-
-    def of_robot(self, base: int | None, model: SensorModel, options: SearchOptions) -> Situation:
-        """Return the situation of a robot with a base, a model and limits of its own."""
-        return replace(self, grid=self.grid.at(base), model=model, options=options)
 
     def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
         """Return the situation once another robot, of some model, has left on a path."""
@@ -407,12 +403,6 @@ class Goal(Protocol):
 MakeGoal = Callable[[Sequence[int], 'float | None'], 'Goal | None']
 
 
-def as_goal(given: object) -> MakeGoal:
-    """Return what makes goals, to be registered."""
-    takes(given, ('cells', 'confidence'))
-    return cast(MakeGoal, given)
-
-
 def lane_to(cells: Sequence[int], confidence: float | None) -> Lane:
     """Return the goal of a lane to a cell."""
     if len(cells) != 1:
@@ -430,4 +420,8 @@ def whole_map(cells: Sequence[int], confidence: float | None) -> None:
             )
 
 
-GOALS = Registry('goal', as_goal, {'map': whole_map, 'lane': lane_to, 'area': Area})
+GOALS: Registry[MakeGoal] = Registry(
+    'goal',
+    partial(takes, arguments=('cells', 'confidence')),
+    {'map': whole_map, 'lane': lane_to, 'area': Area},
+)

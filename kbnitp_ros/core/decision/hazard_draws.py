@@ -82,14 +82,10 @@ class HazardDraws:
         probability: Floats = self.weight @ self.hazardous
         return probability.clip(0.0, 1.0)
 
-    def is_free(self, cells: ArrayLike) -> Bools:
-        """Return in which draws none of some cells has a hazard, shape (draws,)."""
-        none: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
-        return none
-
     def p_free(self, cells: ArrayLike) -> float:
         """Return the probability that none of some cells has a hazard (:eq:`set-free`)."""
-        return self._chance(self.is_free(cells))
+        free: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
+        return self._chance(free)
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
         """Return P(number of hazards in some cells), from 0 up (:eq:`hazards-remaining`)."""

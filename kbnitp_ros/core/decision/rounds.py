@@ -94,8 +94,11 @@ def plan_round(
         situation = situation.with_sent(path, robot_type.model(model))
     plans = []
     for robot_type in team.types:
-        own = situation.of_robot(
-            robot_type.base, robot_type.model(model), options.of_type(robot_type)
+        own = replace(
+            situation,
+            grid=in_use.at(robot_type.base),
+            model=robot_type.model(model),
+            options=options.of_type(robot_type),
         )
         with GOALS.blamed(goal.name):
             flight = goal.flight(own)

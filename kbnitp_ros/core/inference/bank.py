@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 from kbnitp_ros.core.field.belief import Belief
@@ -223,7 +223,7 @@ class Bank:
                 'with a false_negative of 1 every robot survives a strike'
             )
         for name in set(MAPS) & set(self._names):
-            if not self._maps[name].undecided.any():
+            if not self._maps[name][1].any():
                 raise ValueError(
                     f'{name} is unknown, and makes no difference: the prior leaves it open in no '
                     'cell'
@@ -235,9 +235,9 @@ class Bank:
             return np.repeat(self._prior.joint[..., None], len(numbers), axis=-1)
         learnt = dict(zip(self._names, numbers.T))
         hazard, kappa, background = (
-            self._maps[name].with_average(learnt[name])
+            with_average(*self._maps[name], learnt[name])
             if name in learnt
-            else self._maps[name].probability[:, None]
+            else self._maps[name][0][:, None]
             for name in MAPS
         )
         hazard, kappa, background = np.broadcast_arrays(hazard, kappa, background)
@@ -319,34 +319,25 @@ class Bank:
         self._log_likelihood, self._log_weights = log_likelihood, np.zeros(self._count)
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
-    """A map of the prior whose average may not be known."""
-
-    # Shape (cells,).
-    probability: Floats
-    # Shape (cells,). Where the prior leaves it open.
-    undecided: NDArray[np.bool_]
-
-    def with_average(self, averages: Floats) -> Floats:
-        """Return the map shifted to averages, (cells, particles) (:eq:`prior-offset`)."""
-        shifted = np.repeat(self.probability[:, None], averages.size, axis=1)
-        open_to = self.probability[self.undecided]
-        if np.ptp(open_to) == 0.0:
-            shifted[self.undecided] = averages
-        else:
-            odds = np.log(open_to) - np.log1p(-open_to)
-            shifted[self.undecided] = expit(odds[:, None] + offsets(odds, averages))
-        return shifted
+def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Floats) -> Floats:
+    """Return a map shifted to averages, (cells, particles) (:eq:`prior-offset`)."""
+    shifted = np.repeat(probability[:, None], averages.size, axis=1)
+    open_to = probability[undecided]
+    if np.ptp(open_to) == 0.0:
+        shifted[undecided] = averages
+    else:
+        odds = np.log(open_to) - np.log1p(-open_to)
+        shifted[undecided] = expit(odds[:, None] + offsets(odds, averages))
+    return shifted
 
 
-def prior_maps(belief: Belief) -> dict[str, Map]:
-    """Return P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0) by their names."""
+def prior_maps(belief: Belief) -> dict[str, tuple[Floats, NDArray[np.bool_]]]:
+    """Return P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0), and where each is open."""
     hazard, joint = belief.hazard, belief.joint
     safe = joint[:, 0].sum(axis=1)
     background = ratio(joint[:, 0, 1], safe).clip(max=1.0)
     return {
-        name: Map(values, where & (values > 0.0) & (values < 1.0))
+        name: (values, where & (values > 0.0) & (values < 1.0))
         for name, values, where in (
             ('hazard_density', hazard, hazard > 0.0),
             ('kappa', belief.kappa, hazard > 0.0),

@@ -129,7 +129,17 @@ class Chains:
             tally.robot_type * (longest + 1) + tally.steps, return_inverse=True
         )
         type_of_length, steps = np.divmod(lengths, longest + 1)
-        log_endured, log_spared = self._survival_of_types()
+        # Log chances of no malfunction and of no strike, each of shape (values, types).
+        log_endured, log_spared = (
+            np.stack(
+                [
+                    np.broadcast_to(getattr(rates, of), hypotheses.bins[name].values.size)
+                    for rates in self._rates
+                ],
+                axis=1,
+            )
+            for name, of in (('malfunction', 'log_endured'), ('lethality', 'log_spared'))
+        )
         neighbors: Places = np.empty((0, 4), np.intp)
         if hypotheses.clusters is not None:
             # The chains hold all cells.
@@ -235,17 +245,6 @@ class Chains:
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
         """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
-
-    def _survival_of_types(self) -> tuple[Floats, Floats]:
-        """Return log chances of no malfunction and of no strike, each of shape (values, types)."""
-        endured, spared = (
-            [np.broadcast_to(of_type, self._hypotheses.bins[name].values.size) for of_type in each]
-            for name, each in (
-                ('malfunction', [rates.log_endured for rates in self._rates]),
-                ('lethality', [rates.log_spared for rates in self._rates]),
-            )
-        )
-        return np.stack(endured, axis=1), np.stack(spared, axis=1)
 
     def _given_returns(self) -> gibbs.FieldOdds:
         """Weigh cells (:eq:`reading-odds`, :eq:`hazard-odds`, :eq:`target-conditional`)."""

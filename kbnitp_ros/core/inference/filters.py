@@ -54,14 +54,6 @@ def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.fl
     return times_log(visits.counts[:, None], model.log_survival)
 
 
-def returned_log_likelihood(
-    model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
-) -> NDArray[np.float64]:
-    """Return log P(survived, readings | Z = z, X = x) of each visited cell (:eq:`returned`)."""
-    survived = survived_log_likelihood(model, visits)
-    return survived[:, :, None] + read_log_likelihood(model, visits, readings)[:, None, :]
-
-
 def read_log_likelihood(
     model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
 ) -> NDArray[np.float64]:
@@ -421,11 +413,8 @@ class OnePass:
             unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'
         ):
             return self.bank(prior, model, unknowns, seed, dynamics, self.correlated)
-        if dynamics.effect in ('changing', 'moving'):
-            return ChangingEstimate(prior, model, self, dynamics)
-        if dynamics.effect == 'used_up':
-            return UsedUpEstimate(prior, model, self)
-        return OnePassEstimate(prior, model, self)
+        estimate = UsedUpEstimate if dynamics.effect == 'used_up' else OnePassEstimate
+        return estimate(prior, model, self, dynamics)
 
     @property
     def learns(self) -> bool:
@@ -439,14 +428,13 @@ class OnePass:
             belief = independent(belief, observation.path[1:])
         if observation.readings is not None:
             visits = Visits.of(observation.path)
-            return given(
-                belief, visits.cells, returned_log_likelihood(model, visits, observation.readings)
-            )
+            survived = survived_log_likelihood(model, visits)
+            read = read_log_likelihood(model, visits, observation.readings)
+            return given(belief, visits.cells, survived[:, :, None] + read[:, None, :])
         if observation.steps_survived:
-            survived = Visits.of(observation.path[: observation.steps_survived + 1])
-            belief = given(
-                belief, survived.cells, survived_log_likelihood(model, survived)[:, :, None]
-            )
+            known = Visits.of(observation.path[: observation.steps_survived + 1])
+            survived = survived_log_likelihood(model, known)
+            belief = given(belief, known.cells, survived[:, :, None])
         steps, lost_at = observation.steps_survived, observation.lost_at
         visits = Visits.of(observation.path[steps:])
         lost = self.lost(
@@ -460,31 +448,21 @@ class OnePass:
 
 
 class OnePassEstimate(KnownModel):
-    """A belief that a one-pass method folds deployments into."""
-
-    def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
-        super().__init__(belief, model)
-        self._method = method
-
-    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Assimilate one more deployment."""
-        self.belief = self._method.update(self.belief, robot_type.model(self.model), observation)
-
-
-class ChangingEstimate(OnePassEstimate):
-    """A belief about hazards that change or move before every deployment but the first."""
+    """A belief of a one-pass method; hazards change or move before every deployment but one."""
 
     def __init__(
-        self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics
+        self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics = STATIC
     ) -> None:
-        super().__init__(belief, model, method)
-        self._change = change_of(belief, dynamics)
+        super().__init__(belief, model)
+        self._method = method
+        changes = dynamics.effect in ('changing', 'moving')
+        self._change = change_of(belief, dynamics) if changes else None
         self._has_begun = False
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Have hazards change or move, and assimilate one more deployment."""
         now = self.belief
-        if self._has_begun:
+        if self._has_begun and self._change is not None:
             now = Belief(self._change(now.joint))
         self.belief = self._method.update(now, robot_type.model(self.model), observation)
         self._has_begun = True
@@ -493,8 +471,10 @@ class ChangingEstimate(OnePassEstimate):
 class UsedUpEstimate(OnePassEstimate):
     """A belief about hazards that are gone once they strike."""
 
-    def __init__(self, belief: Belief, model: SensorModel, method: OnePass) -> None:
-        super().__init__(belief, model, method)
+    def __init__(
+        self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics
+    ) -> None:
+        super().__init__(belief, model, method, dynamics)
         self.explanations = Explanations(belief.hazard > 0.0)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:

@@ -60,15 +60,6 @@ class PriorMap:
         log_absent[undecided] = -softplus(log_odds[undecided, None] + offset)
         return cls(log_odds, undecided, offset, log_absent)
 
-    def with_log_odds(self, log_odds: NDArray[np.float64]) -> PriorMap:
-        """Return the map with each of these log odds, (values,), in all undecided cells."""
-        return replace(
-            self,
-            log_odds=np.where(self.undecided, log_odds[0], self.log_odds),
-            offset=log_odds - log_odds[0],
-            log_absent=np.zeros((self.log_odds.size, 1)),
-        )
-
     def within(self, cells: NDArray[np.intp]) -> PriorMap:
         """Return the map of some of the cells."""
         return replace(
@@ -249,7 +240,15 @@ class Hypotheses:
         self.bins['coupling'] = bins
         if bins.values.size > 1:
             self.unknown += ('coupling',)
-        self.maps = replace(self.maps, hazard=self.maps.hazard.with_log_odds(field.ravel()))
+        log_odds, prior = field.ravel(), self.maps.hazard
+        # Each of these log odds in all undecided cells.
+        clustered = replace(
+            prior,
+            log_odds=np.where(undecided, log_odds[0], prior.log_odds),
+            offset=log_odds - log_odds[0],
+            log_absent=np.zeros((prior.log_odds.size, 1)),
+        )
+        self.maps = replace(self.maps, hazard=clustered)
 
     def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
         """Return which offset of a prior map belongs to the numbers of each chain."""

@@ -120,7 +120,9 @@ class Sampler:
         held[self._state.cells] = True
         state = self._state.with_cells(np.flatnonzero(held), self._hypotheses, rng)
         chains = Chains(self._hypotheses, tally, state, rng)
-        converged = self._converged
+        converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
+        if 'coupling' in self._hypotheses.unknown:
+            converged = CONVERGED_CLUSTERING
         for _ in range(MOST_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 chains.sweep()
@@ -134,13 +136,6 @@ class Sampler:
         self.sampling_error, self.is_converged = error, error <= converged
         self.parameters = chains.learnt()
         self.model = chains.model()
-
-    @property
-    def _converged(self) -> float:
-        """How much may be left to chance."""
-        if 'coupling' in self._hypotheses.unknown:
-            return CONVERGED_CLUSTERING
-        return CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """Draw the hazards of all cells together, by copies of the chains."""

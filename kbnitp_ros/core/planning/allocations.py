@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from functools import partial
+from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import frozen, Value
@@ -300,15 +301,9 @@ def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
 Allocation = Callable[[Sequence[TeamMember]], list[NDArray[np.intp]]]
 
 
-def as_allocation(given: object) -> Allocation:
-    """Return an allocation that is to be registered."""
-    takes(given, ('robots',))
-    return cast(Allocation, given)
-
-
-ALLOCATIONS = Registry(
+ALLOCATIONS: Registry[Allocation] = Registry(
     'allocation',
-    as_allocation,
+    partial(takes, arguments=('robots',)),
     {
         'independent': independent,
         'voronoi': voronoi,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
@@ -13,10 +12,8 @@ from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.information_kernels import (
     exposed,
-    Exposures,
     left_open,
     outcome_left_open,
-    Readings,
 )
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
@@ -30,48 +27,6 @@ from kbnitp_ros.core.planning.objective import (
 from kbnitp_ros.core.planning.options import beta_of, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """The predicted outcome of one deployment, given each joint outcome of the robots before."""
-
-    # Of its path.
-    visits: Visits
-    # Of the cells visited, as `JointOutcomes.of_cells` returns them: P(Z = z, X = x), and the
-    # readings of the robots before.
-    joint: NDArray[np.float64]
-    earlier: NDArray[np.float64]
-    # The chance that the robot returns. Shape (outcomes,).
-    survival: NDArray[np.float64]
-    # What its own readings may be.
-    readings: Readings
-    # Of its path, the same whatever became of the others.
-    exposures: Exposures
-
-
-def predict(
-    belief: Belief, model: SensorModel, path: ArrayLike, outcomes: JointOutcomes
-) -> Prediction:
-    """Predict the outcome of a deployment after those of `outcomes`."""
-    cells = as_path(path)
-    if cells.min() < 0 or cells.max() >= belief.cells:
-        raise ValueError(
-            f'path has cells from {cells.min()} to {cells.max()}: '
-            f'the belief has the cells 0 to {belief.cells - 1}'
-        )
-    visits = Visits.of(cells)
-    joint, earlier = outcomes.of_cells(visits.cells)
-    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
-    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
-    return Prediction(
-        visits,
-        joint,
-        earlier,
-        np.exp(log_survival.sum(axis=1)),
-        readings_of(model, int(visits.counts.max()), outcomes.most_readings),
-        exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival),
-    )
 
 
 def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
@@ -174,17 +129,28 @@ def added_information(
     interest: NDArray[np.float64] | None = None,
 ) -> float:
     """Return the information added (:eq:`added-information`, :eq:`behavioral-information`)."""
-    ahead = predict(belief, model, path, outcomes)
-    counts = ahead.visits.counts
-    added = new_information(ahead.readings, ahead.joint, ahead.earlier, counts, alpha)
+    cells = as_path(path)
+    if cells.min() < 0 or cells.max() >= belief.cells:
+        raise ValueError(
+            f'path has cells from {cells.min()} to {cells.max()}: '
+            f'the belief has the cells 0 to {belief.cells - 1}'
+        )
+    visits = Visits.of(cells)
+    joint, earlier = outcomes.of_cells(visits.cells)
+    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
+    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
+    survival = np.exp(log_survival.sum(axis=1))
+    readings = readings_of(model, int(visits.counts.max()), outcomes.most_readings)
+    exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+    added = new_information(readings, joint, earlier, visits.counts, alpha)
     if interest is not None:
-        added = added * interest[ahead.visits.cells]
+        added = added * interest[visits.cells]
     if alpha == SHANNON:
-        outcome, open_outcome = binary_entropy(ahead.survival), left_open(ahead.exposures)
+        outcome, open_outcome = binary_entropy(survival), left_open(exposures)
     else:
-        outcome = behavioral_entropy(ahead.survival, alpha)
-        open_outcome = outcome_left_open(ahead.exposures, alpha, beta_of(alpha))
-    of_each = outcome + ahead.survival * added.sum(axis=1) - open_outcome
+        outcome = behavioral_entropy(survival, alpha)
+        open_outcome = outcome_left_open(exposures, alpha, beta_of(alpha))
+    of_each = outcome + survival * added.sum(axis=1) - open_outcome
     return float((outcomes.probability * of_each).sum())
 
 

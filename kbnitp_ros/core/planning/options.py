@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import log
-from typing import Any, cast
+from typing import Any
 
 from kbnitp_ros.core.field.check import cost, probability, whole_number
 from kbnitp_ros.core.field.sensor import RobotType
@@ -16,16 +17,10 @@ from kbnitp_ros.plugins import Registry, takes
 OBJECTIVES = ('information', 'behavioral')
 
 
-def as_planner(given: object) -> Callable[..., list[Any]]:
-    """Return a planner that is to be registered."""
-    takes(given, ('finder', 'objective'))
-    return cast(Callable[..., list[Any]], given)
-
-
-# The package's own are in search/planners.py.
+# The package's own are in planners.py.
 PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
-    as_planner,
+    partial(takes, arguments=('finder', 'objective')),
     {},
     gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
 )
