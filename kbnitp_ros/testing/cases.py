@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kbnitp_ros.core import Belief, Grid, Observation, ORDINARY, RobotType, SensorModel, World
@@ -70,13 +69,6 @@ def draw_robot_type(rng: np.random.Generator) -> RobotType:
     return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
 
 
-def draw_world(rng: np.random.Generator, belief: Belief) -> World:
-    """Draw a world as it is believed to be."""
-    below = np.cumsum(belief.joint.reshape(-1, 4), axis=1)
-    state = (rng.random((belief.cells, 1)) * below[:, -1:] >= below).sum(axis=1)
-    return World(state // 2 == 1, state % 2 == 1)
-
-
 def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.intp]:
     """Draw a closed walk of so many steps, at least 1."""
     path = [grid.base]
@@ -101,7 +93,9 @@ def draw_mission(seed: int, robots: int = 6) -> MissionCase:
     """Draw a mission; the last robots of it are one that is lost and one that returns."""
     rng = np.random.default_rng([MISSIONS, seed])
     field = draw_field(rng)
-    world = draw_world(rng, field.prior)
+    below = np.cumsum(field.prior.joint.reshape(-1, 4), axis=1)
+    state = (rng.random((field.prior.cells, 1)) * below[:, -1:] >= below).sum(axis=1)
+    world = World(state // 2 == 1, state % 2 == 1)
     deployments = []
     for _ in range(robots):
         robot_type = draw_robot_type(rng) if rng.random() < 0.4 else ORDINARY
@@ -109,11 +103,8 @@ def draw_mission(seed: int, robots: int = 6) -> MissionCase:
         deployments.append(
             (draw_outcome(rng, world, path, robot_type.model(field.model)), robot_type)
         )
-    deployments += [(each, ORDINARY) for each in lost_and_returned(rng, field.grid)]
+    # Any world allows for these.
+    one, other = (draw_walk(rng, field.grid, int(rng.integers(2, 9))) for _ in range(2))
+    back = Observation(other, True, rng.random(other.size - 1) < 0.5)
+    deployments += [(Observation(one, False), ORDINARY), (back, ORDINARY)]
     return MissionCase(field.grid, field.prior, field.model, seed, tuple(deployments))
-
-
-def lost_and_returned(rng: np.random.Generator, grid: Grid) -> Sequence[Observation]:
-    """Draw a loss and a return that any world allows for."""
-    one, other = (draw_walk(rng, grid, int(rng.integers(2, 9))) for _ in range(2))
-    return Observation(one, False), Observation(other, True, rng.random(other.size - 1) < 0.5)

@@ -190,9 +190,9 @@ def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
     ({'learn': None}, 'learn is None'),
     ({'learn': {}}, f'learn: {LEARNING} has nothing to learn'),
     ({'learn': {'lethalty': {}}}, 'learn.lethalty is unknown: learn has lethality, malf'),
-    ({'learn': {'lethality': {'low': 0.9, 'high': 0.1}}}, 'learn: interval is from 0.9 to'),
+    ({'learn': {'lethality': {'low': 0.9, 'high': 0.1}}}, 'learn.lethality: interval is from'),
     ({'learn': {'lethality': {'a': 0}}}, r'learn.lethality.a is 0.*from 0\.01 to'),
-    ({'learn': {'lethality': 0.5}}, 'learn.lethality is 0.5: it must have the keys low'),
+    ({'learn': {'lethality': 0.5}}, 'learn.lethality is 0.5: it must have the keys a, b'),
     ({'lethalities': [None], 'learn': {'kappa': {}}}, 'learn: lethality has no prior here'),
     ({'world': {**small_study.CONTENT['world'], 'kappa': None}}, 'learn: kappa has no prior'),
 ])  # fmt: skip

@@ -222,7 +222,12 @@ class Decision:
         """Return the decision whether some cells, those of the lane if there is one, are free."""
         count = draws.hazard_count(cells)
         p_free = draws.p_free(cells)
-        reason = why_not_reached(p_free, confidence, draws.independent)
+        if confidence is None:
+            reason = 'no confidence is asked for'
+        elif p_free < confidence:
+            reason = f'free of hazards with probability {p_free:.3f}: {confidence} is asked for'
+        else:
+            reason = too_few_draws(confidence, draws.independent)
         path = np.empty(0, dtype=np.intp) if lane is None else lane.path
         asked = np.unique(cells)
         for each in (path, asked):
@@ -240,15 +245,6 @@ class Decision:
             reached=not reason,
             reason=reason,
         )
-
-
-def why_not_reached(p_free: float, confidence: float | None, independent: float) -> str:
-    """Return why a confidence is not reached; empty if it is."""
-    if confidence is None:
-        return 'no confidence is asked for'
-    if p_free < confidence:
-        return f'free of hazards with probability {p_free:.3f}: {confidence} is asked for'
-    return too_few_draws(confidence, independent)
 
 
 def too_few_draws(confidence: float, independent: float) -> str:

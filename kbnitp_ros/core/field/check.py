@@ -161,21 +161,6 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
     return array
 
 
-def weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return a copy of `values` as finite numbers from 0 up that are not all 0."""
-    array = np.array(values, dtype=np.float64)
-    if array.shape != (count,):
-        raise ValueError(f'{name} has shape {array.shape}: it must be ({count},), one each step')
-    bad = np.flatnonzero(~((array >= 0.0) & (array < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f'{name}[{bad[0]}] is {array[bad[0]]}: it must be a finite number, at least 0'
-        )
-    if not array.any():
-        raise ValueError(f'{name} is 0 in all steps: one of them must be possible')
-    return array
-
-
 def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
     """Return `value` as an int if it is a whole number from `low` to `high`."""
     as_number(name, value)
@@ -200,16 +185,6 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
-
-
-def yes_no_or_unseen(name: str, values: ArrayLike) -> NDArray[np.bool_] | NDArray[np.int8]:
-    """Return `values`, of any shape, as booleans, or as -1, 0 and 1 if one of them is -1."""
-    array = np.array(values)
-    unseen = array == -1
-    if not unseen.any():
-        return yes_or_no(name, array)
-    yes_or_no(name, array[~unseen])
-    return array.astype(np.int8)
 
 
 def frozen(array: NDArray[np.generic]) -> None:

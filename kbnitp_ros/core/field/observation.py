@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from kbnitp_ros.core.field.check import (
     frozen,
     in_short,
     probability,
     Value,
-    weights,
     whole_number,
-    yes_no_or_unseen,
     yes_or_no,
 )
 import numpy as np
@@ -83,18 +82,27 @@ class Observation(Value):
         frozen(path)
         object.__setattr__(self, 'path', path)
         object.__setattr__(self, 'survived', bool(yes_or_no('survived', self.survived)))
-        self._check_readings()
-        self._check_steps_survived()
-        self._check_lost_at()
+        if self.readings is not None:
+            self._check_readings(np.array(self.readings))
+        elif self.survived:
+            raise ValueError('readings are missing: a robot that returned has one for each step')
+        steps = whole_number('steps_survived', self.steps_survived, 0)
+        if self.survived and steps:
+            raise ValueError(f'steps_survived is {steps}: a robot that returned survived them all')
+        if steps >= self.steps:
+            raise ValueError(
+                f'steps_survived is {steps}: a robot lost on a path of {self.steps} steps '
+                f'survived at most {self.steps - 1}'
+            )
+        object.__setattr__(self, 'steps_survived', steps)
+        if self.lost_at is not None:
+            self._check_lost_at(np.array(self.lost_at, dtype=np.float64))
 
-    def _check_readings(self) -> None:
-        if self.readings is None:
-            if self.survived:
-                raise ValueError(
-                    'readings are missing: a robot that returned has one for each step'
-                )
-            return
-        readings = yes_no_or_unseen('readings', self.readings)
+    def _check_readings(self, given: NDArray[Any]) -> None:
+        unseen = given == -1
+        yes_or_no('readings', given[~unseen])
+        # Booleans, or -1, 0 and 1 if one of them is -1.
+        readings = given.astype(np.int8 if unseen.any() else bool)
         if not self.survived:
             raise ValueError(
                 f'readings has {readings.size} values: a robot that was lost brings none'
@@ -106,25 +114,22 @@ class Observation(Value):
         frozen(readings)
         object.__setattr__(self, 'readings', readings)
 
-    def _check_steps_survived(self) -> None:
-        steps = whole_number('steps_survived', self.steps_survived, 0)
-        if self.survived and steps:
-            raise ValueError(f'steps_survived is {steps}: a robot that returned survived them all')
-        if steps >= self.steps:
-            raise ValueError(
-                f'steps_survived is {steps}: a robot lost on a path of {self.steps} steps '
-                f'survived at most {self.steps - 1}'
-            )
-        object.__setattr__(self, 'steps_survived', steps)
-
-    def _check_lost_at(self) -> None:
-        if self.lost_at is None:
-            return
+    def _check_lost_at(self, lost_at: NDArray[np.float64]) -> None:
         if self.survived:
             raise ValueError(
                 'lost_at is given: a robot that returned was lost in none of its steps'
             )
-        lost_at = weights('lost_at', self.lost_at, self.steps)
+        if lost_at.shape != (self.steps,):
+            raise ValueError(
+                f'lost_at has shape {lost_at.shape}: it must be ({self.steps},), one each step'
+            )
+        bad = np.flatnonzero(~((lost_at >= 0.0) & (lost_at < np.inf)))
+        if bad.size:
+            raise ValueError(
+                f'lost_at[{bad[0]}] is {lost_at[bad[0]]}: it must be a finite number, at least 0'
+            )
+        if not lost_at.any():
+            raise ValueError('lost_at is 0 in all steps: one of them must be possible')
         lost_at[: self.steps_survived] = 0.0
         if not lost_at.any():
             raise ValueError(

@@ -182,8 +182,15 @@ class Unknowns:
     def __post_init__(self) -> None:
         for field in fields(self):
             given = getattr(self, field.name)
-            if given is not None:
-                object.__setattr__(self, field.name, prior(field.name, given))
+            if given is None or isinstance(given, Beta):
+                continue
+            try:
+                if np.ndim(given) != 1 or len(given) != 2:
+                    raise ValueError('it must be two numbers, low and high')
+                prior = Beta(low=given[0], high=given[1])
+            except (TypeError, ValueError) as error:
+                raise ValueError(f'{field.name} is unknown within {given}: {error}') from error
+            object.__setattr__(self, field.name, prior)
 
     @property
     def priors(self) -> dict[str, Beta]:
@@ -193,19 +200,6 @@ class Unknowns:
 
 
 ALL_KNOWN = Unknowns()
-
-
-def prior(name: str, given: Interval) -> Beta:
-    """Return an unknown number's prior."""
-    if isinstance(given, Beta):
-        return given
-    try:
-        if np.ndim(given) != 1 or len(given) != 2:
-            raise ValueError('it must be two numbers, low and high')
-        low, high = given
-        return Beta(low=low, high=high)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} is unknown within {given}: {error}') from error
 
 
 HAZARDS = ('static', 'changing', 'used_up', 'moving', 'learn')

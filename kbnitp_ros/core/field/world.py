@@ -281,8 +281,13 @@ class Execution:
         for step, (turns, strays, which) in enumerate(drawn):
             here, there = int(path[step]), int(path[step + 1])
             if step and turns < self.early_return:
-                home = way_home(grid, here)
-                return np.array(walk + home), np.array(passed + [step] * len(home))
+                # By a shortest way.
+                while here != grid.base:
+                    around = grid.neighbors(here)
+                    here = int(around[np.argmin(grid.steps_to_base[around])])
+                    walk.append(here)
+                    passed.append(step)
+                break
             if strays < self.detour:
                 between = np.intersect1d(grid.neighbors(here), grid.neighbors(there))
                 between = between[(between != here) & (between != there)]
@@ -295,13 +300,3 @@ class Execution:
 
 
 AS_ORDERED = Execution()
-
-
-def way_home(grid: Grid, cell: int) -> list[int]:
-    """Return the cells of a shortest way from `cell`, which is left out, to the base."""
-    way = []
-    while cell != grid.base:
-        around = grid.neighbors(cell)
-        cell = int(around[np.argmin(grid.steps_to_base[around])])
-        way.append(cell)
-    return way

@@ -80,12 +80,32 @@ class Bank:
         self._maps = prior_maps(belief)
         priors = {**unknowns.priors, **dynamics.unknown_rates}
         self._names, self._priors = tuple(priors), tuple(priors.values())
-        self._check()
+        if not self._correlated and 'kappa' in self._names:
+            raise ValueError(
+                'kappa cannot be unknown to a method that keeps none: use kappa_bnitp'
+            )
+        if 'lethality' in self._names and self._known.false_negative == 1.0:
+            raise ValueError(
+                'lethality is unknown, and makes no difference: '
+                'with a false_negative of 1 every robot survives a strike'
+            )
+        for name in set(MAPS) & set(self._names):
+            if not self._maps[name][1].any():
+                raise ValueError(
+                    f'{name} is unknown, and makes no difference: the prior leaves it open in no '
+                    'cell'
+                )
         self.predicted: tuple[Floats, ...] = ()
         self._evidence: tuple[Evidence, ...] = ()
         enough = FEW if len(priors) < 4 else MANY
         self._count = count or (enough if priors else 1)
-        check_memory(belief.cells, self._count)
+        estimate = 32 * belief.cells * self._count * COPIES
+        if self._count > 1 and estimate > MAX_MEMORY:
+            raise ValueError(
+                f'learning numbers on {belief.cells} cells takes about {estimate / 1e9:.1f} '
+                f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or learn '
+                'nothing'
+            )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         self._joints = self._first_joints(self._numbers)
         # Of all outcomes so far, and of those since the particles were drawn.
@@ -211,24 +231,6 @@ class Bank:
         hazard = self._joints[:, 1].sum(axis=1).T[particles]
         return rng.random(hazard.shape) < hazard, particles
 
-    def _check(self) -> None:
-        """Refuse unknown numbers that make no difference."""
-        if not self._correlated and 'kappa' in self._names:
-            raise ValueError(
-                'kappa cannot be unknown to a method that keeps none: use kappa_bnitp'
-            )
-        if 'lethality' in self._names and self._known.false_negative == 1.0:
-            raise ValueError(
-                'lethality is unknown, and makes no difference: '
-                'with a false_negative of 1 every robot survives a strike'
-            )
-        for name in set(MAPS) & set(self._names):
-            if not self._maps[name][1].any():
-                raise ValueError(
-                    f'{name} is unknown, and makes no difference: the prior leaves it open in no '
-                    'cell'
-                )
-
     def _first_joints(self, numbers: Floats) -> Floats:
         """Return the prior of each particle, shape (cells, 2, 2, particles)."""
         if not set(MAPS) & set(self._names):
@@ -344,16 +346,6 @@ def prior_maps(belief: Belief) -> dict[str, tuple[Floats, NDArray[np.bool_]]]:
             ('target_background', background, safe > 0.0),
         )
     }
-
-
-def check_memory(cells: int, particles: int) -> None:
-    """Check that the filters of a field can have the memory that they take."""
-    estimate = 32 * cells * particles * COPIES
-    if particles > 1 and estimate > MAX_MEMORY:
-        raise ValueError(
-            f'learning numbers on {cells} cells takes about {estimate / 1e9:.1f} GB, and '
-            f'{MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or learn nothing'
-        )
 
 
 def prior_density(belief: Belief) -> float:

@@ -17,6 +17,7 @@ from kbnitp_ros.core.inference.hypotheses import (
     Hypotheses,
     softplus,
 )
+from kbnitp_ros.core.inference.particle_filter import log_of
 from kbnitp_ros.core.inference.sampling_kernels import (
     draw_values,
     LARGE,
@@ -85,13 +86,6 @@ def even(numbers: int, rng: np.random.Generator) -> Floats:
     order = rng.permuted(np.tile(np.arange(CHAINS), (numbers, 1)), axis=1).T
     uniform: Floats = (order + rng.random(order.shape)) / CHAINS
     return uniform
-
-
-def log(likelihood: Floats) -> Floats:
-    """Return the logarithm, -inf at 0."""
-    with np.errstate(divide='ignore'):
-        logarithm: Floats = np.log(likelihood)
-    return logarithm
 
 
 class Chains:
@@ -316,7 +310,7 @@ class Chains:
                 factors.step_spared.T[None],
                 likelihood,
             )
-            log_likelihood = log(likelihood)
+            log_likelihood = log_of(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.lethality is None:
                     exposed = (self._hazardous[:, self._returned] * survived[self._returned]).sum(
@@ -338,7 +332,7 @@ class Chains:
                 factors.step_spared[lethality][:, :, None],
                 likelihood,
             )
-            log_likelihood = log(likelihood)
+            log_likelihood = log_of(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.malfunction is None:
                     log_likelihood = log_likelihood + survived.sum() * rates.log_endured

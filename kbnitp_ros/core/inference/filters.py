@@ -425,7 +425,9 @@ class OnePass:
         """Return the posterior (:eq:`returned`, :eq:`loss-contact`, :eq:`loss-located`)."""
         check_cells(belief, observation)
         if not self.correlated:
-            belief = independent(belief, observation.path[1:])
+            joint, entered = belief.joint.copy(), observation.path[1:]
+            joint[entered] = Belief(joint[entered]).independent().joint
+            belief = Belief(joint)
         if observation.readings is not None:
             visits = Visits.of(observation.path)
             survived = survived_log_likelihood(model, visits)
@@ -483,10 +485,3 @@ class UsedUpEstimate(OnePassEstimate):
         belief = update_used_up(self.belief, model, observation)
         self.explanations = self.explanations.with_deployment(observation, model)
         self.belief = belief
-
-
-def independent(belief: Belief, cells: NDArray[np.intp]) -> Belief:
-    """Return the belief with hazard and target independent in `cells`."""
-    joint = belief.joint.copy()
-    joint[cells] = Belief(joint[cells]).independent().joint
-    return Belief(joint)

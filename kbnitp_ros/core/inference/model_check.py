@@ -117,8 +117,15 @@ class Checker:
         assert predicted is not None
         other._alternatives, ratios = {}, []
         for name, bank in self._alternatives.items():
-            other._alternatives[name] = bank = taken(bank, evidence)
-            ratios.append(-np.inf if bank is None else bank.predicted[-1][0] - predicted[0])
+            # None once the evidence rules it out.
+            after = None if bank is None else bank.copy()
+            try:
+                if after is not None:
+                    after.take(evidence)
+            except ValueError:
+                after = None
+            other._alternatives[name] = after
+            ratios.append(-np.inf if after is None else after.predicted[-1][0] - predicted[0])
         log_return, *log_shifted = predicted[1:]
         for shift in RETURN_SHIFTS:
             gain = np.log(shift) if observation.survived else 0.0
@@ -159,15 +166,3 @@ class Checker:
                 f'no reason for doubt: the evidence fits no alternative better than {believed}'
             )
         return ModelCheck(self._turned_at is not None, ratios, reason)
-
-
-def taken(bank: Bank | Kinds | None, evidence: Evidence) -> Bank | Kinds | None:
-    """Return an alternative after one more deployment; None if the evidence rules it out."""
-    if bank is None:
-        return None
-    after = bank.copy()
-    try:
-        after.take(evidence)
-    except ValueError:
-        return None
-    return after

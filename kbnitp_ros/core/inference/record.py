@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.grid import Grid
@@ -209,7 +209,7 @@ class MissionRecord:
                 f'reports of deployment {key} differ: that with more readings counts '
                 f'(do two robots have the name {key.agent}?)'
             )
-        if known is not None and not outdoes(outcome, known):
+        if known is not None and rank_of(outcome) <= rank_of(known):
             if differs:
                 raise ValueError(self.contradicted[key])
             self.duplicates += 1
@@ -373,15 +373,11 @@ def ending_of(outcome: Observation) -> tuple[bool, int, float, list[float]]:
     return outcome.survived, outcome.steps_survived, located, lost_at
 
 
-def outdoes(outcome: Observation, known: Observation) -> bool:
-    """Return whether an outcome counts instead of the one known."""
-    return (ending_of(outcome), readings_of(outcome)) > (ending_of(known), readings_of(known))
-
-
-def readings_of(outcome: Observation) -> tuple[int, list[int], list[int]]:
-    """Return the count of readings of a return, and what tells it from others with as many."""
+def rank_of(outcome: Observation) -> tuple[Any, ...]:
+    """Return what outcomes of a deployment are ranked by: the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
-    return sum(each >= 0 for each in readings), readings, outcome.path.tolist()
+    read = sum(each >= 0 for each in readings)
+    return ending_of(outcome), read, readings, outcome.path.tolist()
 
 
 def size_of(report: Report) -> int:

@@ -77,7 +77,12 @@ class Sampler:
         seed: int,
         clustering: Clustering | None = None,
     ) -> None:
-        check_memory(belief.cells)
+        estimate = BYTES * CHAINS * belief.cells
+        if estimate > MOST_MEMORY:
+            raise ValueError(
+                f'sampling {belief.cells} cells takes about {estimate / 1e9:.1f} GB, and '
+                f'{MOST_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
+            )
         self._hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
         self._tally = Tally.empty(belief.cells)
@@ -165,13 +170,3 @@ class Sampler:
     def copy(self) -> Sampler:
         """Return a sampler that goes on by itself from here."""
         return copy(self)
-
-
-def check_memory(cells: int) -> None:
-    """Check that the chains of a field can have the memory that they take."""
-    estimate = BYTES * CHAINS * cells
-    if estimate > MOST_MEMORY:
-        raise ValueError(
-            f'sampling {cells} cells takes about {estimate / 1e9:.1f} GB, and '
-            f'{MOST_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
-        )

@@ -21,6 +21,7 @@ from kbnitp_ros.core.planning.label_kernels import (
 from kbnitp_ros.core.planning.local_search_kernels import exact_values, improve_all
 from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
+    Camera,
     EXPONENTS,
     new_information,
     Objective,
@@ -178,7 +179,9 @@ class LabelSearch:
         outcomes = objective.outcomes.probability
         self.reach = reach_of(grid, options)
         earlier = objective.outcomes.states
-        further = objective.outcomes.states_after(objective.model, max_visits)
+        # States of readings with the visits of one more robot.
+        own = dict(objective.outcomes.most_readings).get(Camera.of(objective.model), 0) + 1
+        further = earlier // own * (own + max_visits)
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size
         check_memory(self.reach, options, width, outcomes.size, earlier, further, powers)

@@ -174,11 +174,6 @@ class JointOutcomes:
         """Return how many numbers of readings by each camera there may be."""
         return prod(self.readings.shape[2:])
 
-    def states_after(self, model: SensorModel, visits: int) -> int:
-        """Return how many there may be with so many visits of one more robot."""
-        own = dict(self.most_readings).get(Camera.of(model), 0) + 1
-        return self.states // own * (own + visits)
-
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the joints and the readings of any cells."""
         outcomes = self.probability.size

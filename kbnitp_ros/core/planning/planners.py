@@ -156,14 +156,6 @@ def check_walk_memory(reach: Reach) -> None:
         )
 
 
-def generator_of(*known: NDArray[np.generic]) -> np.random.Generator:
-    """Return a generator that is the same for the same arrays."""
-    digest = sha256()
-    for each in known:
-        digest.update(each.tobytes())
-    return np.random.default_rng(np.frombuffer(digest.digest(), dtype='<u4'))
-
-
 # What a planner returns.
 A_LIST = 'a list of Candidate.along(path, objective)'
 
@@ -332,7 +324,8 @@ def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk, the same again for the same belief and earlier visits."""
     reach = reach_of(finder.grid, finder.options)
     check_walk_memory(reach)
-    rng = generator_of(objective.belief.joint, finder.visited)
+    known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
+    rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))
     return [Candidate.along(random_walk(reach, finder.options.max_visits, rng), objective)]
 
 
