@@ -10,11 +10,7 @@ from kbnitp_ros.core.field.belief import Belief, binary_entropy
 from kbnitp_ros.core.field.check import typed
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.information_kernels import (
-    exposed,
-    left_open,
-    outcome_left_open,
-)
+from kbnitp_ros.core.planning.information_kernels import exposed, left_open, outcome_left_open
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     behavioral_entropy,
