@@ -15,13 +15,14 @@ from kbnitp_ros.core import (
     Grid,
     HazardDraws,
     Lane,
+    Plan,
     safest_path,
     SimulatedMission,
     Stop,
     World,
 )
 from kbnitp_ros.core.decision.decision import there_and_back
-from kbnitp_ros.core.decision.goals import Flight, GOALS, Situation
+from kbnitp_ros.core.decision.goals import GOALS, Situation
 import numpy as np
 
 # What robots are sent for, besides `GOALS`, to compare these with.
@@ -74,12 +75,12 @@ class Asked:
 class SafestLane(Lane):
     """A lane, for which robots fly out and back on the one that is safest by now."""
 
-    def flight(self, situation: Situation) -> Flight | None:
+    def flight(self, situation: Situation) -> Plan | None:
         """Return the safest lane, there and back."""
         grid, draws, model = situation.grid, situation.draws, situation.model
         half = situation.options.max_steps // 2
         lane = safest_path(grid, draws, model, grid.base, self.to, half).path
-        return Flight(there_and_back(lane, lane), 0.0)
+        return situation.planned(there_and_back(lane, lane), 0.0)
 
 
 def measured_for(

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 from kbnitp_ros.core.decision.decision import (
     cheapest_lanes,
@@ -34,6 +34,7 @@ from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.planning.objective import Camera, Objective, positives
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import PathFinder
+from kbnitp_ros.core.planning.search import Plan
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,16 +47,6 @@ DIRECT = 16
 # How many paths of a search for information on all hazards, and of one for information on the
 # targets as well, are compared with these.
 SEARCHED = 24
-
-
-class Flight(NamedTuple):
-    """The path of a robot, for a goal."""
-
-    # Shape (steps + 1,). The base first and last.
-    path: Path
-    # How much nearer the goal is expected to be once it is known what came of it, in the unit of
-    # the goal, at least 0.
-    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +77,10 @@ class Situation:
             # That of the robot sent first, which alternates, is told apart no longer.
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
+
+    def planned(self, path: Path, gain: float) -> Plan:
+        """Return the plan of a path that is expected to bring the goal so much nearer."""
+        return replace(Plan.along(path, self.belief, self.model), gain=gain)
 
     def is_allowed(self, survival: Floats) -> Bools:
         """Return which paths, of these chances (paths, draws), the robot may be sent on."""
@@ -182,7 +177,7 @@ class Area:
         """Return how probably all cells are free, and how many hazards remain in them."""
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
-    def flight(self, situation: Situation) -> Flight | None:
+    def flight(self, situation: Situation) -> Plan | None:
         """Return the flight to make next; None if the robot may make none."""
         paths = flights_over(situation, list(self.cells))
         survival = situation.draws.survivals(paths, situation.model)
@@ -202,7 +197,7 @@ class Area:
             situation.model,
         )
         best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
-        return Flight(paths[best], max(0.0, float(gain[best])))
+        return situation.planned(paths[best], max(0.0, float(gain[best])))
 
 
 def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
@@ -299,7 +294,7 @@ class Lane:
         lane = safest_path(grid, draws, model, grid.base, self.to, max_steps)
         return Decision.about(self.name, draws, lane.path, self.confidence, lane)
 
-    def flight(self, situation: Situation) -> Flight | None:
+    def flight(self, situation: Situation) -> Plan | None:
         """Return the flight to make next; None if the robot may make none."""
         lanes, paths = self._flights(situation)
         if not paths:
@@ -314,7 +309,7 @@ class Lane:
         gain = expected_best(free, survival, situation.outcomes)
         value = gain + WORTH * information(survival, situation.outcomes)
         best = int(np.argmax(np.round(value, DECIMALS)))
-        return Flight(paths[best], max(0.0, float(gain[best])))
+        return situation.planned(paths[best], max(0.0, float(gain[best])))
 
     def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
         """Return lanes, and closed paths to the goal, or as far as a robot comes back from."""
@@ -395,7 +390,7 @@ class Goal(Protocol):
     ) -> Decision:
         """Return what may be relied on."""
 
-    def flight(self, situation: Situation) -> Flight | None:
+    def flight(self, situation: Situation) -> Plan | None:
         """Return the flight of the next robot; None if it may make none."""
 
 

@@ -101,19 +101,19 @@ def plan_round(
             options=options.of_type(robot_type),
         )
         with GOALS.blamed(goal.name):
-            flight = goal.flight(own)
-        if flight is None and len(keepout):
+            plan = goal.flight(own)
+        if plan is None and len(keepout):
             # The operator keeps robots from where the goal is.
             return for_information()
-        if flight is None:
+        if plan is None:
             raise NoPathError(
                 f'no path for the goal {goal.name} was found that a robot survives with '
                 f'minimum_survival = {own.options.minimum_survival} within max_steps = '
                 f'{own.options.max_steps} and max_visits = {own.options.max_visits}'
             )
-        path = own.grid.check_path(flight.path, own.options.max_steps)
-        plans.append(replace(Plan.along(path, belief, own.model), gain=flight.gain))
-        situation = situation.with_sent(path, own.model)
+        own.grid.check_path(plan.path, own.options.max_steps)
+        plans.append(plan)
+        situation = situation.with_sent(plan.path, own.model)
     return plans
 
 

@@ -27,14 +27,13 @@ from kbnitp_ros.core.field.unknowns import (
     Unknowns,
 )
 from kbnitp_ros.core.inference.filters import change_of, check_cells, IMPOSSIBLE
-from kbnitp_ros.core.inference.hypotheses import expit, offsets
+from kbnitp_ros.core.inference.hypotheses import expit, joint_of, MAPS, offsets, prior_maps
 from kbnitp_ros.core.inference.particle_filter import (
     assimilated,
     Evidence,
     Floats,
     log_of,
     RATES,
-    ratio,
     READING_SHIFTS,
     Steps,
 )
@@ -59,8 +58,6 @@ MAX_MEMORY = 4 << 30
 # Groups of particles whose beliefs are compared to find the sampling error.
 GROUPS = 8
 
-MAPS = ('hazard_density', 'kappa', 'target_background')
-
 
 class Bank:
     """A belief and numbers that are learnt, by a bank of filters."""
@@ -77,24 +74,13 @@ class Bank:
     ) -> None:
         self._prior, self._known, self._seed = belief, model, seed
         self._dynamics, self._correlated = dynamics, correlated
-        self._maps = prior_maps(belief)
         priors = {**unknowns.priors, **dynamics.unknown_rates}
         self._names, self._priors = tuple(priors), tuple(priors.values())
         if not self._correlated and 'kappa' in self._names:
             raise ValueError(
                 'kappa cannot be unknown to a method that keeps none: use kappa_bnitp'
             )
-        if 'lethality' in self._names and self._known.false_negative == 1.0:
-            raise ValueError(
-                'lethality is unknown, and makes no difference: '
-                'with a false_negative of 1 every robot survives a strike'
-            )
-        for name in set(MAPS) & set(self._names):
-            if not self._maps[name][1].any():
-                raise ValueError(
-                    f'{name} is unknown, and makes no difference: the prior leaves it open in no '
-                    'cell'
-                )
+        self._maps = prior_maps(belief, model, self._names)
         self.predicted: tuple[Floats, ...] = ()
         self._evidence: tuple[Evidence, ...] = ()
         enough = FEW if len(priors) < 4 else MANY
@@ -242,10 +228,7 @@ class Bank:
             else self._maps[name][0][:, None]
             for name in MAPS
         )
-        hazard, kappa, background = np.broadcast_arrays(hazard, kappa, background)
-        safe = 1.0 - hazard
-        joint = [safe * (1.0 - background), safe * background, hazard * (1.0 - kappa)]
-        return np.stack([*joint, hazard * kappa], axis=1).reshape(-1, 2, 2, len(numbers))
+        return joint_of(*np.broadcast_arrays(hazard, kappa, background))
 
     def _fold(
         self,
@@ -331,21 +314,6 @@ def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Fl
         odds = np.log(open_to) - np.log1p(-open_to)
         shifted[undecided] = expit(odds[:, None] + offsets(odds, averages))
     return shifted
-
-
-def prior_maps(belief: Belief) -> dict[str, tuple[Floats, NDArray[np.bool_]]]:
-    """Return P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0), and where each is open."""
-    hazard, joint = belief.hazard, belief.joint
-    safe = joint[:, 0].sum(axis=1)
-    background = ratio(joint[:, 0, 1], safe).clip(max=1.0)
-    return {
-        name: (values, where & (values > 0.0) & (values < 1.0))
-        for name, values, where in (
-            ('hazard_density', hazard, hazard > 0.0),
-            ('kappa', belief.kappa, hazard > 0.0),
-            ('target_background', background, safe > 0.0),
-        )
-    }
 
 
 def prior_density(belief: Belief) -> float:

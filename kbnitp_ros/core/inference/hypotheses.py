@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Bins, Unknowns
 from kbnitp_ros.core.inference.filters import can_be_lost
+from kbnitp_ros.core.inference.particle_filter import RATES, ratio
 from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray
@@ -43,19 +44,15 @@ class PriorMap:
 
     @classmethod
     def of(
-        cls, probability: NDArray[np.float64], where: NDArray[np.bool_], average: Bins | None
+        cls, probability: NDArray[np.float64], undecided: NDArray[np.bool_], average: Bins | None
     ) -> PriorMap:
-        """Return a map."""
+        """Return a map whose average over undecided cells may be unknown."""
         with np.errstate(divide='ignore'):
             log_odds = np.log(probability) - np.log1p(-probability)
         log_odds = log_odds.clip(-CERTAIN, CERTAIN)
-        undecided = where & (probability > 0.0) & (probability < 1.0)
-        if average is None:
-            offset: NDArray[np.float64] = np.zeros(1)
-        elif undecided.any():
+        offset: NDArray[np.float64] = np.zeros(1)
+        if average is not None:
             offset = offsets(log_odds[undecided], average.values)
-        else:
-            raise ValueError('the prior leaves it open in no cell')
         log_absent = np.zeros((log_odds.size, offset.size))
         log_absent[undecided] = -softplus(log_odds[undecided, None] + offset)
         return cls(log_odds, undecided, offset, log_absent)
@@ -144,7 +141,43 @@ def expit(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
 # How far the hazards of a prior that is the same in all cells may differ by rounding.
 SAME = 1e-12
 
-RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+# The averages of the maps of a prior that can be unknown: P(Z = 1), P(X = 1 | Z = 1) and
+# P(X = 1 | Z = 0).
+MAPS = ('hazard_density', 'kappa', 'target_background')
+
+
+def prior_maps(
+    belief: Belief, model: SensorModel, unknown: Sequence[str]
+) -> dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]]:
+    """Return `MAPS` and where each is open; refuse unknown numbers that make no difference."""
+    if 'lethality' in unknown and model.false_negative == 1.0:
+        raise ValueError(
+            'lethality is unknown, and makes no difference: '
+            'with a false_negative of 1 every robot survives a strike'
+        )
+    safe = belief.joint[:, 0].sum(axis=1)
+    background = ratio(belief.joint[:, 0, 1], safe).clip(max=1.0)
+    maps = {}
+    for name, values, where in zip(
+        MAPS,
+        (belief.hazard, belief.kappa, background),
+        (belief.hazard > 0.0, belief.hazard > 0.0, safe > 0.0),
+    ):
+        maps[name] = values, where & (values > 0.0) & (values < 1.0)
+        if name in unknown and not maps[name][1].any():
+            raise ValueError(
+                f'{name} is unknown, and makes no difference: the prior leaves it open in no cell'
+            )
+    return maps
+
+
+def joint_of(
+    hazard: NDArray[np.float64], kappa: NDArray[np.float64], background: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the joints, (cells, 2, 2, ...), of `MAPS`, each (cells, ...)."""
+    safe = 1.0 - hazard
+    joint = [safe * (1.0 - background), safe * background, hazard * (1.0 - kappa), hazard * kappa]
+    return np.stack(joint, axis=1).reshape(-1, 2, 2, *hazard.shape[1:])
 
 
 class Clusters(NamedTuple):
@@ -187,35 +220,29 @@ class Hypotheses:
         self._prior = belief
         open_bins = {name: prior.bins() for name, prior in unknowns.priors.items()}
         self.unknown = tuple(open_bins)
-        if 'lethality' in self.unknown and model.false_negative == 1.0:
-            raise ValueError(
-                'lethality is unknown, and makes no difference: '
-                'with a false_negative of 1 every robot survives a strike'
-            )
         self.bins = {
             **{field.name: Bins.known(0.0) for field in fields(Unknowns)},
             **{name: Bins.known(getattr(model, name)) for name in RATES},
             **open_bins,
         }
-        safe = belief.joint[:, 0].sum(axis=1)
-        background = np.zeros_like(safe)
-        np.divide(belief.joint[:, 0, 1], safe, out=background, where=safe > 0.0)
-        possible = belief.hazard > 0.0
         self.maps = PriorMaps(
-            possible=possible,
-            hazard=self._map('hazard_density', belief.hazard, possible),
-            kappa=self._map('kappa', belief.kappa, possible),
-            background=self._map('target_background', background.clip(max=1.0), safe > 0.0),
+            belief.hazard > 0.0,
+            *(
+                PriorMap.of(*each, self.bins[name] if name in self.unknown else None)
+                for name, each in prior_maps(belief, model, self.unknown).items()
+            ),
         )
         self.clusters: Clusters | None = None
         if clustering is not None:
             self._cluster(belief, clustering)
-        self.prior_is_known = not {'hazard_density', 'kappa', 'target_background'}.intersection(
-            self.unknown
-        )
+        self.prior_is_known = not set(MAPS) & set(self.unknown)
         # Of a clustered prior only the chains know what is expected in each cell.
         is_expected = self.prior_is_known or self.clusters is not None
-        self.belief = belief if is_expected else self._averaged()
+        self.belief = belief
+        if not is_expected:
+            maps = zip(MAPS, (self.maps.hazard, self.maps.kappa, self.maps.background))
+            means = [each.mean(self.bins[name].log_prior) for name, each in maps]
+            self.belief = self.belief_of(joint_of(*means))
 
     def _cluster(self, belief: Belief, clustering: Clustering) -> None:
         """Take hazards for clustered."""
@@ -255,28 +282,6 @@ class Hypotheses:
         if name != 'hazard_density' or self.clusters is None:
             return place[name]
         return place['coupling'] * self.clusters.field.shape[1] + place['hazard_density']
-
-    def _map(
-        self, name: str, probability: NDArray[np.float64], where: NDArray[np.bool_]
-    ) -> PriorMap:
-        average = self.bins[name] if name in self.unknown else None
-        try:
-            return PriorMap.of(probability, where, average)
-        except ValueError as error:
-            raise ValueError(f'{name} is unknown, and makes no difference: {error}') from error
-
-    def _averaged(self) -> Belief:
-        hazard, kappa, background = (
-            prior_map.mean(self.bins[name].log_prior)
-            for name, prior_map in (
-                ('hazard_density', self.maps.hazard),
-                ('kappa', self.maps.kappa),
-                ('target_background', self.maps.background),
-            )
-        )
-        joint = [(1.0 - hazard) * (1.0 - background), (1.0 - hazard) * background]
-        joint += [hazard * (1.0 - kappa), hazard * kappa]
-        return self.belief_of(np.stack(joint, axis=-1).reshape(-1, 2, 2))
 
     def rates(self, robot_type: RobotType) -> Rates:
         """Return what robots of a type do: their own numbers are known, the others as here."""
