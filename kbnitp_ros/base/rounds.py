@@ -17,8 +17,8 @@ from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import search_options, type_to_plan
 from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, RobotType, Team
 from kbnitp_ros.core.decision.rounds import why_worthless
-from kbnitp_ros.core.planning.allocations import keepout_cells
 from kbnitp_ros.core.planning.planners import count_visits
+from kbnitp_ros.core.planning.regions import keepout_cells
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 import numpy as np

@@ -31,8 +31,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.decision.rounds import check_sought
-from kbnitp_ros.core.planning.search import check_bounded
-from kbnitp_ros.core.planning.teams import check_team
+from kbnitp_ros.core.planning.plans import check_bounded, check_team
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map, read_probabilities

@@ -14,11 +14,11 @@ from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Beta, Dynamics, Learnt, Unknowns
 from kbnitp_ros.core.field.world import Execution, World
 from kbnitp_ros.core.forecast import Forecast, forecast
-from kbnitp_ros.core.inference.estimator import Estimator
+from kbnitp_ros.core.inference.estimator import Estimator, Ledger
 from kbnitp_ros.core.inference.filters import KnownModel
 from kbnitp_ros.core.inference.methods import METHODS, update
 from kbnitp_ros.core.inference.model_check import ModelCheck
-from kbnitp_ros.core.inference.record import DeploymentKey, Ledger, MissionRecord, Report
+from kbnitp_ros.core.inference.record import DeploymentKey, MissionRecord, Report
 from kbnitp_ros.core.mission import (
     continue_mission,
     Deployment,
@@ -27,7 +27,6 @@ from kbnitp_ros.core.mission import (
     SimulatedMission,
     Truth,
 )
-from kbnitp_ros.core.planning.allocations import ALLOCATIONS
 from kbnitp_ros.core.planning.information import (
     behavioral_information,
     Candidate,
@@ -36,8 +35,7 @@ from kbnitp_ros.core.planning.information import (
 )
 from kbnitp_ros.core.planning.options import OBJECTIVES, PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
-from kbnitp_ros.core.planning.search import Plan, plan
-from kbnitp_ros.core.planning.teams import plan_team, Team
+from kbnitp_ros.core.planning.plans import ALLOCATIONS, Plan, plan, plan_team, Team
 
 __all__ = [
     'ALLOCATIONS',

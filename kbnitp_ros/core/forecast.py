@@ -21,7 +21,7 @@ from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.mission import continue_mission, decided, SimulatedMission, Truth
 from kbnitp_ros.core.planning.options import SearchOptions
-from kbnitp_ros.core.planning.teams import Team
+from kbnitp_ros.core.planning.plans import Team
 import numpy as np
 from numpy.typing import NDArray
 

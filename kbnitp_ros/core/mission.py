@@ -23,8 +23,7 @@ from kbnitp_ros.core.field.world import AS_ORDERED, Execution, World
 from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import count_visits, NoPathError
-from kbnitp_ros.core.planning.search import Plan
-from kbnitp_ros.core.planning.teams import Team, team_size
+from kbnitp_ros.core.planning.plans import Plan, Team, team_size
 from kbnitp_ros.plugins import extra
 import numpy as np
 

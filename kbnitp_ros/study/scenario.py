@@ -32,7 +32,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
 from kbnitp_ros.core.planning.options import ALPHAS
-from kbnitp_ros.core.planning.teams import check_team, team_size
+from kbnitp_ros.core.planning.plans import check_team, team_size
 from kbnitp_ros.files import read_yaml, share
 from kbnitp_ros.study.goals import Asked, SAFEST_LANE
 import numpy as np

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
-from kbnitp_ros.core.planning.allocations import Allocation, TeamMember
+from kbnitp_ros.core.planning.plans import Allocation, TeamMember
 from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
 from kbnitp_ros.testing.laws import hold, require
 import numpy as np

@@ -2,7 +2,7 @@
 """Plans of rounds, asked for in one line."""
 
 from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team
-from kbnitp_ros.core.planning.allocations import divided, TeamMember
+from kbnitp_ros.core.planning.plans import divided, TeamMember
 
 
 def plan_round(

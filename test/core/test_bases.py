@@ -26,7 +26,7 @@ from kbnitp_ros.core import (
     update,
     World,
 )
-from kbnitp_ros.core.planning.allocations import keepout_cells
+from kbnitp_ros.core.planning.regions import keepout_cells
 from laws import for_each
 import numpy as np
 import pytest

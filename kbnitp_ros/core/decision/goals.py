@@ -34,7 +34,7 @@ from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.planning.objective import Camera, Objective, positives
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import PathFinder
-from kbnitp_ros.core.planning.search import Plan
+from kbnitp_ros.core.planning.plans import Plan
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike

@@ -12,11 +12,10 @@ from kbnitp_ros.core.decision.hazard_draws import HazardDraws
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
-from kbnitp_ros.core.planning.allocations import without
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import NoPathError
-from kbnitp_ros.core.planning.search import Plan
-from kbnitp_ros.core.planning.teams import plan_team, Team
+from kbnitp_ros.core.planning.plans import Plan, plan_team, Team
+from kbnitp_ros.core.planning.regions import without
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

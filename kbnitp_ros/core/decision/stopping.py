@@ -10,7 +10,7 @@ from kbnitp_ros.core.decision.decision import Decision, too_few_draws
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.hazard_draws import DRAWS
 from kbnitp_ros.core.field.check import cost, whole_number
-from kbnitp_ros.core.planning.search import Plan
+from kbnitp_ros.core.planning.plans import Plan
 
 
 @dataclass(frozen=True)

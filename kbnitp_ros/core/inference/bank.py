@@ -26,14 +26,12 @@ from kbnitp_ros.core.field.unknowns import (
     STATIC,
     Unknowns,
 )
-from kbnitp_ros.core.inference.filters import change_of, check_cells, IMPOSSIBLE
+from kbnitp_ros.core.inference.filters import change_of, check_cells, IMPOSSIBLE, log_of, RATES
 from kbnitp_ros.core.inference.hypotheses import expit, joint_of, MAPS, offsets, prior_maps
 from kbnitp_ros.core.inference.particle_filter import (
     assimilated,
     Evidence,
     Floats,
-    log_of,
-    RATES,
     READING_SHIFTS,
     Steps,
 )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Bins, Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
+from kbnitp_ros.core.inference.filters import log_of
 from kbnitp_ros.core.inference.hypotheses import (
     CERTAIN_HAZARD,
     CERTAIN_TARGET,
@@ -17,7 +18,6 @@ from kbnitp_ros.core.inference.hypotheses import (
     Hypotheses,
     softplus,
 )
-from kbnitp_ros.core.inference.particle_filter import log_of
 from kbnitp_ros.core.inference.sampling_kernels import (
     draw_values,
     LARGE,

@@ -33,11 +33,28 @@ from kbnitp_ros.core.field.unknowns import (
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+
+# Those of a sensor model that can be unknown.
+RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+
 # What is said of evidence that cannot be.
 IMPOSSIBLE = (
     'the outcome is impossible under this belief and sensor model: '
     'allow for it with probabilities that are not exactly 0 or 1'
 )
+
+
+def log_of(chance: Floats) -> Floats:
+    """Return the logarithm, -inf of 0."""
+    log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
+    return log
+
+
+def ratio(part: Floats, whole: Floats) -> Floats:
+    """Return part / whole, 0 where both are 0."""
+    share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+    return share
 
 
 def check_cells(belief: Belief, observation: Observation) -> None:
@@ -211,9 +228,6 @@ def can_be_lost(
         if not open_to[cell].any():
             return False
     return False
-
-
-Floats = NDArray[np.float64]
 
 
 def update_used_up(belief: Belief, model: SensorModel, observation: Observation) -> Belief:

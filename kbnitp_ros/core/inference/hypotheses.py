@@ -11,8 +11,7 @@ from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Bins, Unknowns
-from kbnitp_ros.core.inference.filters import can_be_lost
-from kbnitp_ros.core.inference.particle_filter import RATES, ratio
+from kbnitp_ros.core.inference.filters import can_be_lost, RATES, ratio
 from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray

@@ -13,8 +13,8 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Learnt, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, learnt_from, log_sum
-from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE
-from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, RATES
+from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE, RATES
+from kbnitp_ros.core.inference.particle_filter import Evidence, Floats
 import numpy as np
 from numpy.typing import NDArray
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 from kbnitp_ros.core.field.observation import Observation, Visits
 from kbnitp_ros.core.field.sensor import RobotType
-from kbnitp_ros.core.inference.filters import loss_weights
+from kbnitp_ros.core.inference.filters import log_of, loss_weights, RATES, ratio
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
 
 # Factors of the odds of a positive reading in the alternatives of the model check.
 READING_SHIFTS = (2.0, 0.5)
@@ -148,18 +147,6 @@ def moved_by(moves: Floats, joint: Floats) -> Floats:
     safe, hazardous = moves[:, 0, :, None], moves[:, 1, :, None]
     moved: Floats = safe * joint[:, 0, None] + hazardous * joint[:, 1, None]
     return moved
-
-
-def log_of(chance: Floats) -> Floats:
-    """Return the logarithm, -inf of 0."""
-    log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
-    return log
-
-
-def ratio(part: Floats, whole: Floats) -> Floats:
-    """Return part / whole, 0 where both are 0."""
-    share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
-    return share
 
 
 def normalised(moved: Floats, joint: Floats) -> Floats:

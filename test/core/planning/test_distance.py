@@ -22,8 +22,8 @@ from kbnitp_ros.core import (
     Team,
     World,
 )
-from kbnitp_ros.core.planning.allocations import keepout_cells
 from kbnitp_ros.core.planning.objective import Objective
+from kbnitp_ros.core.planning.regions import keepout_cells
 from laws import for_each
 import numpy as np
 import pytest

@@ -6,7 +6,7 @@ from itertools import pairwise, product
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import Belief, Grid, ORDINARY, SensorModel
-from kbnitp_ros.core.planning.allocations import keepout_cells, regions_of, without
+from kbnitp_ros.core.planning.regions import keepout_cells, regions_of, without
 from laws import for_each
 import numpy as np
 from rounds import plan_round

@@ -17,8 +17,8 @@ from kbnitp_ros.core import (
     SensorModel,
     team_information,
 )
-from kbnitp_ros.core.planning import allocations
 from kbnitp_ros.core.planning import objective as joint_outcomes
+from kbnitp_ros.core.planning import plans as allocations
 from laws import for_each
 import numpy as np
 import pytest

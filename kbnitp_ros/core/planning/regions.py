@@ -1,50 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Division of the field among the robots of a team."""
+"""Regions of the field, and the cells that the rest of a team keeps off."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
-from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import frozen, Value
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.sensor import RobotType, SensorModel
-from kbnitp_ros.core.planning.information import DECIMALS
-from kbnitp_ros.core.planning.objective import JointOutcomes, nobody_deployed, Objective
-from kbnitp_ros.core.planning.planners import PathFinder
-from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-
-@dataclass(frozen=True, eq=False)
-class TeamMember:
-    """A robot that a path is planned for; those of one type are one and the same."""
-
-    # With the limits of its path, from its own base.
-    finder: PathFinder
-    # Of its path, given the robots that have left before the round.
-    objective: Objective
-
-    @classmethod
-    def of(
-        cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
-    ) -> TeamMember:
-        """Return a robot of a type that goes alone, from what those like all others have."""
-        own = replace(
-            finder,
-            grid=finder.grid.at(robot_type.base),
-            options=finder.options.of_type(robot_type),
-        )
-        own_model = robot_type.model(model)
-        return cls(own, Objective.alone(own.grid, belief, own_model, own.options))
-
-    def given(self, outcomes: JointOutcomes) -> TeamMember:
-        """Return the robot when others have left before."""
-        return replace(self, objective=self.objective.given(outcomes))
 
 
 def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
@@ -206,127 +171,3 @@ def _regions(power: NDArray[np.float64], mass: NDArray[np.float64]) -> Regions:
     owner = power.argmin(axis=1)
     held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
     return Regions(owner, held)
-
-
-def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return the same path for all of a type: the same belief gives the same plan."""
-    nobody = nobody_deployed(robots[0].objective.belief)
-    paths = {
-        robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
-        for robot in dict.fromkeys(robots)
-    }
-    return [paths[robot] for robot in robots]
-
-
-# The best path may leave too little to the next robot, so several teams grow side by side: as
-# many as make this number of robots, and one at least.
-ROBOTS_SIDE_BY_SIDE = 16
-
-
-@dataclass(frozen=True, eq=False)
-class Assigned:
-    """The first robots of a team, with their paths."""
-
-    # Of their paths together, nats.
-    value: float = 0.0
-    # In the order of the robots. Shape (steps + 1,).
-    paths: tuple[NDArray[np.intp], ...] = ()
-    # What the last of them was planned for; None if there is none.
-    last: Objective | None = None
-
-    def grown(self, robot: TeamMember) -> list[Assigned]:
-        """Return the teams with this robot as well, on each of its candidates."""
-        objective = robot.objective
-        if self.last is not None:
-            objective = objective.given(self.last.after(self.paths[-1]))
-        return [
-            Assigned(round(self.value + each.value, DECIMALS), (*self.paths, each.path), objective)
-            for each in robot.finder.after(self.paths).candidates(objective)
-        ]
-
-    def visits(self, robots: Sequence[TeamMember]) -> Hashable:
-        """Return which cells robots of each type visit, which determines the value."""
-        return tuple(
-            sorted(
-                (robots.index(robot), *sorted(path[1:].tolist()))
-                for robot, path in zip(robots, self.paths)
-            )
-        )
-
-
-def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return paths, each planned given that those before it are taken, returned or lost."""
-    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
-    teams = [Assigned()]
-    for robot in robots:
-        grown = [longer for team in teams for longer in team.grown(robot)]
-        distinct: dict[Hashable, Assigned] = {}
-        for team in sorted(grown, key=lambda team: -team.value):
-            distinct.setdefault(team.visits(robots), team)
-            if len(distinct) == side_by_side:
-                break
-        teams = list(distinct.values())
-    return list(teams[0].paths)
-
-
-# What counts of the readings that a robot brings from the regions of others.
-ELSEWHERE = 0.1
-
-
-def divided(robots: Sequence[TeamMember]) -> Regions:
-    """Return regions of about the same entropy, one a robot."""
-    belief = robots[0].objective.belief
-    in_reach = {
-        robot: robot.finder.grid.in_reach(
-            robot.finder.options.max_steps, robot.finder.options.max_distance
-        )
-        for robot in dict.fromkeys(robots)
-    }
-    reach = np.stack([in_reach[robot] for robot in robots], axis=1)
-    cells = np.flatnonzero(reach.any(axis=1))
-    entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
-    return divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
-
-
-def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return paths that look for information in their own regions."""
-    owner, paths = divided(robots).owner, []
-    for number, robot in enumerate(robots):
-        interest = np.where(owner == number, 1.0, ELSEWHERE)
-        objective = replace(robot.objective, interest=interest)
-        paths.append(robot.finder.candidates(objective)[0].path)
-    return paths
-
-
-Allocation = Callable[[Sequence[TeamMember]], list[NDArray[np.intp]]]
-
-
-ALLOCATIONS: Registry[Allocation] = Registry(
-    'allocation',
-    partial(takes, arguments=('robots',)),
-    {
-        'independent': independent,
-        'voronoi': voronoi,
-        'greedy': greedy,
-    },
-)
-
-
-def allocated(
-    allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
-) -> list[NDArray[np.intp]]:
-    """Return a path for each robot; refuse what another package's allocation may not return."""
-    with ALLOCATIONS.blamed(allocation):
-        paths = ALLOCATIONS.find(allocation)(robots)
-        if allocation in ALLOCATIONS.own:
-            return paths
-        if len(paths) != len(robots):
-            words = f'returns {len(paths)} paths for {len(robots)} robots'
-            raise ALLOCATIONS.fault(allocation, words)
-        for number, (robot, path) in enumerate(zip(robots, paths)):
-            try:
-                robot.finder.check_path(path)
-            except ValueError as error:
-                words = f'returns a path for robot {number} that is none: {error}'
-                raise ALLOCATIONS.fault(allocation, words) from error
-    return paths

@@ -1,0 +1,436 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans of a round: a path for each robot of a team, and what is expected of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from kbnitp_ros.core.field.belief import Belief, surprisal
+from kbnitp_ros.core.field.check import frozen, typed, Value, whole_number
+from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
+from kbnitp_ros.core.planning.bound import check_bound, upper_bound
+from kbnitp_ros.core.planning.information import DECIMALS, path_information, path_log_survival
+from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.objective import (
+    after_deployment,
+    Camera,
+    check_cameras,
+    JointOutcomes,
+    nobody_deployed,
+    Objective,
+)
+from kbnitp_ros.core.planning.options import SearchOptions
+from kbnitp_ros.core.planning.planners import BASELINES, check_distance, PathFinder
+from kbnitp_ros.core.planning.regions import divide, Regions, without
+from kbnitp_ros.plugins import Registry, takes
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Value):
+    """
+    A path for one robot and what is expected of it.
+
+    Attributes
+    ----------
+    path : ndarray of int, shape (steps + 1,)
+        Cells, the base first and last.
+    information : float
+        `path_information`, nats.
+    survival : float
+        Predicted chance that the robot returns, in [0, 1].
+    upper_bound : float or None
+        No path that the search may return has a higher information - loss_cost * (1 - survival),
+        nats; None unless a bound was asked for.
+    gap : float or None
+        How far the plan is below `upper_bound`, nats, at least 0.
+    gain : float or None
+        How much nearer its goal the mission is expected to be, in the unit of the goal; None
+        where there is no goal but information.
+
+    """
+
+    path: NDArray[np.intp]
+    information: float
+    survival: float
+    upper_bound: float | None = None
+    gap: float | None = None
+    gain: float | None = None
+
+    def __post_init__(self) -> None:
+        frozen(self.path)
+
+    @classmethod
+    def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
+        """Return the plan to take `path`, shape (steps + 1,)."""
+        survival = float(np.exp(path_log_survival(belief, model, path)))
+        return cls(path, path_information(belief, model, path), survival)
+
+
+@typed
+def plan(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    max_steps: int,
+    planner: str | Callable[..., Any] = 'beam',
+    *,
+    visited: ArrayLike = (),
+    bound: bool = False,
+    **options: Any,
+) -> Plan:
+    """
+    Plan the next deployment: a closed path of high expected information.
+
+    The planner maximises information - loss_cost * (1 - survival).
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    belief : Belief
+        What is believed of it.
+    model : SensorModel
+        What the robot and its sensor are believed to be like.
+    max_steps, planner, **options
+        As of `SearchOptions`.
+    visited : array_like of int, shape (cells,), optional
+        How often the paths of earlier deployments entered each cell, for the planners that go by
+        it; never unless given.
+    bound : bool
+        Whether the plan has an `upper_bound` and a `gap`. Of the objective 'information' and the
+        planners that seek it.
+
+    Returns
+    -------
+    Plan
+        The same belief, with the same visits, gives the same plan.
+
+    Raises
+    ------
+    ValueError
+        If the planner or the objective is unknown, the planner does not seek the objective or keep
+        the distance, a number is out of range, the distance allows no step, or the belief has
+        another number of cells than the grid; if there is no bound for the objective or the
+        planner, or it takes more memory than is allowed.
+
+    """
+    search = SearchOptions(planner, max_steps, **options)
+    finder = PathFinder(grid, search, np.asarray(visited))
+    check_distance(grid, search)
+    if bound:
+        check_bounded(grid, search)
+    return plan_alone(finder, Objective.alone(grid, belief, model, search), bound)
+
+
+def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
+    """Return the plan of a robot that goes alone, with a bound if that is asked for."""
+    path = finder.candidates(objective)[0].path
+    found = Plan.along(path, objective.belief, objective.model)
+    if not bound:
+        return found
+    above = upper_bound(finder.grid, objective, finder.options, path)
+    value = found.information - finder.options.loss_cost * (1.0 - found.survival)
+    return replace(found, upper_bound=max(value, above), gap=max(0.0, above - value))
+
+
+def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
+    """Check that plans can have a bound."""
+    if options.planner in BASELINES:
+        raise ValueError(
+            f'planner is {options.planner}, which seeks no information, so its plans have no '
+            'bound: choose the planner beam or relaxed, or plan without a bound'
+        )
+    check_bound(reach_of(grid, options), options, robots)
+
+
+@dataclass(frozen=True, eq=False)
+class TeamMember:
+    """A robot that a path is planned for; those of one type are one and the same."""
+
+    # With the limits of its path, from its own base.
+    finder: PathFinder
+    # Of its path, given the robots that have left before the round.
+    objective: Objective
+
+    @classmethod
+    def of(
+        cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
+    ) -> TeamMember:
+        """Return a robot of a type that goes alone, from what those like all others have."""
+        own = replace(
+            finder,
+            grid=finder.grid.at(robot_type.base),
+            options=finder.options.of_type(robot_type),
+        )
+        own_model = robot_type.model(model)
+        return cls(own, Objective.alone(own.grid, belief, own_model, own.options))
+
+    def given(self, outcomes: JointOutcomes) -> TeamMember:
+        """Return the robot when others have left before."""
+        return replace(self, objective=self.objective.given(outcomes))
+
+
+def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+    """Return the same path for all of a type: the same belief gives the same plan."""
+    nobody = nobody_deployed(robots[0].objective.belief)
+    paths = {
+        robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
+        for robot in dict.fromkeys(robots)
+    }
+    return [paths[robot] for robot in robots]
+
+
+# The best path may leave too little to the next robot, so several teams grow side by side: as
+# many as make this number of robots, and one at least.
+ROBOTS_SIDE_BY_SIDE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Assigned:
+    """The first robots of a team, with their paths."""
+
+    # Of their paths together, nats.
+    value: float = 0.0
+    # In the order of the robots. Shape (steps + 1,).
+    paths: tuple[NDArray[np.intp], ...] = ()
+    # What the last of them was planned for; None if there is none.
+    last: Objective | None = None
+
+    def grown(self, robot: TeamMember) -> list[Assigned]:
+        """Return the teams with this robot as well, on each of its candidates."""
+        objective = robot.objective
+        if self.last is not None:
+            objective = objective.given(self.last.after(self.paths[-1]))
+        return [
+            Assigned(round(self.value + each.value, DECIMALS), (*self.paths, each.path), objective)
+            for each in robot.finder.after(self.paths).candidates(objective)
+        ]
+
+    def visits(self, robots: Sequence[TeamMember]) -> Hashable:
+        """Return which cells robots of each type visit, which determines the value."""
+        return tuple(
+            sorted(
+                (robots.index(robot), *sorted(path[1:].tolist()))
+                for robot, path in zip(robots, self.paths)
+            )
+        )
+
+
+def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+    """Return paths, each planned given that those before it are taken, returned or lost."""
+    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
+    teams = [Assigned()]
+    for robot in robots:
+        grown = [longer for team in teams for longer in team.grown(robot)]
+        distinct: dict[Hashable, Assigned] = {}
+        for team in sorted(grown, key=lambda team: -team.value):
+            distinct.setdefault(team.visits(robots), team)
+            if len(distinct) == side_by_side:
+                break
+        teams = list(distinct.values())
+    return list(teams[0].paths)
+
+
+# What counts of the readings that a robot brings from the regions of others.
+ELSEWHERE = 0.1
+
+
+def divided(robots: Sequence[TeamMember]) -> Regions:
+    """Return regions of about the same entropy, one a robot."""
+    belief = robots[0].objective.belief
+    in_reach = {
+        robot: robot.finder.grid.in_reach(
+            robot.finder.options.max_steps, robot.finder.options.max_distance
+        )
+        for robot in dict.fromkeys(robots)
+    }
+    reach = np.stack([in_reach[robot] for robot in robots], axis=1)
+    cells = np.flatnonzero(reach.any(axis=1))
+    entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
+    return divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
+
+
+def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+    """Return paths that look for information in their own regions."""
+    owner, paths = divided(robots).owner, []
+    for number, robot in enumerate(robots):
+        interest = np.where(owner == number, 1.0, ELSEWHERE)
+        objective = replace(robot.objective, interest=interest)
+        paths.append(robot.finder.candidates(objective)[0].path)
+    return paths
+
+
+Allocation = Callable[[Sequence[TeamMember]], list[NDArray[np.intp]]]
+
+
+ALLOCATIONS: Registry[Allocation] = Registry(
+    'allocation',
+    partial(takes, arguments=('robots',)),
+    {
+        'independent': independent,
+        'voronoi': voronoi,
+        'greedy': greedy,
+    },
+)
+
+
+def allocated(
+    allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
+) -> list[NDArray[np.intp]]:
+    """Return a path for each robot; refuse what another package's allocation may not return."""
+    with ALLOCATIONS.blamed(allocation):
+        paths = ALLOCATIONS.find(allocation)(robots)
+        if allocation in ALLOCATIONS.own:
+            return paths
+        if len(paths) != len(robots):
+            words = f'returns {len(paths)} paths for {len(robots)} robots'
+            raise ALLOCATIONS.fault(allocation, words)
+        for number, (robot, path) in enumerate(zip(robots, paths)):
+            try:
+                robot.finder.check_path(path)
+            except ValueError as error:
+                words = f'returns a path for robot {number} that is none: {error}'
+                raise ALLOCATIONS.fault(allocation, words) from error
+    return paths
+
+
+@dataclass(frozen=True)
+class Team:
+    """
+    Robots that leave together.
+
+    Parameters
+    ----------
+    agents : int
+        How many, at least 1.
+    allocation : str
+        One of `ALLOCATIONS`. 'independent': every robot takes the path it would take alone.
+        'voronoi': the field is divided into regions of about equal entropy, one a robot.
+        'greedy': robot after robot, for what each adds to what those before it are expected to
+        bring, returned or lost.
+    types : sequence of RobotType
+        The type of each robot; empty if all are alike.
+
+    Raises
+    ------
+    ValueError
+        If there is no robot, or not one type for each.
+
+    """
+
+    agents: int = 1
+    allocation: str | Callable[..., Any] = 'greedy'
+    types: tuple[RobotType, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'agents', whole_number('agents', self.agents, 1))
+        object.__setattr__(self, 'types', of_each(self.agents, self.types))
+
+    def first(self, robots: int) -> Team:
+        """Return the first so many of them, at least 1; all if they are fewer."""
+        types = self.types[:robots]
+        return replace(self, agents=len(types), types=types)
+
+
+@typed
+def plan_team(
+    grid: Grid,
+    belief: Belief,
+    model: SensorModel,
+    team: Team,
+    options: SearchOptions,
+    *,
+    in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
+    visited: ArrayLike = (),
+    keepout: Sequence[int] | NDArray[np.intp] = (),
+    bound: bool = False,
+) -> list[Plan]:
+    """
+    Plan a round: a closed path for each of several robots that leave together.
+
+    Parameters
+    ----------
+    grid, belief, visited
+        As for `plan`.
+    model : SensorModel
+        What robots that have nothing of their own are believed to be like.
+    team : Team
+        The robots.
+    options : SearchOptions
+        Of the search for the path of each robot that has nothing of its own.
+    in_flight : sequence of (array_like of int, RobotType)
+        The path, shape (steps + 1,), and the type of each robot that has left before and has not
+        reported. All allocations but 'independent' plan for what is added to them.
+    keepout : sequence of int
+        Cells that none of the robots enters, besides those that are blocked.
+    bound : bool
+        As of `plan`, for one robot while none is in flight.
+
+    Returns
+    -------
+    list of Plan
+        One a robot, in their order: each says what is expected of that robot alone. The same
+        belief gives the same plans. A single robot's is that of `plan`.
+
+    Raises
+    ------
+    ValueError
+        As of `plan`; if the allocation is unknown, there are more robots than free cells, a robot
+        in flight could not have left that way, a base is none of the grid's, or the robots have
+        too many different cameras.
+
+    """
+    ALLOCATIONS.find(team.allocation)
+    in_use = without(grid, keepout) if len(keepout) else grid
+    team_size(in_use, team.agents)
+    types = {*team.types, *(robot_type for _, robot_type in in_flight)}
+    check_cameras(len({Camera.of(robot_type.model(model)) for robot_type in types}))
+    finder = PathFinder(in_use, options, np.asarray(visited))
+    for robot_type in dict.fromkeys(team.types):
+        check_distance(grid.at(robot_type.base), options.of_type(robot_type))
+    if bound:
+        for robot_type in team.types:
+            check_bounded(in_use.at(robot_type.base), options, len(team.types) + len(in_flight))
+    outcomes = nobody_deployed(belief)
+    for path, robot_type in in_flight:
+        cells = grid.at(robot_type.base).check_path(path)
+        outcomes = after_deployment(outcomes, robot_type.model(model), cells)
+    members = {
+        robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
+        for robot_type in team.types
+    }
+    if bound:
+        (robot,) = members.values()
+        return [plan_alone(robot.finder, robot.objective, bound)]
+    paths = allocated(team.allocation, [members[each] for each in team.types])
+    return [
+        Plan.along(path, belief, robot_type.model(model))
+        for path, robot_type in zip(paths, team.types)
+    ]
+
+
+def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
+    """Check that paths of a team can be searched for within the memory allowed."""
+    # Of those that have no camera of their own the model is all the same.
+    cameras = {(each.true_positive, each.false_positive) for each in types}
+    for base, options in dict.fromkeys(
+        (each.base, finder.options.of_type(each)) for each in types
+    ):
+        own = replace(finder, grid=finder.grid.at(base), options=options)
+        check_distance(own.grid, options)
+        own.check_memory(len(types), len(cameras))
+
+
+def team_size(grid: Grid, agents: int) -> int:
+    """Return how many robots there are if the grid has a free cell for each."""
+    free = int(grid.free.sum())
+    try:
+        return whole_number('agents', agents, 1, free)
+    except ValueError as error:
+        raise ValueError(f'{error}, one for each free cell at most') from error
