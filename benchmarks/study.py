@@ -8,7 +8,8 @@ from pathlib import Path
 import time
 
 from cases import Benchmark
-from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import run_trial, Trial
 
 PAPER = Path(__file__).parents[1] / 'scenarios' / 'paper.yaml'

@@ -22,7 +22,8 @@ from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.core import Grid, log_loss
 from kbnitp_ros.log import mcap_file
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.study.scenario import read_scenario, Scenario
+from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import trials_of
 from laws import for_each
 import pytest

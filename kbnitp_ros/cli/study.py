@@ -118,7 +118,7 @@ def study(options: argparse.Namespace) -> int:
     """Run the trials that the folder lacks, then write the report; return the exit code."""
     from kbnitp_ros.study.comparison import write_report
     from kbnitp_ros.study.results import check_memory, Results
-    from kbnitp_ros.study.scenario import read_scenario, scenario_file
+    from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
     from kbnitp_ros.study.trial import run_trial, trials_of
     from kbnitp_ros.study.workers import Folder, workers
 

@@ -4,8 +4,7 @@
 from kbnitp_ros.core.decision.decision import Decision, safest_path
 from kbnitp_ros.core.decision.goals import Area, Goal, Lane
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws, targets
-from kbnitp_ros.core.decision.rounds import plan_round
-from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.decision.rounds import plan_round, Stop
 from kbnitp_ros.core.field.belief import Belief, brier_score, log_loss
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
-from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.decision.rounds import Stop
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import generator, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid

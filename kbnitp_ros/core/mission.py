@@ -10,8 +10,7 @@ from typing import Any, TYPE_CHECKING
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws
-from kbnitp_ros.core.decision.rounds import plan_round
-from kbnitp_ros.core.decision.stopping import Stop
+from kbnitp_ros.core.decision.rounds import plan_round, Stop
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
 from kbnitp_ros.core.field.check import generator, typed, typed_fields, Value, whole_number
 from kbnitp_ros.core.field.clustering import Clustering

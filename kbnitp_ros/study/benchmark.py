@@ -25,7 +25,8 @@ from kbnitp_ros.files import naming, share
 from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
 from kbnitp_ros.study.results import as_json, Cell, LOG_LOSS, Mean, mean_of, Results, shown, Table
-from kbnitp_ros.study.scenario import read_scenario, Scenario, scenario_file
+from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -64,13 +65,6 @@ class Frozen(NamedTuple):
     bound: float
 
 
-class PlannerScore(NamedTuple):
-    """What a planner does on the frozen beliefs: worth / bound, and seconds; shape (beliefs,)."""
-
-    ratio: NDArray[np.float64]
-    seconds: NDArray[np.float64]
-
-
 class Entry(NamedTuple):
     """A row of the table: a planner and a method, and the missions that they made."""
 
@@ -104,8 +98,10 @@ def entered() -> tuple[list[str], list[str]]:
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
 
-def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -> PlannerScore:
-    """Return what the plans of a planner are worth, and how long they take."""
+def worth_of(
+    planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]
+) -> NDArray[np.float64]:
+    """Return worth / bound of the plans of a planner, and their seconds, shape (2, beliefs)."""
 
     def planned(each: Frozen) -> tuple[float, float]:
         begun = process_time()
@@ -114,9 +110,7 @@ def worth_of(planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]) -
 
     # The first one compiles kernels.
     planned(beliefs[0])
-    return PlannerScore(
-        *np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
-    )
+    return np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
 
 
 def seconds_of(method: str, scenario: Scenario) -> float:
@@ -150,7 +144,7 @@ def missions(
 
 
 def table_of(
-    entries: Sequence[Entry], worths: dict[str, PlannerScore], seconds: dict[str, float]
+    entries: Sequence[Entry], worths: dict[str, NDArray[np.float64]], seconds: dict[str, float]
 ) -> Table:
     """Return the table of the benchmark."""
 
@@ -162,21 +156,21 @@ def table_of(
 
     rows = []
     for entry in entries:
-        worth = worths[entry.planner]
+        ratio, times = worths[entry.planner]
         rows.append(
             [
                 Cell(entry.planner, f'`{entry.planner}`'),
                 Cell(entry.method, f'`{entry.method}`'),
-                mean(mean_of(worth.ratio), 3),
-                number(float(worth.ratio.min()), 3),
-                number(1e3 * float(np.median(worth.seconds)), 1),
+                mean(mean_of(ratio), 3),
+                number(float(ratio.min()), 3),
+                number(1e3 * float(np.median(times)), 1),
                 mean(entry.final(*LOG_LOSS)),
                 mean(entry.final('entropy')),
                 mean(entry.final('robots_lost')),
                 number(1e3 * seconds[entry.method], 2),
             ]
         )
-    beliefs = len(worths[PLANNER].ratio)
+    beliefs = worths[PLANNER].shape[1]
     caption = (
         f'Benchmark, version {VERSION}. Worth: the information of a plan, by a proven bound of '
         f'what any path is worth, mean and least of {beliefs} frozen beliefs. Log loss and '

@@ -4,11 +4,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from typing import Literal
 
 from kbnitp_ros.figures import SERIES, Style, WIDTH
-from kbnitp_ros.study.results import LOG_LOSS, mean_of, Results
-from kbnitp_ros.study.scenario import Contender, in_percent, Scenario, Strategy, team_labels
+from kbnitp_ros.study.results import (
+    after_rounds,
+    learnt_numbers,
+    LOG_LOSS,
+    MEAN,
+    mean_of,
+    of_number,
+    Results,
+    SD,
+    trade,
+)
+from kbnitp_ros.study.scenario import (
+    asks_for,
+    Contender,
+    in_percent,
+    Scenario,
+    Strategy,
+    team_labels,
+)
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
@@ -243,3 +262,84 @@ def reliability(
     held = np.array([believed.flat[cells].mean() for cells in classes])
     there = np.array([truth.flat[cells].mean() for cells in classes])
     return held, there
+
+
+def teams_chart(results: Results) -> Figure:
+    """Draw the mean log loss after each round, a panel a lethality."""
+    return means_chart(
+        results,
+        LOG_LOSS,
+        'round',
+        LOG_LOSS_LABEL,
+        'log',
+        lambda series, team: after_rounds(series, team.agents),
+    )
+
+
+def loss_cost_chart(results: Results) -> Figure:
+    """Draw log loss against robots lost, a panel a lethality."""
+
+    def draw(
+        axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
+    ) -> None:
+        (lost, log_loss), low, high = mean_of(
+            trade(partial(results.series, lethality, contender.method), contender.team)
+        )
+        at_its_end = {'markevery': [-1], 'markersize': 5}
+        axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)
+        end = lost[-1], log_loss[-1]
+        (left, bottom), (right, top) = (np.abs(each[:, -1] - end) for each in (low, high))
+        axes.errorbar(
+            *end,
+            [[bottom], [top]],
+            [[left], [right]],
+            fmt='none',
+            ecolor=style.colour,
+            elinewidth=0.8,
+        )
+
+    return panels_figure(results.scenario, draw, 'robots lost', LOG_LOSS_LABEL)
+
+
+def numbers_chart(results: Results) -> Figure:
+    """Draw how well each number is known after each deployment, a panel a number and lethality."""
+    scenario, names = results.scenario, learnt_numbers(results)
+    shown_in = list(product(names, scenario.lethalities))
+    # A row a number, unless there is but one panel of each.
+    are_rows = len(scenario.lethalities) > 1
+    columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
+    rows = -(-len(shown_in) // columns)
+    figure = Figure(figsize=(WIDTH, 1.7 * rows + 0.6), layout='constrained')
+    panels = grid_of(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
+    for place, ((name, lethality), axes) in enumerate(zip(shown_in, panels)):
+        draw_known(axes, *of_number(results, lethality, name))
+        if not are_rows:
+            axes.set_title(name.replace('_', ' '))
+        elif place % columns == 0:
+            axes.set_ylabel(name.replace('_', ' '))
+        if are_rows and place < columns:
+            axes.set_title(f'lethality {in_percent(lethality)}')
+    figure.supxlabel(f'deployment (root mean squares of {trials_in(scenario)})')
+    legend_above(figure, panels[0])
+    return figure
+
+
+def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
+    """Draw how far a number is from what is believed, and how far it is believed to be."""
+    error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
+    spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
+    lines = {'error of the mean': error, 'standard deviation believed': spread}
+    for (label, values), style in zip(lines.items(), SERIES):
+        axes.plot(values, **style.line(values.size), label=label)
+    axes.margins(x=0.02)
+    axes.set_ylim(bottom=0.0)
+
+
+def decision_chart(results: Results) -> Figure:
+    """Draw how often the lane is free, or the part of the area that is declared free."""
+    measure, up = (
+        ('declared', 'part of the area declared free')
+        if asks_for(results.scenario, 'area')
+        else ('free', 'share of worlds in which it is free')
+    )
+    return means_chart(results, (measure,), 'deployment', up)

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from pickle import PicklingError
-from typing import Any, NamedTuple
+from typing import Any
 
 from kbnitp_ros.core import METHODS, PLANNERS
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.plugins import name_of
 from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import Scenario, scenario_file, scenario_of
+from kbnitp_ros.study.scenario import Scenario
+from kbnitp_ros.study.scenario_file import scenario_file, scenario_of
 from kbnitp_ros.study.trial import MissionResult, run_trial, Trial, trials_of
 from kbnitp_ros.study.workers import workers as worker_processes
 from tqdm import tqdm
@@ -41,14 +41,17 @@ def compare(
     if paths:
         teams = content.get('teams', [{}])
         content['teams'] = [{**team, 'planner': name} for team in teams for name in paths]
-    own = Own(callables(paths), callables(updates))
-    with own.known():
+    own = [
+        {name: each for name, each in named.items() if not isinstance(each, str)}
+        for named in (paths, updates)
+    ]
+    with PLANNERS.including(own[0]), METHODS.including(own[1]):
         study = scenario_of(content)
     check_memory(study)
     trials = trials_of(study)
     try:
         with worker_processes('loky', workers) as pool:
-            done = pool.run(partial(run_own, own, study), trials)
+            done = pool.run(partial(run_own, own[0], own[1], study), trials)
             bar = tqdm(done, total=len(trials), unit='mission', disable=None)
             return Results(study, dict(bar))
     except PicklingError as error:
@@ -58,30 +61,15 @@ def compare(
         ) from error
 
 
-def run_own(own: Own, scenario: Scenario, trial: Trial) -> MissionResult:
+def run_own(
+    planners: Mapping[str, Callable[..., Any]],
+    methods: Mapping[str, Callable[..., Any]],
+    scenario: Scenario,
+    trial: Trial,
+) -> MissionResult:
     """Run a trial with planners and methods that no package has, handed to its process."""
-    with own.known():
+    with PLANNERS.including(planners), METHODS.including(methods):
         return run_trial(scenario, trial)
-
-
-def callables(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those that are no names of a registry."""
-    return {name: each for name, each in named.items() if not isinstance(each, str)}
-
-
-class Own(NamedTuple):
-    """What a study is handed, by name."""
-
-    # As entries of `PLANNERS`.
-    planners: Mapping[str, Callable[..., Any]]
-    # As entries of `METHODS`.
-    methods: Mapping[str, Callable[..., Any]]
-
-    @contextmanager
-    def known(self) -> Iterator[None]:
-        """Have the registries know these by their names until the ``with`` statement is left."""
-        with PLANNERS.including(self.planners), METHODS.including(self.methods):
-            yield
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:

@@ -12,28 +12,30 @@ from typing import Any
 
 from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming
-from kbnitp_ros.study.charts import entropy_chart, log_loss_chart, reliability_chart
-from kbnitp_ros.study.goals import DECLARED
+from kbnitp_ros.study.charts import (
+    decision_chart,
+    entropy_chart,
+    log_loss_chart,
+    loss_cost_chart,
+    numbers_chart,
+    reliability_chart,
+    teams_chart,
+)
 from kbnitp_ros.study.questions import (
     area_rows,
-    asks_for,
     at_equal_log_loss_more,
     base_rows,
     certificate_rows,
     certifies,
     common_rounds,
     cost_of_learning,
-    decision_chart,
     differ_in_size,
     equal_rows,
     lane_rows,
-    loss_cost_chart,
     MOST_CELLS,
     number_rows,
-    numbers_chart,
     ROBOTS,
     team_rows,
-    teams_chart,
 )
 from kbnitp_ros.study.results import (
     after_robots,
@@ -53,12 +55,14 @@ from kbnitp_ros.study.results import (
     table_of,
 )
 from kbnitp_ros.study.scenario import (
+    asks_for,
     differ_only_in,
     LEARNING,
     Scenario,
     Strategy,
     team_labels,
 )
+from kbnitp_ros.study.trial import DECLARED
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from pyarrow import parquet

@@ -4,44 +4,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from itertools import product
 
 from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
-from kbnitp_ros.figures import SERIES, Style, WIDTH
-from kbnitp_ros.study.charts import (
-    columns_for,
-    grid_of,
-    legend_above,
-    LOG_LOSS_LABEL,
-    means_chart,
-    panels_figure,
-    trials_in,
-)
 from kbnitp_ros.study.results import (
     after_robots,
+    after_rounds,
+    HIGH,
     interval,
+    learnt_numbers,
     LOG_LOSS,
+    LOW,
+    MEAN,
     Mean,
     mean_of,
     means_after,
+    of_number,
     resampled_means,
     Results,
     Row,
+    SD,
     Series,
+    trade,
 )
 from kbnitp_ros.study.scenario import (
-    Contender,
-    in_percent,
     LEARNING,
-    NUMBERS,
     Scenario,
     Strategy,
     team_labels,
 )
-from kbnitp_ros.study.trial import LEARNT
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,12 +42,6 @@ def differ_in_size(scenario: Scenario) -> bool:
     sizes = {team.agents for team in scenario.teams}
     others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
     return len(sizes) > 1 and len(others) == 1
-
-
-def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
-    """Return a series before the first round and after each, shape (trials, rounds + 1)."""
-    robots = series.shape[1] - 1
-    return series[:, [*range(0, robots, agents), robots]]
 
 
 def common_rounds(scenario: Scenario) -> int:
@@ -86,25 +71,8 @@ def team_rows(results: Results) -> Iterator[Row]:
         yield row | {name: mean_of(values) for name, values in measured.items()}
 
 
-def teams_chart(results: Results) -> Figure:
-    """Draw the mean log loss after each round, a panel a lethality."""
-    return means_chart(
-        results,
-        LOG_LOSS,
-        'round',
-        LOG_LOSS_LABEL,
-        'log',
-        lambda series, team: after_rounds(series, team.agents),
-    )
-
-
 # What is compared where two missions know as much.
 EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference', 'fewer')
-
-
-def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
-    """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
-    return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
 
 
 def at_equal_log_loss(
@@ -161,49 +129,8 @@ def base_rows(results: Results) -> Iterator[Row]:
         }
 
 
-def loss_cost_chart(results: Results) -> Figure:
-    """Draw log loss against robots lost, a panel a lethality."""
-
-    def draw(
-        axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
-    ) -> None:
-        (lost, log_loss), low, high = mean_of(
-            trade(partial(results.series, lethality, contender.method), contender.team)
-        )
-        at_its_end = {'markevery': [-1], 'markersize': 5}
-        axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)
-        end = lost[-1], log_loss[-1]
-        (left, bottom), (right, top) = (np.abs(each[:, -1] - end) for each in (low, high))
-        axes.errorbar(
-            *end,
-            [[bottom], [top]],
-            [[left], [right]],
-            fmt='none',
-            ecolor=style.colour,
-            elinewidth=0.8,
-        )
-
-    return panels_figure(results.scenario, draw, 'robots lost', LOG_LOSS_LABEL)
-
-
-MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
-
 # After how many robots missions are compared, and after the last one.
 ROBOTS = (10, 25, 50, 100, 200)
-
-
-def learnt_numbers(results: Results) -> list[str]:
-    """Return the names of the numbers that were learnt."""
-    return list(results.scenario.learn.priors)
-
-
-def of_number(
-    results: Results, lethality: float | None, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what was known of a number, (trials, robots + 1, learnt), and it, (trials, 1)."""
-    known, truth = results.learnt(lethality, results.scenario.teams[0])
-    place = NUMBERS.index(name)
-    return known[:, :, place], truth[:, place, None]
 
 
 def number_rows(results: Results) -> Iterator[Row]:
@@ -235,52 +162,12 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
                 yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 
-def numbers_chart(results: Results) -> Figure:
-    """Draw how well each number is known after each deployment, a panel a number and lethality."""
-    scenario, names = results.scenario, learnt_numbers(results)
-    shown_in = list(product(names, scenario.lethalities))
-    # A row a number, unless there is but one panel of each.
-    are_rows = len(scenario.lethalities) > 1
-    columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
-    rows = -(-len(shown_in) // columns)
-    figure = Figure(figsize=(WIDTH, 1.7 * rows + 0.6), layout='constrained')
-    panels = grid_of(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
-    for place, ((name, lethality), axes) in enumerate(zip(shown_in, panels)):
-        draw_known(axes, *of_number(results, lethality, name))
-        if not are_rows:
-            axes.set_title(name.replace('_', ' '))
-        elif place % columns == 0:
-            axes.set_ylabel(name.replace('_', ' '))
-        if are_rows and place < columns:
-            axes.set_title(f'lethality {in_percent(lethality)}')
-    figure.supxlabel(f'deployment (root mean squares of {trials_in(scenario)})')
-    legend_above(figure, panels[0])
-    return figure
-
-
-def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
-    """Draw how far a number is from what is believed, and how far it is believed to be."""
-    error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
-    spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
-    lines = {'error of the mean': error, 'standard deviation believed': spread}
-    for (label, values), style in zip(lines.items(), SERIES):
-        axes.plot(values, **style.line(values.size), label=label)
-    axes.margins(x=0.02)
-    axes.set_ylim(bottom=0.0)
-
-
 # After how many robots missions are compared.
 DECIDED_AFTER = (10, 25, 50, 100)
 # The probabilities at which missions may end.
 CONFIDENCES = (0.9, 0.95, 0.99)
 # The part of an area that is to be declared free.
 MOST_CELLS = 0.8
-
-
-def asks_for(scenario: Scenario, goal: str) -> bool:
-    """Return whether missions are asked for such a goal, and go on when it is reached."""
-    asked = scenario.asked
-    return asked is not None and asked.goal == goal and not asked.confidence
 
 
 def certifies(scenario: Scenario) -> bool:
@@ -352,13 +239,3 @@ def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
     is_most[:, -1] = True
     robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)
     return robots
-
-
-def decision_chart(results: Results) -> Figure:
-    """Draw how often the lane is free, or the part of the area that is declared free."""
-    measure, up = (
-        ('declared', 'part of the area declared free')
-        if asks_for(results.scenario, 'area')
-        else ('free', 'share of worlds in which it is free')
-    )
-    return means_chart(results, (measure,), 'deployment', up)

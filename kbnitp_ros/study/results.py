@@ -11,8 +11,16 @@ from operator import attrgetter
 import re
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from kbnitp_ros.study.scenario import ALONE, in_short, LEARNING, Scenario, Strategy, team_labels
-from kbnitp_ros.study.trial import measures_of, MissionResult, Trial, trials_of
+from kbnitp_ros.study.scenario import (
+    ALONE,
+    in_short,
+    LEARNING,
+    NUMBERS,
+    Scenario,
+    Strategy,
+    team_labels,
+)
+from kbnitp_ros.study.trial import LEARNT, measures_of, MissionResult, Trial, trials_of
 import numpy as np
 from numpy.typing import NDArray
 import pandas
@@ -306,3 +314,31 @@ def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
     """Return a mean and its interval, if it has one, for people."""
     mean, *ends = (f'{value:.{decimals}f}' for value in entry.values() if value is not None)
     return f'{mean} [{", ".join(ends)}]' if ends else mean
+
+
+def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
+    """Return a series before the first round and after each, shape (trials, rounds + 1)."""
+    robots = series.shape[1] - 1
+    return series[:, [*range(0, robots, agents), robots]]
+
+
+def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
+    """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
+    return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
+
+
+MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
+
+
+def learnt_numbers(results: Results) -> list[str]:
+    """Return the names of the numbers that were learnt."""
+    return list(results.scenario.learn.priors)
+
+
+def of_number(
+    results: Results, lethality: float | None, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what was known of a number, (trials, robots + 1, learnt), and it, (trials, 1)."""
+    known, truth = results.learnt(lethality, results.scenario.teams[0])
+    place = NUMBERS.index(name)
+    return known[:, :, place], truth[:, place, None]

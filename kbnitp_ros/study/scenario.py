@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, MISSING
-from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints, NamedTuple, Union
+from dataclasses import dataclass, fields
+from typing import Annotated, NamedTuple
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
@@ -18,24 +16,77 @@ from kbnitp_ros.core import (
     Estimator,
     Goal,
     Grid,
+    Lane,
     METHODS,
     OBJECTIVES,
     ORDINARY,
     PathFinder,
+    Plan,
     PLANNERS,
     RobotType,
+    safest_path,
     SearchOptions,
     SensorModel,
+    Stop,
     Team,
     Unknowns,
 )
-from kbnitp_ros.core.decision.goals import GOALS
+from kbnitp_ros.core.decision.decision import there_and_back
+from kbnitp_ros.core.decision.goals import GOALS, Situation
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
 from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
-from kbnitp_ros.files import read_yaml, share
-from kbnitp_ros.study.goals import Asked, SAFEST_LANE
 import numpy as np
+
+# What robots are sent for, besides `GOALS`, to compare these with.
+SAFEST_LANE = 'safest_lane'
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The decision that missions of a study are asked for, whatever their robots are sent for."""
+
+    # Of `GOALS`, but for 'map'.
+    goal: Annotated[str, GOALS]
+    # Those of the goal.
+    cells: tuple[Annotated[int, (0, 999_999)], ...]
+    # The probability at which missions that are sent for the goal end; 0: they do not.
+    confidence: Annotated[float, (0.0, 1.0)] = 0.0
+
+    def sought(self) -> Goal:
+        """Return the goal."""
+        goal = GOALS[self.goal](self.cells, self.confidence or None)
+        if goal is None:
+            raise ValueError('map is no decision: ask for a goal that has one')
+        return goal
+
+    def goal_of(self, sent_for: str) -> Goal | None:
+        """Return the goal of missions whose robots are sent for something; None for a map."""
+        if sent_for == 'map':
+            return None
+        if sent_for == SAFEST_LANE and self.goal == Lane.name:
+            return SafestLane(self.cells[0], self.confidence or None)
+        if sent_for != self.goal:
+            raise ValueError(f'robots are sent for {sent_for}, and {self.goal} is asked for')
+        return self.sought()
+
+    def check(self, grid: Grid, robots: int, max_steps: int) -> None:
+        """Refuse a goal that is none, or cannot be reached on a field."""
+        goal = self.sought()
+        goal.check(grid, max_steps)
+        Stop().check(goal, robots)
+
+
+class SafestLane(Lane):
+    """A lane, for which robots fly out and back on the one that is safest by now."""
+
+    def flight(self, situation: Situation) -> Plan | None:
+        """Return the safest lane, there and back."""
+        grid, draws, model = situation.grid, situation.draws, situation.model
+        half = situation.options.max_steps // 2
+        lane = safest_path(grid, draws, model, grid.base, self.to, half).path
+        return situation.planned(there_and_back(lane, lane), 0.0)
+
 
 # What is compared: the methods, which are told all numbers, and the sampled one when it learns
 # those of the section learn instead.
@@ -61,17 +112,6 @@ DRAWN = 0x4452574E
 # registry, and further ones.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
-
-KINDS = {int: 'a whole number', float: 'a number'}
-
-# What is not told to the method that learns, and the prior of each of these numbers.
-PRIORS: dict[type, dict[str, Any]] = {
-    Unknowns: dict.fromkeys(NUMBERS, Beta | None),
-    Beta: {
-        **dict.fromkeys('ab', Annotated[float, (0.01, 1000.0)]),
-        **dict.fromkeys(('low', 'high'), Probability),
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -428,96 +468,7 @@ def in_short(lethality: float | None) -> str:
     return 'drawn' if lethality is None else f'{lethality:.4g}'
 
 
-def read_scenario(path: Path) -> Scenario:
-    """Return the scenario in a file."""
-    try:
-        return scenario_of(read_yaml(path))
-    except ValueError as error:
-        raise ValueError(f'scenario {path}: {error}') from error
-
-
-def scenario_of(content: Any) -> Scenario:
-    """Return the scenario that YAML, or Python, says."""
-    scenario: Scenario = _read(Scenario, content, '')
-    for key, check in (
-        ('grid', scenario.field),
-        ('learn', scenario.check_learning),
-        ('prior', scenario.check_belief),
-        ('teams', scenario.check_teams),
-        ('hazards', scenario.check_hazards),
-        ('planning', scenario.check_search),
-        ('asked', scenario.check_asked),
-    ):
-        try:
-            check()
-        except ValueError as error:
-            raise ValueError(f'{key}: {error}') from error
-    return scenario
-
-
-def _read(annotation: Any, value: Any, key: str) -> Any:
-    """Return what YAML loaded for `key` by its annotation: a section, a list or a value."""
-    if is_dataclass(annotation):
-        return _read_section(annotation, value, key)
-    if get_origin(annotation) in (Union, UnionType):
-        return None if value is None else _read(get_args(annotation)[0], value, key)
-    if get_origin(annotation) is tuple:
-        if not isinstance(value, list) or not value:
-            raise ValueError(f'{key} is {value!r}: it must be a list of at least one')
-        values = tuple(_read(get_args(annotation)[0], one, key) for one in value)
-        if len(set(values)) < len(values):
-            raise ValueError(f'{key} is {value}: nothing may be in it twice')
-        return values
-    wanted, allowed, *besides = get_args(annotation)
-    if wanted is str:
-        if value not in allowed and value not in besides:
-            named = tuple(filter(None, besides))
-            if isinstance(allowed, tuple):
-                why = f'it must be one of {", ".join(allowed + named)}'
-            else:
-                why = allowed.why_not(value, *named)
-            raise ValueError(f'{key} is {value!r}: {why}')
-        return value
-    lowest, highest = allowed
-    of_kind = type(value) is wanted or (wanted is float and type(value) is int)
-    if not (of_kind and lowest <= value <= highest):
-        raise ValueError(
-            f'{key} is {value!r}: it must be {KINDS[wanted]} from {lowest} to {highest}'
-        )
-    return wanted(value)
-
-
-def _read_section(annotation: Any, content: Any, key: str) -> Any:
-    """Return a section's dataclass; the whole scenario is the section without a key."""
-    known = [field.name for field in fields(annotation)]
-    name, inside = (key, f'{key}.') if key else ('it', '')
-    if not isinstance(content, dict):
-        raise ValueError(f'{name} is {content!r}: it must have the keys {", ".join(known)}')
-    unknown = [str(given) for given in content if given not in known]
-    if unknown:
-        raise ValueError(f'{inside}{unknown[0]} is unknown: {name} has {", ".join(known)}')
-    missing = [
-        f.name for f in fields(annotation) if f.default is MISSING and f.name not in content
-    ]
-    if missing:
-        raise ValueError(f'{inside}{missing[0]} is missing: {name} has {", ".join(known)}')
-    annotations = PRIORS.get(annotation) or get_type_hints(annotation, include_extras=True)
-    values = {k: _read(annotations[k], value, f'{inside}{k}') for k, value in content.items()}
-    try:
-        return annotation(**values)
-    except ValueError as error:
-        raise ValueError(f'{key}: {error}') from error
-
-
-def shipped() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
-    return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
-
-
-def scenario_file(name: str) -> Path:
-    """Return the path of a scenario: a file, or one shipped with the package."""
-    if name in shipped():
-        return share('scenarios') / f'{name}.yaml'
-    if not Path(name).is_file():
-        raise ValueError(f'scenario {name} is no file, and none of {", ".join(shipped())}')
-    return Path(name)
+def asks_for(scenario: Scenario, goal: str) -> bool:
+    """Return whether missions are asked for such a goal, and go on when it is reached."""
+    asked = scenario.asked
+    return asked is not None and asked.goal == goal and not asked.confidence

@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from kbnitp_ros.core import (
     Belief,
     brier_score,
     continue_mission,
+    Decision,
     Estimator,
     Execution,
     Grid,
+    HazardDraws,
     Learnt,
     log_loss,
     SimulatedMission,
@@ -20,8 +22,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.belief import binary_entropy
-from kbnitp_ros.study.goals import measured_for, OF_GOALS
-from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario, Strategy
+from kbnitp_ros.study.scenario import ALONE, Asked, NUMBERS, Scenario, Strategy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -250,3 +251,49 @@ def as_learnt(number: Learnt | None) -> tuple[float, ...]:
     if number is None:
         return (np.nan,) * len(LEARNT)
     return number.mean, number.sd, *map(number.quantile, QUANTILES)
+
+
+# The probability at which a cell is declared free of hazards.
+DECLARED = 0.95
+
+
+# Measured where missions are asked for a decision: the robots sent, that what is asked for is free
+# as believed and in truth, how many independent draws say so, and the parts of the cells asked for
+# that are declared free, and that are so in truth as well.
+OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared_free')
+
+
+def measured_for(
+    asked: Asked,
+    grid: Grid,
+    max_steps: int,
+    estimator: Estimator,
+    mission: SimulatedMission,
+    is_own: bool,
+    beliefs: Sequence[Belief],
+    worlds: Sequence[World],
+) -> dict[str, Iterable[float]]:
+    """Return `OF_GOALS` before the first robot and after each."""
+    goal = asked.sought()
+
+    def decide(deployments: int) -> Decision:
+        draws = HazardDraws.of(estimator, deployments)
+        return goal.decide(grid, draws, estimator.model, max_steps)
+
+    decisions = [decide(0)]
+    for number, deployment in enumerate(mission, 1):
+        if is_own and deployment.decision is not None:
+            decisions.append(deployment.decision)
+        else:
+            estimator.assimilate(deployment.observation)
+            decisions.append(decide(number))
+    cells, hazard = list(asked.cells), np.stack([world.hazard for world in worlds])
+    declared = np.stack([belief.hazard[cells] <= 1.0 - DECLARED for belief in beliefs])
+    return {
+        'sent': range(len(decisions)),
+        'p_free': [decision.p_free for decision in decisions],
+        'free': [float(not true[each.cells].any()) for true, each in zip(hazard, decisions)],
+        'independent_draws': [decision.independent_draws for decision in decisions],
+        'declared': declared.mean(axis=1),
+        'declared_free': (declared & ~hazard[:, cells]).mean(axis=1),
+    }

@@ -16,7 +16,8 @@ from typing import Any, BinaryIO, TypeVar
 
 from joblib import cpu_count, delayed, Parallel, parallel_config
 from kbnitp_ros.files import naming
-from kbnitp_ros.study.scenario import ALONE, NUMBERS, read_scenario, Scenario
+from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario
+from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import LEARNT, measures_of, MissionResult, Trial, trials_of
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -31,7 +32,14 @@ class Folder:
         self._trials = path / 'trials'
         kept = path / 'scenario.yaml'
         if kept.exists():
-            _check_same(path, asdict(read_scenario(kept)), asdict(scenario))
+            asked = asdict(scenario)
+            for key, value in asdict(read_scenario(kept)).items():
+                # Trials do not depend on how many there are.
+                if key != 'trials' and value != asked[key]:
+                    raise ValueError(
+                        f'{path} holds results of another scenario, with {key} {value} '
+                        f'and not {asked[key]}: name another folder'
+                    )
         elif self._trials.exists():
             raise ValueError(f'{path} holds results of an unknown scenario: name another folder')
         elif any(path.glob('*.mcap')):
@@ -88,16 +96,6 @@ class Folder:
             if name in earlier or value != getattr(ALONE, name)
         )
         return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
-
-
-def _check_same(path: Path, kept: dict[str, object], asked: dict[str, object]) -> None:
-    for key, value in kept.items():
-        # Trials do not depend on how many there are.
-        if key != 'trials' and value != asked[key]:
-            raise ValueError(
-                f'{path} holds results of another scenario, with {key} {value} '
-                f'and not {asked[key]}: name another folder'
-            )
 
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:

@@ -8,8 +8,15 @@ from dataclasses import dataclass, replace
 
 from kbnitp_ros.core import ALLOCATIONS, Belief, PathFinder, RobotType, SearchOptions
 from kbnitp_ros.core.planning.plans import Allocation, TeamMember
-from kbnitp_ros.testing.cases import draw_field, draw_robot_type, draw_walk, Field, PLANS
-from kbnitp_ros.testing.laws import hold, require
+from kbnitp_ros.testing.laws import (
+    draw_field,
+    draw_robot_type,
+    draw_walk,
+    Field,
+    hold,
+    PLANS,
+    require,
+)
 import numpy as np
 
 

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How laws are run over cases, and how a broken one is told."""
+"""Cases that laws are tried on, and how a broken law is told."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TypeVar
 
-from kbnitp_ros.core import Belief
+from kbnitp_ros.core import Belief, Grid, Observation, ORDINARY, RobotType, SensorModel, World
 from kbnitp_ros.plugins import Registry
 import numpy as np
 from numpy.typing import NDArray
@@ -79,3 +80,104 @@ def require_same(one: Belief, other: Belief, words: str) -> None:
 def with_type(error: Exception) -> str:
     """Return an error with its type."""
     return f'{type(error).__name__}: {error}'
+
+
+# Keys of the generators that draw cases, which no world has.
+MISSIONS, PLANS = 0x4C415753, 0x4C415754
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A small field and what is believed of it."""
+
+    # Of at most 4 x 4 cells, some of them blocked.
+    grid: Grid
+    # Any in its cells; some are known to be free of hazard.
+    prior: Belief
+    # Of robots of which each may be lost to a malfunction.
+    model: SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class MissionCase(Field):
+    """A field and what robots met in it."""
+
+    # Of what a method draws.
+    seed: int
+    # Outcomes in one world that the prior allows for, with and without last contacts and with
+    # cells where robots did not look.
+    deployments: tuple[tuple[Observation, RobotType], ...]
+
+    @property
+    def returns(self) -> tuple[tuple[Observation, RobotType], ...]:
+        """Return the deployments that robots came back from."""
+        return tuple(each for each in self.deployments if each[0].survived)
+
+
+def draw_field(rng: np.random.Generator) -> Field:
+    """Draw a field."""
+    width, height = (int(n) for n in rng.integers(2, 5, 2))
+    base, *others = (int(cell) for cell in rng.permutation(width * height))
+    grid = Grid(width, height, base=base, blocked=others[: int(rng.integers(0, 3))])
+    hazard = rng.uniform(0.02, 0.9, grid.cells) * (rng.random(grid.cells) < 0.8)
+    kappa, background = rng.uniform(0.05, 0.95, (2, grid.cells))
+    target = hazard * kappa + (1.0 - hazard) * background
+    return Field(grid, Belief.prior(grid, hazard, target, kappa), draw_model(rng))
+
+
+def draw_model(rng: np.random.Generator) -> SensorModel:
+    """Draw a sensor model that calls nothing impossible."""
+    return SensorModel(
+        lethality=float(rng.uniform(0.1, 0.95)),
+        malfunction=float(rng.uniform(0.01, 0.15)),
+        false_negative=float(rng.uniform(0.0, 0.2)),
+        true_positive=float(rng.uniform(0.7, 0.99)),
+        false_positive=float(rng.uniform(0.01, 0.3)),
+    )
+
+
+def draw_robot_type(rng: np.random.Generator) -> RobotType:
+    """Draw a robot type that has some numbers of its own, or none."""
+    drawn = vars(draw_model(rng))
+    return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
+
+
+def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.intp]:
+    """Draw a closed walk of so many steps, at least 1."""
+    path = [grid.base]
+    for left in reversed(range(steps)):
+        around = grid.neighbors(path[-1])
+        path.append(int(rng.choice(around[grid.steps_to_base[around] <= left])))
+    return np.array(path, dtype=np.intp)
+
+
+def draw_outcome(
+    rng: np.random.Generator, world: World, path: NDArray[np.intp], model: SensorModel
+) -> Observation:
+    """Draw what becomes of a robot on a path, and what is known of it."""
+    survived, read, _ = world.steps(path, model, rng)
+    if survived.all():
+        return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
+    heard = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0
+    return Observation(path, False, steps_survived=heard)
+
+
+def draw_mission(seed: int, robots: int = 6) -> MissionCase:
+    """Draw a mission; the last robots of it are one that is lost and one that returns."""
+    rng = np.random.default_rng([MISSIONS, seed])
+    field = draw_field(rng)
+    below = np.cumsum(field.prior.joint.reshape(-1, 4), axis=1)
+    state = (rng.random((field.prior.cells, 1)) * below[:, -1:] >= below).sum(axis=1)
+    world = World(state // 2 == 1, state % 2 == 1)
+    deployments = []
+    for _ in range(robots):
+        robot_type = draw_robot_type(rng) if rng.random() < 0.4 else ORDINARY
+        path = draw_walk(rng, field.grid, int(rng.integers(1, 9)))
+        deployments.append(
+            (draw_outcome(rng, world, path, robot_type.model(field.model)), robot_type)
+        )
+    # Any world allows for these.
+    one, other = (draw_walk(rng, field.grid, int(rng.integers(2, 9))) for _ in range(2))
+    back = Observation(other, True, rng.random(other.size - 1) < 0.5)
+    deployments += [(Observation(one, False), ORDINARY), (back, ORDINARY)]
+    return MissionCase(field.grid, field.prior, field.model, seed, tuple(deployments))

@@ -21,9 +21,11 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.inference.methods import CALLED, Inference, KNOWN, Method
-from kbnitp_ros.testing.cases import draw_mission, draw_walk, MissionCase
 from kbnitp_ros.testing.laws import (
+    draw_mission,
+    draw_walk,
     hold,
+    MissionCase,
     require,
     require_close,
     require_same,

@@ -9,8 +9,7 @@ from itertools import pairwise
 
 from kbnitp_ros.core import Belief, Candidate, Grid, PathFinder, Plan, PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.testing.cases import draw_field, draw_walk, Field, PLANS
-from kbnitp_ros.testing.laws import hold, require
+from kbnitp_ros.testing.laws import draw_field, draw_walk, Field, hold, PLANS, require
 import numpy as np
 
 Planner = Callable[[PathFinder, Objective], list[Candidate]]

@@ -3,7 +3,7 @@
 
 from extent import FULL
 from kbnitp_ros.study import benchmark, comparison
-from kbnitp_ros.study.scenario import read_scenario
+from kbnitp_ros.study.scenario_file import read_scenario
 import pytest
 import small_study
 

@@ -14,7 +14,8 @@ from kbnitp_ros.study.comparison import (
     CONTACT,
     differ_in_objective,
 )
-from kbnitp_ros.study.questions import compare, trade
+from kbnitp_ros.study.questions import compare
+from kbnitp_ros.study.results import trade
 from kbnitp_ros.study.scenario import differ_only_in, Strategy
 from kbnitp_ros.study.trial import run_trial, trials_of
 from kbnitp_ros.study.workers import Folder

@@ -8,10 +8,10 @@ import json
 from kbnitp_ros.core import Area, Estimator, HazardDraws, Lane
 from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study.comparison import AREAS, CERTIFICATES, COMPARISONS, LANES, write_report
-from kbnitp_ros.study.goals import Asked, DECLARED, OF_GOALS, SafestLane
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import read_scenario, scenario_file, scenario_of, Strategy
-from kbnitp_ros.study.trial import measures_of, run_trial, Trial, trials_of
+from kbnitp_ros.study.scenario import Asked, SafestLane, Strategy
+from kbnitp_ros.study.scenario_file import read_scenario, scenario_file, scenario_of
+from kbnitp_ros.study.trial import DECLARED, measures_of, OF_GOALS, run_trial, Trial, trials_of
 import numpy as np
 import pytest
 from small_study import CONTENT, run

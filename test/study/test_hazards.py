@@ -7,7 +7,8 @@ import json
 from kbnitp_ros.core import Grid, log_loss
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import BY_KIND, OF_HAZARDS, write_report
-from kbnitp_ros.study.scenario import Hazards, scenario_of, Strategy, team_labels
+from kbnitp_ros.study.scenario import Hazards, Strategy, team_labels
+from kbnitp_ros.study.scenario_file import scenario_of
 from kbnitp_ros.study.trial import blobs, rows, run_trial, Trial, world_of
 from laws import for_each
 import numpy as np

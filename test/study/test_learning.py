@@ -15,7 +15,8 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.study.comparison import figures_of, OF_LEARNING, OF_NUMBERS, write_report
 from kbnitp_ros.study.results import LOG_LOSS
-from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, read_scenario, SAMPLED
+from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, SAMPLED
+from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts

@@ -9,7 +9,8 @@ import subprocess
 import sys
 
 from kbnitp_ros.core import log_loss, World
-from kbnitp_ros.study.scenario import in_short, read_scenario, SAMPLED, team_labels
+from kbnitp_ros.study.scenario import in_short, SAMPLED, team_labels
+from kbnitp_ros.study.scenario_file import read_scenario
 from laws import for_each
 import numpy as np
 from PIL import Image

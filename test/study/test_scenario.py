@@ -3,7 +3,8 @@
 
 from pathlib import Path
 
-from kbnitp_ros.study.scenario import ALONE, read_scenario, Strategy, team_labels
+from kbnitp_ros.study.scenario import ALONE, Strategy, team_labels
+from kbnitp_ros.study.scenario_file import read_scenario
 from laws import for_each
 import pytest
 import small_study

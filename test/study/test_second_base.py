@@ -4,7 +4,8 @@
 from dataclasses import replace
 
 from kbnitp_ros.study.comparison import BY_BASE
-from kbnitp_ros.study.scenario import scenario_of, Strategy, team_labels
+from kbnitp_ros.study.scenario import Strategy, team_labels
+from kbnitp_ros.study.scenario_file import scenario_of
 import numpy as np
 import pytest
 from small_study import compared_by, CONTENT

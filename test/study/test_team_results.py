@@ -4,7 +4,8 @@
 from dataclasses import replace
 
 from kbnitp_ros.study.comparison import BY_SIZE, write_report
-from kbnitp_ros.study.questions import after_rounds, differ_in_size
+from kbnitp_ros.study.questions import differ_in_size
+from kbnitp_ros.study.results import after_rounds
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import MEASURES, Trial
 from laws import for_each
