@@ -79,7 +79,7 @@ def paragraph(beginning):
         },
         COLUMN,
     ),
-    (
+    pytest.param(
         'A method',
         {
             'kbnitp_ros/core/inference/late.py': {'': LATE},
@@ -92,6 +92,7 @@ def paragraph(beginning):
             },
         },
         METHOD,
+        marks=pytest.mark.full,
     ),
     (
         'A comparison in studies',

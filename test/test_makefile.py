@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make build` and `make test` say what they install, how far they are and why they fail."""
+"""Machines are checked, and what tests need is installed, in few lines that have a remedy."""
 
 import os
 from pathlib import Path
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 
+from laws import for_each
 import pytest
-
-pytestmark = pytest.mark.processes
 
 ROOT = Path(__file__).parents[1]
 
@@ -56,6 +56,7 @@ def make(tree, pip, npm):
     )
 
 
+@pytest.mark.processes
 def test_progress_is_shown_in_few_lines(tree):
     made = make(tree, WORKS, WORKS)
     told, complaints = made.communicate(timeout=60)
@@ -69,6 +70,7 @@ def test_progress_is_shown_in_few_lines(tree):
     assert (tree / '.venv/.npm').exists()
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     'pip, npm, reasons, missing',
     [
@@ -86,6 +88,7 @@ def test_what_fails_says_why(tree, pip, npm, reasons, missing):
     assert not (tree / '.venv' / f'.{missing}').exists()
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize('target, command, with_npm', [
     ('check', 'ruff check', False),
     ('test-quick', "-m 'not processes and not slow'", False),
@@ -103,6 +106,7 @@ def test_only_tests_that_read_logs_in_javascript_need_npm(tree, target, command,
     assert ('npm' in told) == with_npm
 
 
+@pytest.mark.processes
 def test_a_certificate_that_is_not_trusted_has_its_remedy(tree):
     npm = 'echo "npm error self-signed certificate in certificate chain"; exit 1'
     _, complaints = make(tree, WORKS, npm).communicate(timeout=60)
@@ -112,6 +116,7 @@ def test_a_certificate_that_is_not_trusted_has_its_remedy(tree):
     assert 'PIP_CERT' not in complaints
 
 
+@pytest.mark.processes
 def test_an_interrupt_ends_what_runs(tree):
     made = make(tree, 'echo $$ > pid; exec sleep 60', WORKS)
     deadline = time.monotonic() + 30
@@ -122,3 +127,79 @@ def test_an_interrupt_ends_what_runs(tree):
     made.communicate(timeout=30)
     assert made.returncode != 0
     assert not Path('/proc', (tree / 'pid').read_text().strip()).exists()
+
+
+# `make build` says in one line what the machine lacks.
+
+
+SCRIPT = Path(__file__).parents[1] / 'tools' / 'check_machine.sh'
+
+# A Python of any version, with or without some of its parts.
+FAKE_PYTHON = """
+case $2 in
+  *version_info*) echo {version} ;;
+  *venv*) exit {venv} ;;
+  *sysconfig*) echo {include} ;;
+esac
+"""
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """Return a function that runs the script on a machine with these tools and this Python."""
+    headers = tmp_path / 'include'
+    headers.mkdir()
+    headers.joinpath('Python.h').touch()
+
+    def check(
+        without=None,
+        system='Linux x86_64',
+        python='python3',
+        version='3.12',
+        venv=0,
+        include=headers,
+    ):
+        tools = {
+            'cc': 'true',
+            'c++': 'true',
+            'cmake': 'true',
+            'uname': f'echo {system}',
+            'python3': FAKE_PYTHON.format(version=version, venv=venv, include=include),
+        }
+        there = tempfile.mkdtemp(dir=tmp_path)
+        for name in tools.keys() - {without}:
+            Path(there, name).write_text(f'#!/bin/sh\n{tools[name]}\n')
+            Path(there, name).chmod(0o755)
+        return subprocess.run(
+            ['/bin/sh', SCRIPT, python], env={'PATH': there}, capture_output=True, text=True
+        )
+
+    return check
+
+
+@pytest.mark.processes
+@for_each('version', ['3.10', '3.11', '3.12', '3.13'])
+def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
+    done = machine(version=version)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
+
+
+@pytest.mark.processes
+@for_each('lack, missing, remedy', [
+    ({'without': 'cc'}, 'C compiler', 'apt install g++'),
+    ({'without': 'c++'}, 'C++ compiler', 'apt install g++'),
+    ({'without': 'cmake'}, 'cmake', 'apt install cmake'),
+    ({'venv': 1}, 'venv', 'apt install python3.12-venv'),
+    ({'include': '/nowhere'}, '/nowhere/Python.h', 'apt install python3.12-dev'),
+    ({'python': 'python9'}, 'python9', 'apt install python3'),
+    ({'version': '3.9'}, '3.9', 'make PYTHON='),
+    ({'version': '3.14'}, '3.14', 'make PYTHON='),
+    ({'system': 'Darwin arm64'}, 'Darwin arm64', 'colcon build'),
+    ({'version': '2.7'}, '2.7', 'make PYTHON='),
+])  # fmt: skip
+def test_what_is_missing_takes_one_line_with_its_remedy(machine, lack, missing, remedy):
+    done = machine(**lack)
+    assert done.returncode == 1
+    assert done.stderr.count('\n') == 1
+    assert missing in done.stderr
+    assert remedy in done.stderr

@@ -69,7 +69,7 @@ QUICK = [
 LAWS = [
     'test/core/inference/test_ledger.py'
     '::test_a_return_that_makes_later_ones_impossible_is_refused',
-    'test/core/planning/test_planning.py::test_plans_are_legal_and_say_what_they_are_worth',
+    'test/core/test_laws.py::test_planners_keep_their_laws',
     'test/messages/test_beliefs.py::test_a_belief_comes_back_bit_for_bit',
 ]
 

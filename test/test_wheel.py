@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package works in an environment of its own, without ROS."""
+"""The wheel is enough for logs and studies, and users see its types."""
 
 import gzip
 from importlib import metadata
@@ -16,8 +16,6 @@ ROOT = Path(__file__).parents[1]
 COMMANDS = ROOT.joinpath('docs/commands.md').read_text()
 PLACE = 'import kbnitp_ros, os; print(os.path.dirname(kbnitp_ros.__file__))'
 INSTALLED = ('kbnitp_ros', 'setuptools', 'wheel')
-
-pytestmark = [pytest.mark.processes, pytest.mark.full]
 
 
 # This Python, and others that are there: each takes a minute or two.
@@ -96,6 +94,8 @@ def fits(distribution):
     return distribution.name not in INSTALLED and not distribution.name.startswith('ros-')
 
 
+@pytest.mark.processes
+@pytest.mark.full
 def test_only_one_command_is_installed(run):
     listed = run('python', '-c', 'import os, sys; print(*os.listdir(sys.prefix + "/bin"))').stdout
     assert 'kbnitp' in listed.split()
@@ -105,12 +105,16 @@ def test_only_one_command_is_installed(run):
     assert run('kbnitp', '--version').stdout == f'kbnitp_ros {version} in {here}\n'
 
 
+@pytest.mark.processes
+@pytest.mark.full
 def test_the_example_of_the_readme_runs(run):
     (code,) = re.findall(r'```python\n(.*?)```', COMMANDS, re.S)
     done = run('python', '-c', code)
     assert done.stdout.strip() == re.findall(r'# (.*)', code)[-1], done.stderr
 
 
+@pytest.mark.processes
+@pytest.mark.full
 def test_logs_and_studies_need_no_ros(run, tmp_path):
     log = tmp_path / 'mission.mcap'
     golden = ROOT / 'test/log/recorded/kappa_bnitp.mcap.gz'
@@ -126,6 +130,8 @@ def test_logs_and_studies_need_no_ros(run, tmp_path):
     assert tmp_path.joinpath('study/entropy.png').exists()
 
 
+@pytest.mark.processes
+@pytest.mark.full
 def test_nodes_say_that_they_need_ros(run):
     done = run('kbnitp', 'planner')
     assert (done.returncode, done.stdout) == (2, '')
@@ -141,3 +147,57 @@ def write_scenario(path):
         assert count == 1, name
     path.write_text(text)
     return path
+
+
+# Whoever uses the package has the types of what it returns.
+
+
+SCRIPT = """
+from kbnitp_ros.core import Belief, Estimator, Grid, plan, run_mission, SensorModel, World
+from kbnitp_ros.log.history import read_history
+from kbnitp_ros.maps import read_map
+from kbnitp_ros.study import compare, tables_of
+
+grid = Grid(4, 4)
+prior = Belief.prior(grid, hazard=0.15, target=0.2, kappa=0.8)
+model = SensorModel(0.5)
+mission = run_mission(grid, prior, model, World.random(grid, 1, 0.15, 0.8, 0.1), 3, 1)
+reveal_type(prior.hazard)
+reveal_type(plan(grid, prior, model, 8).path)
+reveal_type(mission[0].observation.survived)
+reveal_type(Estimator(prior, model, 'kappa_bnitp').belief)
+reveal_type(read_history)
+reveal_type(read_map('field.yaml').grid())
+reveal_type(compare(planners=['beam', lambda finder, objective: []]))
+reveal_type(tables_of(compare())['summary'].latex())
+Grid('4', 4)
+"""
+
+TYPES = [
+    'numpy.ndarray.*float64',
+    'numpy.ndarray.*signedinteger',
+    'bool',
+    'kbnitp_ros.core.field.belief.Belief',
+    r'def \(.*\) -> kbnitp_ros.log.history.\w+',
+    'kbnitp_ros.core.field.grid.Grid',
+    'kbnitp_ros.study.results.Results',
+    'str',
+]
+
+
+@pytest.mark.full
+@pytest.mark.processes
+def test_mypy_finds_the_types_in_a_script_of_a_user(tmp_path):
+    pytest.importorskip('mypy')
+    script = tmp_path / 'script.py'
+    script.write_text(SCRIPT)
+    command = [sys.executable, '-m', 'mypy', '--strict', '--cache-dir', str(tmp_path), 'script.py']
+    told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True).stdout
+    revealed = re.findall(r'Revealed type is "(.*)"', told)
+    assert len(revealed) == len(TYPES), told
+    for found, expected in zip(revealed, TYPES):
+        assert re.match(expected, found.removeprefix('builtins.')), (found, expected)
+    errors = [line for line in told.splitlines() if ': error: ' in line]
+    assert [re.sub('.*error: ', '', line) for line in errors] == [
+        'Argument 1 to "Grid" has incompatible type "str"; expected "int"  [arg-type]'
+    ], told

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps robots from leaving, which of several obstacles counts, and what is said of it."""
+"""What keeps robots from leaving, and how far they reach."""
 
 from dataclasses import replace
 from itertools import combinations
 
+from kbnitp_ros.base.checks import check_changes, check_robots, cut_off_note, reach_note
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.obstacles import (
     AgentPresence,
     Circumstances,
@@ -12,10 +14,17 @@ from kbnitp_ros.base.obstacles import (
     FullNames,
     Obstacle,
 )
+from kbnitp_ros.base.rounds import Rounds
+from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel
+from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
+from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
 from kbnitp_ros.messages.progress import MissionState
 from laws import for_each
+import numpy as np
+import pytest
 from samples import HOME, key
 
 VALUES = {
@@ -206,3 +215,106 @@ def test_proposals_and_searches_are_told_by_their_agents():
     assert told[Obstacle.SEARCHING] == 'the search for the paths of scout_1 to end'
     assert 'worth a robot: too far; ' in told[Obstacle.WORTHLESS]
     assert 'approve of /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
+
+
+# Which parameters of a planner may change in a mission under way.
+
+
+FIELD = Grid(9, 9)
+GIVEN = {name: each.default for name, each in parameters_of('planner').items()}
+
+
+@for_each('changes', [{'robots': 4}, {'robots': 9}, {'beam_width': 8}, {'use_sim_time': 'odd'}])
+def test_what_the_mission_can_have_is_taken(changes):
+    check_changes(changes, GIVEN, FIELD, {}, sent=4)
+
+
+@for_each('changes, why', [
+    ({'robots': 3}, '^parameter robots is 3: 4 robots were sent'),
+    ({'beam_width': 0}, 'beam_width'),
+    ({'beam_width': 10**6}, 'beam_width'),
+    ({'planner': 'beem'}, 'beam'),
+])  # fmt: skip
+def test_what_the_mission_cannot_have_is_refused(changes, why):
+    with pytest.raises(ValueError, match=why):
+        check_changes(changes, GIVEN, FIELD, {}, sent=4)
+
+
+def test_a_log_with_more_robots_is_refused():
+    check_robots(5, 5)
+    with pytest.raises(ValueError, match='5 ends the mission'):
+        check_robots(4, 5)
+
+
+# How much of a field paths reach, in words.
+
+
+@for_each('grid, max_steps, told', [
+    (
+        Grid(30, 30),
+        18,
+        '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
+    ),
+    (
+        Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
+        2,
+        '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
+    ),
+    (Grid(9, 9), 18, ''),
+    (Grid(9, 9), 16, ''),
+    (Grid(3, 1, blocked=(1,)), 4, ''),
+])  # fmt: skip
+def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
+    assert reach_note(grid, max_steps) == told
+
+
+def test_it_is_told_how_much_is_within_a_distance():
+    grid = Grid(9, 9, resolution=0.5)
+    told = '18 steps and 4 m reach 5x5 of 9x9 cells, 17 of 81: max_steps 16 and max_distance 11.4 '
+    assert reach_note(grid, 18, max_distance=4.0) == f'{told}reach them all'
+    assert reach_note(grid, 18, max_distance=11.4) == ''
+
+
+def test_it_is_told_what_is_cut_off():
+    assert (
+        cut_off_note(Grid(3, 2, blocked=(1, 4))) == '2 of 4 free cells are cut off from the base'
+    )
+    assert cut_off_note(Grid(3, 2, blocked=(1,))) == ''
+
+
+# Which paths of a round are sent by the planner that goes on with a mission.
+
+
+ROUND_GRID = Grid(4, 4)
+AGENTS = ['scout_1', 'scout_2', 'scout_3']
+MISSION = 1_000_000_000
+
+
+def planned_on():
+    prior = Belief.prior(ROUND_GRID, 0.15, 0.2, 0.8)
+    return read_belief_maps(
+        belief_maps(Ledger(ROUND_GRID, 6, Estimator(prior, SensorModel(0.5))), MISSION, MISSION)
+    )
+
+
+@for_each('planner', ['coverage', 'relaxed'])
+@for_each('recorded', [0, 1, 2])
+@for_each('is_refused', [False, True])
+def test_what_is_missing_of_a_round_is_what_was_planned(planner, recorded, is_refused):
+    """Whether the robots of the paths on record stay at the base or not."""
+    values = {name: each.default for name, each in parameters_of('planner').items()}
+    values |= {'planner': planner, 'max_steps': 6, 'loss_cost': 0.0}
+
+    def rounds():
+        return Rounds(ROUND_GRID, values, warn=print, knowledge=Knowledge(ROUND_GRID, values, {}))
+
+    plans = rounds().search(planned_on(), AGENTS, {}, next_name(MISSION, MISSION))().plans
+    on_record = dict([(key, plan.path) for key, plan in plans.items()][:recorded])
+    at_base = set(on_record) if is_refused else set()
+    resumed = rounds()
+    for left in set(on_record) - at_base:
+        resumed.note_path(on_record[left])
+    missing = resumed.missing(planned_on(), AGENTS, on_record, at_base=at_base)
+    assert list(missing) == list(plans)[recorded:]
+    for sent, plan in missing.items():
+        np.testing.assert_array_equal(plan.path, plans[sent].path)

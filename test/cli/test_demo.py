@@ -14,11 +14,11 @@ import time
 
 from demo_mission import demo_mission
 from kbnitp_msgs.msg import BeliefMaps, Progress
+from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, NODES, parse
 from kbnitp_ros.cli.demo_mission import (
     chosen_parameters,
     observed,
-    OPERATOR_WAIT,
     recorded_parameters,
 )
 from kbnitp_ros.cli.processes import free_domain, Processes
@@ -528,22 +528,30 @@ RUNNING, PAUSED, DONE, ENDED = (
 )
 
 
+# Seconds between two words of a planner, and of waiting for an operator that end the demo.
+PERIOD, WAIT = 0.4, 1.0
+
+
 @for_each('sent, until', [
-    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 0)], 1.0),
-    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 1), (DONE, 'done: 1 of 1', 0)], 2.0),
-    ([(RUNNING, '', 0), (ENDED, 'done: 1 of 9', 0)], 1.0),
-    ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)], 4.0),
-    ([(PAUSED, 'waiting for the operator to end the pause', 0)], OPERATOR_WAIT),
-    ([(RUNNING, 'waiting for the operator to approve of', 0)], OPERATOR_WAIT),
-    ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], OPERATOR_WAIT),
+    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 0)], PERIOD),
+    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 1), (DONE, 'done: 1 of 1', 0)], 2 * PERIOD),
+    ([(RUNNING, '', 0), (ENDED, 'done: 1 of 9', 0)], PERIOD),
+    ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)],
+     4 * PERIOD),
+    ([(PAUSED, 'waiting for the operator to end the pause', 0)], WAIT),
+    ([(RUNNING, 'waiting for the operator to approve of', 0)], WAIT),
+    ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], WAIT),
     # The planner finds something to do after all.
     (
         [(RUNNING, f'waiting for the operator, {n}'[: 99 * (n % 2)], 0) for n in range(6)]
         + [(DONE, 'done: 1 of 1', 0)],
-        6.0,
+        6 * PERIOD,
     ),
 ])  # fmt: skip
-def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(sent, until):
+def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(
+    monkeypatch, sent, until
+):
+    monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
     with free_domain() as domain, observed(domain, ['scout_1']) as observer:
         node = rclpy.create_node('estimator')
         beliefs = node.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
@@ -559,18 +567,19 @@ def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(sent,
         tell()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        node.create_timer(1.0, tell)
+        node.create_timer(PERIOD, tell)
         spinning = Thread(target=executor.spin)
         spinning.start()
         begun = time.monotonic()
         observer.watch(1, Processes(domain))
-        assert until - 0.5 < time.monotonic() - begun < until + 5.0
+        assert until - 0.3 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
         spinning.join()
         node.destroy_node()
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_a_demo_that_nobody_attends_ends_with_a_line_and_a_report(tmp_path):
     out = tmp_path / 'out'
     done = run_demo('--size', 4, '--set', 'loss_cost=1000', '--out', out)

@@ -332,24 +332,6 @@ def published_return(joint, model, path, readings):
 # Multi-universe averaging (Otte and Sofge 2021), without kappa
 
 
-def multi_universe_hazard(hazard, model, path):
-    """Hazard after a loss: one universe a step on which the robot may have been lost, averaged."""
-    s0, s1 = step_survival(model)
-    total, average = 0.0, np.zeros(len(hazard))
-    for last in range(1, len(path)):
-        universe, weight = np.array(hazard, float), 1.0
-        for step in range(1, last + 1):
-            l0, l1 = (s0, s1) if step < last else (1 - s0, 1 - s1)
-            belief = universe[path[step]]
-            probability = (1 - belief) * l0 + belief * l1
-            weight *= probability
-            if probability > 0:
-                universe[path[step]] = belief * l1 / probability
-        total += weight
-        average += weight * universe
-    return average / total
-
-
 # All closed paths of a small grid
 
 

@@ -58,8 +58,7 @@ def content(folder):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('resumed', [False, True])
-@pytest.mark.parametrize('was_finished', [False, True])
+@pytest.mark.parametrize('resumed, was_finished', [(False, False), (True, False), (True, True)])
 def test_a_log_that_is_being_written_is_not_gone_on_with(
     tmp_path, whole_mission, elsewhere, resumed, was_finished
 ):

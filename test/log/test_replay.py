@@ -406,7 +406,7 @@ def interval(**values):
     ('info', lambda info: changed(info, height=8), 'joint has 80 values'),
     ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
     ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
-])  # fmt: skip
+], every=3)  # fmt: skip
 def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     original = beliefs(learnt_mission.sent)[5]
     value = value(getattr(original.message, field)) if callable(value) else value
@@ -577,7 +577,7 @@ CHANGES = {
 
 
 @pytest.mark.slow
-@for_each('changed', CHANGES)
+@for_each('changed', CHANGES, every=2)
 def test_what_is_changed_in_a_log_is_said(whole_mission, tmp_path, capsys, changed):
     change, code, compared, different, left, told = CHANGES[changed]
     whole = deepcopy(whole_mission)

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prior probabilities are the means of what lies under each cell."""
+"""Maps lie over grids: of priors, datums and pictures."""
 
+from base64 import b64decode
+from io import BytesIO
+from math import hypot, inf, nan
+
+from hypothesis import given
+from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.maps import MapError, read_probabilities
+from kbnitp_ros.maps import Datum, MapError, read_probabilities, read_site
+from kbnitp_ros.maps.files import MOST_SHOWN
 from laws import for_each
 import numpy as np
 from PIL import Image
+from pyproj import Geod
 import pytest
 
 YAML = """
@@ -160,3 +168,118 @@ def test_other_files_are_refused(tmp_path):
         read_probabilities(write(tmp_path, [[0]], mode='trinary'), Grid(2, 2), 0.5)
     with pytest.raises(MapError, match='resolution of .*map.yaml is 0.0: it must be positive'):
         read_probabilities(write(tmp_path, [[0]], resolution=0), Grid(2, 2), 0.5)
+
+
+# Positions on the earth are those of geodesics, and of plain geometry nearby.
+
+
+EARTH = Geod(ellps='WGS84')
+
+# Semi-major axis in metres, and flattening, of WGS84.
+AXIS, FLATTENING = 6378137.0, 1 / 298.257223563
+
+datums = st.builds(
+    Datum,
+    latitude=st.floats(-89.0, 89.0),
+    longitude=st.floats(-180.0, 180.0),
+    heading=st.floats(-7.0, 7.0),
+)
+points = st.tuples(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4))
+
+
+@given(datums, points)
+def test_a_point_lies_on_the_geodesic_that_its_direction_begins(datum, point):
+    x, y = point
+    azimuth = 90.0 - np.degrees(datum.heading + np.arctan2(y, x))
+    longitude, latitude, _ = EARTH.fwd(datum.longitude, datum.latitude, azimuth, hypot(x, y))
+    ((found_latitude, found_longitude),) = datum.on_earth([point])
+    *_, off = EARTH.inv(longitude, latitude, found_longitude, found_latitude)
+    assert off < 0.001
+    assert datum.in_map(found_latitude, found_longitude) == pytest.approx(point, abs=1e-3)
+
+
+def earth_centred(latitude, longitude):
+    """Return x, y and z of a point on the ellipsoid, in metres from the centre of the earth."""
+    phi, lam = np.radians([latitude, longitude])
+    squared = FLATTENING * (2 - FLATTENING)
+    normal = AXIS / np.sqrt(1 - squared * np.sin(phi) ** 2)
+    around = normal * np.cos(phi)
+    return np.array(
+        [around * np.cos(lam), around * np.sin(lam), normal * (1 - squared) * np.sin(phi)]
+    )
+
+
+@given(datums, points)
+def test_a_point_nearby_lies_in_the_tangent_plane_of_the_datum(datum, point):
+    ((latitude, longitude),) = datum.on_earth([point])
+    away = earth_centred(latitude, longitude) - earth_centred(datum.latitude, datum.longitude)
+    phi, lam = np.radians([datum.latitude, datum.longitude])
+    east = np.array([-np.sin(lam), np.cos(lam), 0.0])
+    north = np.array([-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)])
+    along = complex(east @ away, north @ away) * np.exp(-1j * datum.heading)
+    assert abs(along - complex(*point)) < 0.1
+
+
+@for_each('latitude', [90.0, -90.0])
+def test_a_pole_is_a_place(latitude):
+    ((found, _),) = Datum(latitude, 10.0, 0.3).on_earth([(0.0, 111_694.0)])
+    assert abs(found) == pytest.approx(89.0, abs=1e-4)
+
+
+def test_without_numbers_there_is_none():
+    assert Datum.of(()) is None
+    assert Datum.of([55.9, -3.2, 0.1]) == Datum(55.9, -3.2, 0.1)
+
+
+@for_each('numbers, message', [
+    ([91.0, 0.0, 0.0], 'datum has latitude 91.0: it must be from -90 to 90, in degrees'),
+    ([nan, 0.0, 0.0], 'datum has latitude nan'),
+    ([0.0, -180.1, 0.0], 'datum has longitude -180.1: it must be from -180 to 180'),
+    ([0.0, inf, 0.0], 'datum has longitude inf'),
+    ([0.0, 0.0, nan], 'datum has heading nan: it must be finite, in rad'),
+    ([0.0, 0.0], r'parameter datum is \[0.0, 0.0\]: it must be .latitude, longitude, head'),
+    ([0.0, 0.0, 0.0, 0.0], 'parameter datum is'),
+])  # fmt: skip
+def test_what_is_no_place_on_the_earth_is_refused(numbers, message):
+    with pytest.raises(ValueError, match=message):
+        Datum.of(numbers)
+
+
+def test_a_field_beyond_the_earth_is_refused():
+    with pytest.raises(ValueError, match='is 1e.08 m from the datum: at most 1e.07'):
+        Datum(0.0, 0.0, 0.0).on_earth([(1e8, 0.0)])
+
+
+# The image of a map as a page shows it.
+
+
+IMAGE_YAML = """
+image: map.png
+resolution: 0.05
+origin: [3.0, -4.0, 0.3]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def shown(folder, pixels):
+    Image.fromarray(pixels).save(folder / 'map.png')
+    (folder / 'map.yaml').write_text(IMAGE_YAML)
+    site = read_site(folder / 'map.yaml')
+    content = b64decode(site.source.removeprefix('data:image/png;base64,'))
+    return site, np.asarray(Image.open(BytesIO(content)))
+
+
+def test_a_site_has_the_rows_of_its_image_and_its_transparency(tmp_path):
+    pixels = np.array([[[9, 255], [99, 255], [199, 0]], [[1, 255], [2, 255], [3, 255]]], np.uint8)
+    site, picture = shown(tmp_path, pixels)
+    assert picture.tolist() == pixels.tolist()
+    assert (site.width, site.height) == pytest.approx((0.15, 0.1))
+    assert (site.origin, site.yaw) == ((3.0, -4.0), 0.3)
+
+
+def test_a_large_image_is_made_smaller(tmp_path):
+    site, picture = shown(tmp_path, np.full((1500, 3000), 254, np.uint8))
+    assert picture.shape[:2] == (MOST_SHOWN // 2, MOST_SHOWN)
+    assert (site.width, site.height) == pytest.approx((150.0, 75.0))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the belief message means."""
+"""Beliefs and what is learnt come back from their messages, bit for bit."""
 
 from array import array
-from math import nan
+from math import inf, nan
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +21,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
+from kbnitp_ros.messages.progress import model_belief, QUANTILES, read_model_belief
 from laws import for_each
 import numpy as np
 import pytest
@@ -241,3 +242,55 @@ def test_a_bad_belief_is_refused(field, value, error):
 def test_an_empty_belief_message_is_refused():
     with pytest.raises(ValueError, match='header.frame_id'):
         read_belief_maps(BeliefMaps())
+
+
+# What the message of the numbers that are learnt means.
+
+
+SOME = Unknowns(lethality=(0.2, 1.0), false_positive=(0.0, 0.5))
+
+
+def learning_ledger(unknowns=SOME):
+    """Return a ledger that learns."""
+    grid = Grid(3, 2)
+    prior = Belief.prior(grid, 0.3, 0.4, 0.7)
+    estimator = Estimator(prior, SensorModel(0.5), 'kappa_bnitp_sampled', unknowns)
+    return Ledger(grid, 6, estimator)
+
+
+def test_a_model_comes_back_bit_for_bit():
+    ledger = learning_ledger()
+    before = read_model_belief(over_the_wire(model_belief(ledger, 3_000_000_001))).numbers
+    for number in range(1, 4):
+        key = DeploymentKey('scout_1', number)
+        ledger.record_path(key, [0, 1, 2, 1, 0])
+        ledger.record_report(key, Report(False, stamp=7))
+    message = over_the_wire(model_belief(ledger, 3_000_000_001))
+    assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
+    assert message.deployments == 3
+    known = read_model_belief(message).numbers
+    assert list(known) == ['lethality', 'false_positive']
+    for name, number in ledger.estimator.parameters.items():
+        assert (known[name].mean, known[name].sd) == (number.mean, number.sd)
+        assert known[name].effective_samples == number.effective_samples
+        for quantile, percent in zip(known[name].quantiles, QUANTILES):
+            assert quantile == number.quantile(percent / 100)
+    assert known['lethality'].effective_samples < inf
+    # Three robots were lost on one path.
+    assert known['lethality'].mean > before['lethality'].mean
+    assert before['lethality'].mean == pytest.approx(0.6, abs=1e-3)
+    assert before['lethality'].quantiles == pytest.approx((0.24, 0.4, 0.6, 0.8, 0.96), abs=1e-3)
+    assert before['lethality'].effective_samples == inf
+
+
+@for_each('field, value, error', [
+    ('mean', array('d', [0.5]), 'mean has 1 values: it must have one for each of the 2 names'),
+    ('quantile_95', array('d'), 'quantile_95 has 0 values'),
+    ('header', Header(frame_id='odom'), "header.frame_id is 'odom'"),
+    ('name', ['lethality'], 'mean has 2 values: it must have one for each of the 1 names'),
+])  # fmt: skip
+def test_a_bad_message_is_refused(field, value, error):
+    message = model_belief(learning_ledger(), 0)
+    setattr(message, field, value)
+    with pytest.raises(ValueError, match=error):
+        read_model_belief(message)

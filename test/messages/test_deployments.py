@@ -1,22 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the messages of a deployment mean."""
+"""Paths, reports and actions come back from their messages, and bad ones are refused."""
 
 from math import inf, nan
 
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
-from kbnitp_ros.messages.deployments import (
-    path_message,
-    read_path,
-    read_report,
-    report_message,
-)
+from kbnitp_ros.messages.deployments import path_message, read_path, read_report, report_message
 from kbnitp_ros.messages.headers import LAST_NAME
+from kbnitp_ros.messages.operator_actions import (
+    Action,
+    operator_action_message,
+    OperatorAction,
+    read_operator_action,
+)
 from laws import for_each
 import numpy as np
 import pytest
-from samples import over_the_wire
+from samples import changed, over_the_wire
 
 GRID = Grid(4, 3, base=1, resolution=0.5, origin=(-1.0, 2.0))
 PATH = [1, 6, 11, 6, 6, 1]
@@ -184,3 +185,30 @@ def test_a_report_on_the_topic_of_another_agent_is_refused():
     assert read_report(message, 'scout_2') == (KEY, Report(False))
     with pytest.raises(ValueError, match="agent is 'scout_2': on this topic it must be 'scout_1'"):
         read_report(message, 'scout_1')
+
+
+# What the operator decides of paths from several bases.
+
+
+WITH_BASES = Grid(6, 5, base=0, other_bases=(29,))
+
+
+def test_paths_from_each_base_are_refused_by_operators():
+    paths = {DeploymentKey('near', 4): [0, 1, 0], DeploymentKey('far', 5): [29, 28, 29]}
+    action = OperatorAction(7, Action.REFUSE, 3, {k: np.array(p) for k, p in paths.items()}, 0)
+    seen = read_operator_action(WITH_BASES, operator_action_message(WITH_BASES, action))
+    assert {key: path.tolist() for key, path in seen.paths.items()} == paths
+    with pytest.raises(ValueError, match='start at the base 0, not at cell 29'):
+        read_operator_action(Grid(6, 5), operator_action_message(WITH_BASES, action))
+
+
+@for_each('fields, told', [
+    ({'action': 0}, 'action is 0: it must be from 1 to 6'),
+    ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
+    ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
+])  # fmt: skip
+def test_actions_that_are_none_are_refused(fields, told):
+    message = operator_action_message(WITH_BASES, OperatorAction(7, Action.PAUSE, 3, {}, 0))
+    assert read_operator_action(WITH_BASES, message).action is Action.PAUSE
+    with pytest.raises(ValueError, match=told):
+        read_operator_action(WITH_BASES, changed(message, **fields))

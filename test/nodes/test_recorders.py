@@ -37,12 +37,6 @@ def start(field, log, **parameters):
     return process
 
 
-def until_ended(field, process):
-    """Wait for the end of a process, and return its exit code."""
-    field.until(lambda: process.poll() is not None, 'end of a recorder', may_end=True)
-    return process.returncode
-
-
 @pytest.mark.processes
 def test_a_second_recorder_counts_when_the_first_has_ended(field):
     base = Base(field)

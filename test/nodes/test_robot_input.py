@@ -7,6 +7,7 @@ import resource
 import signal
 import time
 
+from extent import some
 from fleet import FIELD, Fleet, GRID
 from geometry_msgs.msg import TransformStamped
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps
@@ -128,7 +129,7 @@ RACES = {
 }
 
 
-@pytest.mark.parametrize('detection_type', ['bool', 'detection2d_array'])
+@pytest.mark.parametrize('detection_type', some(['bool', 'detection2d_array'], 2))
 @pytest.mark.parametrize('late, is_busy, rate', RACES.values(), ids=RACES)
 def test_what_is_seen_counts_where_the_robot_was_whatever_comes_first(
     field, detection_type, late, is_busy, rate

@@ -96,14 +96,17 @@ CANNOT_START = [
 
 
 @pytest.mark.processes
-def test_a_node_that_cannot_start_says_why_in_one_line(run, tmp_path):
+@pytest.mark.parametrize('refused', [
+    CANNOT_START[::4], pytest.param(CANNOT_START, marks=pytest.mark.full)
+], ids=['some', 'all'])  # fmt: skip
+def test_a_node_that_cannot_start_says_why_in_one_line(run, tmp_path, refused):
     files = [(name, 'no.yaml', 'parameter file no.yaml: No such file or') for name in NODES]
-    cannot = [given.replace('FOLDER', str(tmp_path)) for _, given, _ in CANNOT_START]
+    cannot = [given.replace('FOLDER', str(tmp_path)) for _, given, _ in refused]
     commands = [
         [name, '--ros-args', '--disable-rosout-logs', '-p', *given.replace(' ', ' -p ').split()]
-        for (name, _, _), given in zip(CANNOT_START, cannot)
+        for (name, _, _), given in zip(refused, cannot)
     ] + [[name, '--ros-args', '--params-file', file] for name, file, _ in files]
-    for (name, given, told), (code, said) in zip([*CANNOT_START, *files], run(commands)):
+    for (name, given, told), (code, said) in zip([*refused, *files], run(commands)):
         assert code == 2, given
         (complaint,) = complaints(said, ('[', '\x1b'))
         assert complaint.startswith(f'{name}: ')

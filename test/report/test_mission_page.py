@@ -504,6 +504,7 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
 
 
 @pytest.mark.processes
+@pytest.mark.full
 @pytest.mark.usefixtures('browser')
 def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     report, images = tmp_path / 'report', tmp_path / 'images'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Legs that goals can drive, ways home, and walks that are walks whatever positions come."""
+"""Which way a robot is driven, where it is, and what of its walk is reported."""
 
 from contextlib import suppress
 from itertools import pairwise
@@ -15,6 +15,8 @@ from kbnitp_ros.robot.way import (
     Walk,
     without_loops,
 )
+from kbnitp_ros.robot.whereabouts import Whereabouts
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -201,3 +203,119 @@ def test_stays_and_legs_follow_each_other_until_the_robot_goes_home():
         itinerary.succeed()
     assert legs == [((0, 1), False), ((1, 1), True), ((1, 0), False)]
     assert itinerary.next_leg(walk) == (0,)
+
+
+# The walk of a robot that is localised where it cannot be.
+
+
+WALKED = Grid(20, 20)
+PATIENCE, TICK = 0.35, 0.1
+
+
+def follow(walk, places):
+    """Have a walk see a robot at these places, one after another."""
+    for number, (x, y) in enumerate(places):
+        with suppress(ValueError):
+            walk.follow(x, y, number * TICK)
+
+
+@for_each('seed', range(50))
+def test_a_walk_is_doubted_by_a_lasting_jump_that_is_faster_than_the_robot(seed):
+    rng = np.random.default_rng(seed)
+    speed, jump, direction = rng.uniform(0.3, 2.0), rng.uniform(4.0, 8.0), rng.uniform(0, 6.28)
+    steps = np.arange(40)[:, None] * TICK * speed * [np.cos(direction), np.sin(direction)]
+    places = 10.5 + np.clip(steps, -4, 4)
+    jumped = places.copy()
+    first, last = 15, 15 + int(rng.integers(1, 20))
+    jumped[first:last] -= jump * np.array([np.cos(direction), np.sin(direction)])
+    inside = np.clip(jumped, 0.1, 19.9)
+    start = int(WALKED.cells_at(places[:1])[0])
+    for moves, is_doubted in ((places, False), (inside, (last - first - 1) * TICK > PATIENCE)):
+        for max_speed in (0.0, 1.1 * speed):
+            walk = Walk(WALKED, start, PATIENCE, max_speed)
+            follow(walk, moves)
+            assert bool(walk.doubt) == (is_doubted and max_speed > 0)
+
+
+def test_a_robot_that_was_not_seen_for_long_enough_has_made_its_way():
+    for gap, is_doubted in ((6.0, False), (2.0, True)):
+        walk = Walk(WALKED, 0, PATIENCE, max_speed=1.0)
+        walk.follow(0.5, 0.5, 0.0)
+        for time in (gap, gap + 1.0):
+            with suppress(ValueError):
+                walk.follow(5.5, 0.5, time)
+        assert walk.cell == 5
+        assert bool(walk.doubt) == is_doubted
+
+
+@for_each('seed', range(20))
+def test_a_walk_in_a_turned_field_is_the_same(seed):
+    rng = np.random.default_rng(seed)
+    yaw, corner = rng.uniform(-np.pi, np.pi), complex(*rng.uniform(-50, 50, 2))
+    steps = rng.uniform(-0.4, 0.4, (200, 2))
+    places = np.clip(10.5 + steps.cumsum(axis=0), 0.1, 19.9)
+    moved = corner + np.exp(1j * yaw) * (places @ (1, 1j))
+    turned = Grid(20, 20, origin=(corner.real, corner.imag), yaw=yaw)
+    walks = [Walk(grid, 210, PATIENCE) for grid in (WALKED, turned)]
+    been = set()
+    for number, at in enumerate(moved):
+        x, y = places[number]
+        ways = [
+            walk.follow(*place, number * TICK)
+            for walk, place in zip(walks, [(x, y), (at.real, at.imag)])
+        ]
+        assert ways[0] == ways[1]
+        been |= set(ways[0])
+        assert walks[0].sees_its_cell(x, y) == walks[1].sees_its_cell(at.real, at.imag)
+    assert len(been) > 1
+
+
+# In which step a robot was, against a record of every moment.
+
+
+times = st.integers(0, 60)
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 9), st.integers(0, 2)), min_size=1),
+    st.integers(1, 9),
+    times,
+    times,
+)
+def test_a_time_is_in_a_step_if_the_robot_was_seen_there_before_after_and_often(
+    sights, gap, one, other
+):
+    since, until = sorted((one, other))
+    whereabouts = Whereabouts(10**9, gap)
+    time, seen = 0, []
+    for later, step in sights:
+        time += later
+        seen.append((time, step))
+        whereabouts.note(time, step)
+    first = max((number for number, (at, _) in enumerate(seen) if at <= since), default=None)
+    after = min((number for number, (at, _) in enumerate(seen, 1) if at >= until), default=None)
+    expected = None if after is None else 0
+    if first is not None and after is not None:
+        between = seen[first:after]
+        is_one = len({step for _, step in between}) == 1
+        if is_one and all(b - a <= gap for (a, _), (b, _) in pairwise(between)):
+            expected = between[0][1]
+    assert whereabouts.step_within(since, until) == expected
+
+
+def test_what_was_long_ago_is_forgotten():
+    whereabouts = Whereabouts(10, 10)
+    for time in range(100):
+        whereabouts.note(time, 1 + time // 4)
+    assert whereabouts.step_within(95, 95) == 24
+    assert whereabouts.step_within(50, 50) == 0
+
+
+def test_a_clock_that_is_set_back_does_not_mix_two_times():
+    whereabouts = Whereabouts(1000, 1000)
+    whereabouts.note(500, 1)
+    whereabouts.note(520, 1)
+    whereabouts.note(100, 2)
+    whereabouts.note(120, 2)
+    assert whereabouts.step_within(110, 110) == 2
+    assert whereabouts.step_within(50, 50) == 0

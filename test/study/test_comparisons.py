@@ -1,29 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strategies are compared with the first in the same worlds, as pandas does it from the table."""
+"""Strategies are compared in the same worlds, by what the table says of their missions."""
 
 from dataclasses import astuple, replace
 from functools import partial
+import json
 
 from kbnitp_ros.core import continue_mission
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import (
+    BY_BASE,
+    BY_LOSS_COST,
     BY_MAP,
     BY_OBJECTIVE,
     BY_PLANNER,
+    BY_SIZE,
     COMPARISONS,
     CONTACT,
     differ_in_objective,
+    write_report,
 )
-from kbnitp_ros.study.questions import compare
-from kbnitp_ros.study.results import trade
-from kbnitp_ros.study.scenario import differ_only_in, Strategy
-from kbnitp_ros.study.trial import run_trial, trials_of
+from kbnitp_ros.study.questions import at_equal_log_loss, compare, differ_in_size, EQUAL
+from kbnitp_ros.study.results import after_rounds, Results, trade
+from kbnitp_ros.study.scenario import differ_only_in, Strategy, team_labels
+from kbnitp_ros.study.scenario_file import scenario_of
+from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
 from kbnitp_ros.study.workers import Folder
 from laws import for_each
+import numpy as np
 import pytest
-from small_study import compared_by, written
-
-pytestmark = pytest.mark.slow
+from small_study import compared_by, CONTENT, written
 
 NONE = Strategy()
 CONTACTS = (Strategy(last_contact=1.0), NONE, Strategy(last_contact=0.3))
@@ -32,6 +37,7 @@ PLANNERS = (NONE, Strategy(planner='coverage'), Strategy(planner='random'))
 MAPS = (NONE, Strategy(survey=0.9), Strategy(survey=0.5, trusted=0.8))
 
 
+@pytest.mark.slow
 @for_each('comparison, teams, others, name, sign, cells', [
     (BY_PLANNER, PLANNERS, (1, 2), 'difference', 1, [['`coverage`'], ['`random`']]),
     (CONTACT, CONTACTS, (2, 0), 'value', -1, [['0.3'], ['1']]),
@@ -65,6 +71,7 @@ def test_each_is_compared_with_the_first(
         assert shown[len(told) + 1] == f'{mean:.1f} [{low:.1f}, {high:.1f}]'
 
 
+@pytest.mark.slow
 def test_objectives_are_compared_at_equal_log_loss(scenario):
     results = compared_by(scenario, OBJECTIVES)
     summary = BY_OBJECTIVE.summarise(results)
@@ -80,6 +87,7 @@ def test_objectives_are_compared_at_equal_log_loss(scenario):
         assert row['lost_at_equal']['mean'] == pytest.approx(more, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_strategies_that_differ_otherwise_are_not_compared(scenario):
     def differ(*teams):
         return replace(scenario, teams=teams)
@@ -92,6 +100,7 @@ def test_strategies_that_differ_otherwise_are_not_compared(scenario):
     assert not differ_only_in(differ(NONE), 'survey', 'trusted')
 
 
+@pytest.mark.slow
 def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, monkeypatch):
     used = []
 
@@ -115,6 +124,7 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
     ]
 
 
+@pytest.mark.slow
 def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
     scenario = replace(
         scenario, teams=OBJECTIVES, methods=('kappa_bnitp',), trials=1, lethalities=(0.9,)
@@ -129,7 +139,272 @@ def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_what_a_planner_does_not_seek_is_refused(scenario):
     team = Strategy(planner='coverage', objective='behavioral', alpha=2.0)
     with pytest.raises(ValueError, match='the planner coverage seeks none'):
         replace(scenario, teams=(team,)).check_search()
+
+
+# What a robot is worth: missions are compared where they know as much.
+
+
+COSTS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
+
+
+@pytest.fixture(scope='module')
+def costs(scenario):
+    """Return the results of missions at three loss costs, not in their order."""
+    return compared_by(scenario, COSTS)
+
+
+def equal(*missions):
+    return dict(zip(EQUAL, at_equal_log_loss(*(np.array(m, dtype=float) for m in missions))))
+
+
+@pytest.mark.slow
+def test_missions_are_compared_at_the_lowest_log_loss_that_both_reach():
+    least = [[0, 1, 2, 2, 3], [10, 6, 4, 3, 2]]
+    this = [[0, 0, 1, 1, 1], [10, 9, 7, 5, 8]]
+    # 5 is half the way from 6 to 4, between the first robot and the second.
+    assert equal(least, this) == {
+        'log_loss': 5,
+        'sent_at_least': 1.5,
+        'sent': 3,
+        'lost_at_least': 1.5,
+        'lost': 1,
+        'difference': -0.5,
+        'fewer': -1.5,
+    }
+    there_and_back = equal(this, least)
+    assert there_and_back['difference'] == 0.5
+    assert there_and_back['sent'] == 1.5
+
+
+@pytest.mark.slow
+def test_a_mission_counts_up_to_where_it_first_got_there():
+    least = [[0, 1, 2, 3, 4], [10, 4, 4, 6, 4]]
+    this = [[0, 0, 0, 1, 1], [10, 8, 6, 4, 2]]
+    assert equal(least, this) == {
+        'log_loss': 4,
+        'sent_at_least': 1,
+        'sent': 3,
+        'lost_at_least': 1,
+        'lost': 1,
+        'difference': 0,
+        'fewer': -2,
+    }
+
+
+@pytest.mark.slow
+def test_a_mission_that_learns_nothing_is_compared_with_nothing():
+    nothing = [[0, 1, 2], [10, 11, 12]]
+    compared = equal([[0, 1, 2], [10, 6, 4]], nothing)
+    assert compared == dict.fromkeys(EQUAL, 0) | {'log_loss': 10}
+
+
+@pytest.mark.slow
+def test_the_difference_is_that_of_the_same_worlds():
+    """A loss cost that saves each world's mission the same has no interval."""
+    lost = np.array([[0, 1, 2], [0, 3, 6], [0, 5, 10]], dtype=float)
+    log_loss = np.array([[9, 4, 1]] * 3, dtype=float)
+    least, this = (np.stack([of, log_loss], axis=1) for of in (lost, np.maximum(0, lost - 1)))
+    compared = compare(least, this)
+    assert compared['difference'] == pytest.approx((-1, -1, -1))
+    mean, low, high = compared['lost_at_least']
+    assert mean == 6
+    assert low < 4 < 8 < high
+
+
+@pytest.mark.slow
+def test_loss_costs_differ(scenario):
+    for differ, teams in (
+        (True, COSTS),
+        (False, COSTS[:1]),
+        (False, (Strategy(), Strategy(2, loss_cost=0.1))),
+        (False, (Strategy(), Strategy(last_contact=0.1))),
+    ):
+        assert differ_only_in(replace(scenario, teams=teams), 'loss_cost') is differ
+
+
+@pytest.mark.slow
+def test_each_is_compared_with_the_least(costs):
+    summary = BY_LOSS_COST.summarise(costs)
+    assert summary['least'] == 0
+    assert [row['loss_cost'] for row in summary['rows']] == [0.5, 5]
+
+    def means(team):
+        lost = costs.series(0.9, 'kappa_bnitp', 'robots_lost', team=team)
+        loss = costs.series(0.9, 'kappa_bnitp', 'hazard_log_loss', 'target_log_loss', team=team)
+        return lost.mean(axis=0), loss.mean(axis=0)
+
+    for row, team in zip(summary['rows'], (COSTS[0], COSTS[2])):
+        found = equal(means(Strategy()), means(team))
+        for name in EQUAL[:-1]:
+            assert row[name]['mean'] == pytest.approx(found[name], abs=1e-6), name
+
+
+@pytest.mark.slow
+@for_each('trials', [3, 1], every=2)
+def test_the_report_of_loss_costs_has_their_figure(costs, tmp_path, trials):
+    written = write_report(
+        Results(replace(costs.scenario, trials=trials), costs.outcomes), tmp_path
+    )
+    assert sorted(tmp_path.iterdir()) == sorted(written)
+    assert {path.name for path in written if path.suffix == '.png'} == {
+        f'{name}.png' for name in ('entropy', 'log_loss', 'reliability', 'robots_lost')
+    }
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    assert (summary['loss_cost']['rows'][0]['difference']['low'] is None) == (trials == 1)
+    general, _, compared = (tmp_path / 'summary.md').read_text().partition('At equal log loss')
+    assert compared
+    assert 'ifference' not in general  # there is but one method
+
+
+# Teams are compared by the robots they send and by the rounds it takes.
+
+
+SIZES = (Strategy(), Strategy(3, 'independent'), Strategy(2, 'voronoi'))
+
+
+@pytest.fixture(scope='module')
+def teams(scenario):
+    """Return the results of missions of four robots: in four rounds, and twice in two."""
+    return compared_by(scenario, SIZES)
+
+
+@pytest.mark.slow
+@for_each('robots, agents, expected', [
+    (4, 1, [0, 1, 2, 3, 4]),
+    (4, 2, [0, 2, 4]),
+    (4, 3, [0, 3, 4]),
+    (4, 4, [0, 4]),
+    (4, 8, [0, 4]),
+])  # fmt: skip
+def test_a_round_is_over_when_its_last_robot_is(robots, agents, expected):
+    series = np.arange(3.0)[:, None] + np.arange(robots + 1.0)
+    assert after_rounds(series, agents)[0].tolist() == expected
+    assert after_rounds(series, agents)[2].tolist() == [2 + value for value in expected]
+
+
+@pytest.mark.slow
+def test_teams_differ_in_size(scenario):
+    for differ, teams in (
+        (True, SIZES),
+        (False, SIZES[:1]),
+        (False, (Strategy(2, 'voronoi'), Strategy(2, 'greedy'))),
+        (False, (Strategy(1), Strategy(2, loss_cost=0.1))),
+    ):
+        assert differ_in_size(replace(scenario, teams=teams)) is differ
+
+
+@pytest.mark.slow
+def test_what_a_robot_and_a_round_bring(teams):
+    """With three at a time one full round can be made: what it brings is compared with others."""
+    summary = BY_SIZE.summarise(teams)
+    assert (summary['robots'], summary['rounds']) == (4, 1)
+    assert [row['rounds'] for row in summary['rows']] == [4, 2, 2]
+
+    def mean(team, robots, *names):
+        """Return the sum of some measures after some robots, the mean over trials."""
+        outcomes = [teams.outcomes[Trial(0.9, 'kappa_bnitp', t, team)] for t in range(3)]
+        values = [[o.measures[robots, MEASURES.index(name)] for name in names] for o in outcomes]
+        return np.sum(values) / 3
+
+    loss = ('hazard_log_loss', 'target_log_loss')
+    for row, team in zip(summary['rows'], SIZES, strict=True):
+        assert {name: row[name] for name in vars(team)} == vars(team)
+        prior = mean(team, 0, 'joint_entropy')
+        gained = prior - mean(team, 4, 'joint_entropy')
+        first = {1: 1, 2: 2, 3: 3}[team.agents]
+        for name, expected in {
+            'information_a_robot': gained / 4,
+            'information_a_round': gained / row['rounds'],
+            'log_loss': mean(team, 4, *loss),
+            'difference': mean(team, 4, *loss) - mean(Strategy(), 4, *loss),
+            'early_information': prior - mean(team, first, 'joint_entropy'),
+            'early_log_loss': mean(team, first, *loss),
+            'early_robots_lost': mean(team, first, 'robots_lost'),
+        }.items():
+            assert row[name]['mean'] == pytest.approx(expected, abs=1e-6), name
+            assert row[name]['low'] <= row[name]['mean'] <= row[name]['high']
+    assert summary['rows'][0]['difference'] == {'mean': 0.0, 'low': 0.0, 'high': 0.0}
+    # A robot's information is what its own update took, robot after robot.
+    realised = teams.series(0.9, 'kappa_bnitp', 'realised_information', team=SIZES[1])
+    gained = summary['rows'][1]['information_a_robot']['mean']
+    assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
+    names = set()
+    for study in (results, teams):
+        folder = tmp_path / str(len(study.scenario.teams))
+        folder.mkdir()
+        written = write_report(study, folder)
+        assert sorted(folder.iterdir()) == sorted(written)
+        assert all(path.stat().st_size for path in written)
+        names ^= {path.name for path in written}
+        as_markdown = (folder / 'summary.md').read_text()
+        assert ('a round' in as_markdown) == (study is teams)
+    assert names == {'by_round.png', 'by_round.svg', 'by_round.pdf'}
+
+
+# What a second base is worth is what the missions say, counted from the table by hand.
+
+
+BASES = (Strategy(agents=2), Strategy(agents=2, second_base=11))
+
+
+@pytest.fixture(scope='module')
+def compared(scenario):
+    """Return the results of missions from one base, and from two."""
+    return compared_by(scenario, BASES)
+
+
+def first_at(level, log_loss):
+    """Return after how many robots a log loss was first reached, between two by the slope."""
+    lowest = np.minimum.accumulate(log_loss)
+    after = int(np.flatnonzero(lowest <= level)[0])
+    if after == 0:
+        return 0.0
+    return after - 1 + (lowest[after - 1] - level) / (lowest[after - 1] - lowest[after])
+
+
+def test_the_robots_to_the_same_log_loss(compared):
+    (row,) = BY_BASE.summarise(compared)['rows']
+    one, two = (
+        compared.series(0.9, 'kappa_bnitp', 'hazard_log_loss', 'target_log_loss', team=team)
+        for team in BASES
+    )
+    assert row['value']['mean'] == pytest.approx((one - two)[:, -1].mean(), abs=1e-6)
+    means = [each.mean(axis=0) for each in (one, two)]
+    level = max(mean.min() for mean in means)
+    assert row['log_loss']['mean'] == pytest.approx(level, abs=1e-6)
+    sent = [first_at(level, mean) for mean in means]
+    for name, expected in zip(('sent_from_one', 'sent'), sent, strict=True):
+        assert row[name]['mean'] == pytest.approx(expected, abs=1e-6)
+    assert row['fewer']['mean'] == pytest.approx(sent[0] - sent[1], abs=1e-6)
+    assert row['second_base'] == 11
+
+
+def test_bases_differ_and_nothing_else_does(compared):
+    scenario = compared.scenario
+    assert BY_BASE.applies(scenario)
+    assert not BY_BASE.applies(replace(scenario, teams=(BASES[0],)))
+    assert [*team_labels(scenario).values()] == ['one base', 'second base 11']
+    # Both meet the same worlds, in which both cells are free.
+    assert scenario.field().bases == {5, 11}
+    for number in range(scenario.trials):
+        worlds = [
+            outcome.truth for trial, outcome in compared.outcomes.items() if trial.number == number
+        ]
+        assert (worlds[0] == worlds[1]).all()
+        assert not worlds[0][0, [5, 11]].any()
+
+
+def test_a_second_base_of_one_robot_is_refused():
+    for second, told in ((11, 'second_base is 11 of 1 robot'), (99, 'base is 99.*from 0 to')):
+        agents = 1 if second == 11 else 2
+        with pytest.raises(ValueError, match=told):
+            scenario_of({**CONTENT, 'teams': [{'agents': agents, 'second_base': second}]})

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trial is one mission of the core, measured after every robot."""
+"""A trial is a mission of the core, measured after every robot, perhaps with a map beforehand."""
 
 from dataclasses import replace
 
 from kbnitp_ros.core import (
     Belief,
     brier_score,
+    Grid,
     log_loss,
     run_mission,
     SearchOptions,
@@ -15,9 +16,10 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import MEASURES, run_trial, surveyed, Trial, trials_of
 from laws import for_each
 import numpy as np
+import pytest
 
 
 def fly(scenario, trial, believed=None):
@@ -127,3 +129,35 @@ def test_the_trials_are_all_combinations(scenario):
         Trial(0.2, 'relaxed_bnitp', 2),
         Trial(0.2, 'kappa_bnitp_published', 0),
     ]
+
+
+# Maps of hazards known beforehand: how often they are right, and believed.
+
+
+GRID = Grid(40, 40)
+WORLD = World.random(GRID, np.random.default_rng(3), 0.15, 0.8, 0.1)
+PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
+
+
+@pytest.mark.slow
+def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
+    cells = np.arange(1, GRID.cells)
+    for survey, trusted in ((0.7, 0.0), (0.9, 0.0), (0.5, 0.8)):
+        belief = surveyed(PRIOR, WORLD, Strategy(survey=survey, trusted=trusted), 1, 2)
+        told = belief.hazard[cells] > 0.15
+        assert (told == WORLD.hazard[cells]).mean() == pytest.approx(survey, abs=0.04)
+        odds = (trusted or survey) / (1 - (trusted or survey))
+        expected = np.where(told, odds, 1 / odds) * 0.15 / 0.85
+        assert belief.hazard[cells] == pytest.approx(expected / (1 + expected))
+        assert belief.kappa == pytest.approx(PRIOR.kappa)
+        assert belief.hazard[0] == 0.0
+    assert surveyed(PRIOR, WORLD, Strategy(), 1, 2) is PRIOR
+
+
+@pytest.mark.slow
+def test_a_better_map_is_wrong_only_where_a_poorer_one_is():
+    wrong = [
+        (surveyed(PRIOR, WORLD, Strategy(survey=survey), 1, 2).hazard > 0.15) != WORLD.hazard
+        for survey in (0.7, 0.9)
+    ]
+    assert (wrong[0] | ~wrong[1])[1:].all()

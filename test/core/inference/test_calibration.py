@@ -1,18 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Simulation-based calibration (Talts et al. 2018, arXiv:1804.06788).
+"""Ranks of the truth among what is drawn are uniform, and long chains agree."""
 
-Numbers, world and mission are drawn from the priors. Then the rank of each true number in what the
-sampler makes of the mission is uniform, if every conditional that it draws from is right.
-"""
-
+from dataclasses import dataclass, replace
 from math import erfc, exp, gamma, sqrt
+from pathlib import Path
 
 import brute_force
 from extent import LONG
-from kbnitp_ros.core import Belief, Beta, Estimator, Grid, SensorModel, Unknowns, World
+from kbnitp_ros.core import (
+    Belief,
+    Beta,
+    Clustering,
+    Dynamics,
+    Estimator,
+    Execution,
+    Grid,
+    Observation,
+    SensorModel,
+    Unknowns,
+    World,
+)
+from kbnitp_ros.core.field.unknowns import ALL_KNOWN, STATIC
 from kbnitp_ros.core.inference import sampling_kernels as gibbs_kernels
 from kbnitp_ros.core.inference.chains import Chains
+from laws import for_each
 import numpy as np
 import pytest
 
@@ -145,3 +156,177 @@ def test_an_error_in_the_draw_of_hazards_is_found(monkeypatch):
     monkeypatch.setattr(gibbs_kernels, 'draw_hazards', wrong)
     p, _ = worst(*FEW)
     assert p < SIGNIFICANT
+
+
+# Simulation-based calibration where losses are heard and hazards change, go or cluster.
+
+
+WORLDS, BINS, SENT, DRAWS = 120, 10, 20, 400
+DENSITY, KAPPA, BACKGROUND = 0.3, 0.7, 0.27
+PRIOR_OF_KINDS = Belief.prior(FIELD, DENSITY, DENSITY * KAPPA + (1 - DENSITY) * BACKGROUND, KAPPA)
+LETHALITY = Unknowns(lethality=(0.1, 1.0))
+CHANGING = Dynamics('changing', appear=0.02, vanish=0.2)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is true of hazards and of what is heard, and is believed unless an error is planted."""
+
+    method: str = 'kappa_bnitp_sampled'
+    contact: float = 0.0
+    dynamics: Dynamics = STATIC
+    unknowns: Unknowns = ALL_KNOWN
+    clustering: Clustering | None = None
+
+
+KINDS = {
+    'heard': Kind(contact=0.9, unknowns=LETHALITY),
+    'changing': Kind('kappa_bnitp', dynamics=CHANGING),
+    'used_up': Kind('kappa_bnitp', contact=0.5, dynamics=Dynamics('used_up')),
+    'clustered': Kind(unknowns=LETHALITY, clustering=Clustering(FIELD, 'learn')),
+}
+
+
+def clustered(world, clustering, rng):
+    """Draw a coupling and a world of that prior; return them, the coupling by its place."""
+    bins = clustering.bins
+    place = int(rng.choice(bins.values.size, p=np.exp(bins.log_prior)))
+    states, chances = brute_force.clustered_prior(FIELD, bins.values[place], DENSITY)
+    hazard = states[rng.choice(len(states), p=chances)].astype(bool)
+    target = rng.random(FIELD.cells) < np.where(hazard, KAPPA, BACKGROUND)
+    return replace(world, hazard=hazard, target=target), {'coupling': place}
+
+
+def ranks_of_kind(number, kind, believed, as_told):
+    """Draw a world and a mission, and return the rank of the truth in each posterior."""
+    rng = np.random.default_rng([24, number])
+    world, places = World.random(FIELD, rng, DENSITY, KAPPA, BACKGROUND), {}
+    if kind.clustering is not None:
+        world, places = clustered(world, kind.clustering, rng)
+    lethality = 0.6
+    for name, prior in kind.unknowns.priors.items():
+        bins = prior.bins()
+        places[name] = int(rng.choice(bins.values.size, p=np.exp(bins.log_prior)))
+        lethality = float(bins.values[places[name]])
+    truth = SensorModel(lethality, malfunction=0.02)
+    estimator = Estimator(
+        PRIOR_OF_KINDS,
+        truth if not kind.unknowns.priors else replace(truth, lethality=0.5),
+        believed.method,
+        believed.unknowns,
+        int(rng.integers(2**32)),
+        dynamics=believed.dynamics,
+        clustering=believed.clustering,
+    )
+    execution = Execution(contact=kind.contact)
+    for robot in range(SENT):
+        path = brute_force.random_path(rng, 3, 3, 0, int(rng.integers(2, 8)))
+        changing = FIELD.may_be_hazardous if robot else None
+        made = execution.traverse(
+            world, FIELD, path, truth, rng.spawn(1)[0], kind.dynamics, changing
+        )
+        world = made.world
+        estimator.assimilate(as_told(made.observation))
+    coupling = places.pop('coupling', None)
+    found = ranks_of(estimator, places, world, rng)
+    if coupling is not None:
+        drawn, _ = estimator.draws(DRAWS, rng)
+        true, of_draws = (brute_force.pairs(FIELD, each) for each in (world.hazard, drawn))
+        ties = rng.random() * (of_draws == true).mean()
+        found['pairs of hazards'] = (of_draws < true).mean() + ties
+    return found
+
+
+def worst_of_kind(kind, believed=None, as_told=lambda observation: observation):
+    """Return the least of the p-values of all ranks, times how many they are, and its name."""
+    drawn = [ranks_of_kind(number, kind, believed or kind, as_told) for number in range(WORLDS)]
+    return least_p(drawn, BINS)
+
+
+@pytest.mark.full
+@for_each('kind', KINDS)
+def test_ranks_are_uniform_of_kinds(kind):
+    p, name = worst_of_kind(KINDS[kind])
+    assert p > SIGNIFICANT, name
+
+
+@pytest.mark.full
+def test_losses_told_a_step_late_are_found():
+    def late(observation):
+        if observation.lost_at is None:
+            return observation
+        return replace(observation, steps_survived=0, lost_at=np.roll(observation.lost_at, 1))
+
+    p, _ = worst_of_kind(KINDS['heard'], as_told=late)
+    assert p < SIGNIFICANT
+
+
+@pytest.mark.full
+@for_each(
+    'kind, dynamics',
+    [('changing', Dynamics('changing', appear=0.2, vanish=0.02)), ('used_up', STATIC)],
+)
+def test_dynamics_of_another_kind_are_found(kind, dynamics):
+    p, _ = worst_of_kind(KINDS[kind], replace(KINDS[kind], dynamics=dynamics))
+    assert p < SIGNIFICANT
+
+
+@pytest.mark.full
+def test_independence_of_clustered_hazards_is_found():
+    kind = replace(KINDS['clustered'], clustering=Clustering(FIELD, 1.7))
+    p, _ = worst_of_kind(kind, replace(kind, clustering=None))
+    assert p < SIGNIFICANT
+
+
+# Sampling, against long chains: `benchmarks/reference.py` wrote them.
+
+
+REFERENCE = np.load(Path(__file__).with_name('reference.npz'))
+GRID = Grid(9, 9)
+LETHALITIES = (0.1, 0.3, 0.5, 0.9)
+REFERENCE_WORLDS = 3
+# KL divergence, nats: what sampling may be away by default, and the two halves of the chains.
+CLOSE = 0.0005
+APART = 1e-5
+
+
+def kept(lethality, number, what):
+    return REFERENCE[f'{lethality} {number} {what}']
+
+
+def mission(lethality, number):
+    """Return the deployments of a mission."""
+    lengths, survived = (kept(lethality, number, what) for what in ('length', 'survived'))
+    paths = np.split(kept(lethality, number, 'path'), np.cumsum(lengths)[:-1])
+    steps = (lengths - 1)[survived]
+    readings = iter(np.split(kept(lethality, number, 'readings'), np.cumsum(steps)[:-1]))
+    return [
+        Observation(path, bool(returned), next(readings) if returned else None)
+        for path, returned in zip(paths, survived)
+    ]
+
+
+def away(lethality, number):
+    """Return the KL divergence of a belief from the long chains', summed over the cells."""
+    prior = Belief.prior(GRID, 0.15, 0.205, 0.8)
+    model = SensorModel(lethality)
+    estimator = Estimator(prior, model, 'kappa_bnitp_sampled', seed=number)
+    for observation in mission(lethality, number):
+        estimator.assimilate(observation)
+    exact = kept(lethality, number, 'joint')
+    possible = exact > 0.0
+    belief = estimator.belief.joint
+    return (exact[possible] * np.log(exact[possible] / belief[possible])).sum()
+
+
+def test_the_long_chains_agree():
+    for lethality in LETHALITIES:
+        for number in range(REFERENCE_WORLDS):
+            assert len(mission(lethality, number)) == 100
+            assert kept(lethality, number, 'apart') < APART
+
+
+@pytest.mark.slow
+@for_each('lethality', LETHALITIES[::-1], every=4)
+def test_sampling_is_close(lethality):
+    assert np.mean([away(lethality, number) for number in range(REFERENCE_WORLDS)]) < CLOSE

@@ -1,13 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The expected information of a path, against the sum over every state and every outcome."""
+"""What a path is worth: the information or the behavioral entropies of all states and outcomes."""
 
+from functools import cache
+from itertools import product
 from math import log
 
 import brute_force
-from kbnitp_ros.core import Belief, path_information, SensorModel
+from extent import FULL
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kbnitp_ros.core import (
+    behavioral_information,
+    Belief,
+    Grid,
+    path_information,
+    plan,
+    PLANNERS,
+    SensorModel,
+)
+from kbnitp_ros.core.planning import options
+from kbnitp_ros.core.planning.information import added_information
+from kbnitp_ros.core.planning.objective import (
+    after_deployment,
+    behavioral_entropy,
+    nobody_deployed,
+)
 from laws import for_each
 import numpy as np
 import pytest
+from rounds import plan_round
 
 
 def random_case(seed):
@@ -78,3 +99,197 @@ def test_bad_paths_are_refused(path, message):
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     with pytest.raises(ValueError, match=message):
         path_information(belief, SensorModel(0.5), path)
+
+
+# The behavioral objective, against the sum over every state and every outcome, and its laws.
+
+
+LOW, HIGH = options.ALPHAS
+ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
+SEEKING = ('beam', 'relaxed')
+# Of the best of all paths, what a search finds at least.
+SHARES = {'beam': 0.95, 'relaxed': 0.5}
+
+
+def case_of_alpha(seed):
+    joint, sensors, path = brute_force.random_case(np.random.default_rng(seed), 4, 5)
+    return joint, SensorModel(**sensors), path
+
+
+@for_each('alpha, seed', product(ALPHAS, range(200 if FULL else 25)))
+def test_it_is_the_fall_of_the_entropies_over_all_states_and_outcomes(seed, alpha):
+    joint, model, path = case_of_alpha(seed)
+    expected = brute_force.behavioral_information(joint, model, path, alpha)
+    found = behavioral_information(Belief(joint), model, path, alpha)
+    assert found == pytest.approx(expected, rel=0, abs=1e-9)
+
+
+@for_each('seed', range(100))
+def test_at_alpha_1_it_is_the_information(seed):
+    joint, model, path = case_of_alpha(seed)
+    belief = Belief(joint)
+    information = path_information(belief, model, path)
+    for alpha in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):
+        found = behavioral_information(belief, model, path, alpha)
+        assert found == pytest.approx(information, rel=0, abs=1e-7 if alpha != 1.0 else 1e-12)
+
+
+@for_each('seed', range(30))
+def test_at_alpha_1_robots_that_left_before_count_as_for_the_information(seed):
+    rng = np.random.default_rng(seed)
+    belief = Belief(brute_force.random_joint(rng, 9, 0))
+    model = SensorModel(**brute_force.random_sensors(rng))
+    before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
+    outcomes = after_deployment(nobody_deployed(belief), model, before)
+    expected = added_information(belief, model, path, outcomes)
+    found = behavioral_information(belief, model, path, 1.0, outcomes)
+    assert found == pytest.approx(expected, rel=0, abs=1e-9)
+
+
+def test_entropies_by_hand():
+    """Even odds are as unsure as can be for all, and what is certain is certain for all."""
+    for alpha in ALPHAS:
+        certain, even = behavioral_entropy([0.0, 1.0], alpha), behavioral_entropy(0.5, alpha)
+        assert certain.tolist() == [0.0, 0.0]
+        assert even == pytest.approx(np.log(2), abs=1e-12)
+    # beta = (ln 2)^-1: w(1/4) = exp(-4 ln 2) = 1/16, and w(3/4) = exp(-(ln 4/3)^2 / ln 2).
+    likely = np.log(4 / 3) ** 2 / np.log(2)
+    by_hand = 4 * np.log(2) / 16 + likely * np.exp(-likely)
+    assert behavioral_entropy(0.25, 2.0) == pytest.approx(by_hand, abs=1e-12)
+
+
+@for_each('alpha', ALPHAS)
+def test_up_to_alpha_1_and_no_further_the_entropy_is_concave(alpha):
+    curvature = np.diff(behavioral_entropy(np.linspace(0.0, 1.0, 2001), alpha), 2)
+    assert (curvature < 0.0).all() == (alpha <= 1.0)
+
+
+@given(st.integers(0, 10**6), st.floats(LOW, 1.0))
+@settings(max_examples=1000 if FULL else 100, deadline=None)
+def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
+    joint, model, path = case_of_alpha(seed)
+    assert behavioral_information(Belief(joint), model, path, alpha) > -1e-9
+
+
+def test_beyond_alpha_1_it_may_be_negative():
+    """A target that hardly is there seems to be none, until a reading says that it may be."""
+    belief = Belief.from_maps([0.0, 0.0], [0.0, 0.01], [0.0, 0.01])
+    model = SensorModel(0.0, malfunction=0.0, true_positive=0.6, false_positive=0.4)
+    path = [0, 1, 0]
+    expected = brute_force.behavioral_information(belief.joint, model, path, 3.0)
+    assert behavioral_information(belief, model, path, 3.0) == pytest.approx(expected, abs=1e-12)
+    assert expected == pytest.approx(-1.1e-6, abs=0.05e-6)
+    assert path_information(belief, model, path) > 0.0
+
+
+@cache
+def every_path():
+    """Return a path for each way to visit the cells of 3x3 in at most 6 steps, in some order."""
+    visits = brute_force.all_visit_counts(3, 3, 0, 6)
+    return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
+
+
+@cache
+def best_of_all(seed, alpha):
+    """Return a belief, a sensor model and the most that a path is worth."""
+    rng = np.random.default_rng(seed)
+    belief = Belief(brute_force.random_joint(rng, 9, 0))
+    model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))
+    paths = every_path()
+    return belief, model, max(behavioral_information(belief, model, p, alpha) for p in paths)
+
+
+@pytest.mark.slow
+@for_each('alpha, planner', product(ALPHAS, SHARES))
+def test_the_search_comes_close_to_the_best_of_all_paths(alpha, planner, record_property):
+    least = 1.0
+    for seed in range(20 if FULL else 2):
+        belief, model, best = best_of_all(seed, alpha)
+        found = plan(
+            Grid(3, 3),
+            belief,
+            model,
+            6,
+            planner,
+            objective='behavioral',
+            alpha=alpha,
+            max_visits=6,
+        )
+        worth = behavioral_information(belief, model, found.path, alpha)
+        assert worth <= best + 1e-9
+        least = min(least, worth / best)
+    record_property('least', least)
+    assert least >= SHARES[planner]
+
+
+def random_problem(seed):
+    rng = np.random.default_rng(seed)
+    belief = Belief(brute_force.random_joint(rng, 25, 0))
+    return Grid(5, 5), belief, SensorModel(**brute_force.random_sensors(rng))
+
+
+@for_each('planner, agents, seed', product(SEEKING, [1, 2], range(20)))
+def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
+    problem = *random_problem(seed), 10, agents, 'greedy', planner
+    usual, behavioral_one = (
+        [(each.path.tolist(), each.information, each.survival) for each in team]
+        for team in (plan_round(*problem), plan_round(*problem, objective='behavioral', alpha=1.0))
+    )
+    assert usual == behavioral_one
+
+
+@pytest.mark.slow
+@for_each('alpha', [0.5, 2.0])
+def test_each_seeks_its_own(alpha):
+    """By its own alpha a plan is worth more, on average over beliefs, than one for information."""
+    more = []
+    for seed in range(20):
+        grid, belief, model = random_problem(seed)
+        own, usual = (
+            plan(grid, belief, model, 10, objective='behavioral', alpha=each)
+            for each in (alpha, 1)
+        )
+        worth = [behavioral_information(belief, model, each.path, alpha) for each in (own, usual)]
+        more.append(worth[0] - worth[1])
+    assert min(more) > -0.02
+    assert np.mean(more) > 0.01
+
+
+@for_each('planner', SEEKING)
+def test_a_loss_cost_is_counted_beside_it(planner):
+    grid, belief, model = random_problem(4)
+    careful, bold = (
+        plan(
+            grid,
+            belief,
+            model,
+            10,
+            planner,
+            objective='behavioral',
+            alpha=0.5,
+            loss_cost=loss_cost,
+        )
+        for loss_cost in (5.0, 0.0)
+    )
+    assert careful.survival > bold.survival
+
+
+@for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])
+def test_planners_that_seek_nothing_refuse_it(planner):
+    with pytest.raises(
+        ValueError, match=f'{planner} seeks none: choose the planner beam or relax'
+    ):
+        plan(*random_problem(0), 6, planner, objective='behavioral', alpha=0.5)
+    with pytest.raises(ValueError, match='seeks none'):
+        plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
+
+
+@for_each('sought, message', [
+    ({'objective': 'behavioural'}, "'behavioural': it must be one of information, behavioral"),
+    ({'objective': 'behavioral', 'alpha': 0.0}, r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
+    ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
+    ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
+])  # fmt: skip
+def test_what_does_not_fit_is_refused(sought, message):
+    with pytest.raises(ValueError, match=message):
+        plan(*random_problem(0), 6, **sought)

@@ -1,12 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planning, against an exhaustive search over all closed paths."""
+"""One robot, against every closed path of a small field, by options that have one table."""
 
+import ast
+from dataclasses import fields, replace
 from functools import cache
 from hashlib import sha256
-from itertools import pairwise, product
+from itertools import product
 
 import brute_force
-from kbnitp_ros.core import Belief, Grid, path_information, plan, PLANNERS, SensorModel
+from documented import ROOT
+from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration.mission import search_options
+from kbnitp_ros.core import (
+    Belief,
+    Grid,
+    OBJECTIVES,
+    plan,
+    PLANNERS,
+    RobotType,
+    SearchOptions,
+    SensorModel,
+)
 from laws import for_each
 import numpy as np
 import pytest
@@ -62,29 +76,6 @@ def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
     assert min(ratios) > 0.5
 
 
-@for_each('planner, seed', product(PLANNERS, range(24)))
-def test_plans_are_legal_and_say_what_they_are_worth(seed, planner):
-    rng = np.random.default_rng(seed)
-    width, height = rng.integers(2, 7, 2)
-    base, *blocked = rng.permutation(width * height)[: 1 + width * height // 5].tolist()
-    grid = Grid(int(width), int(height), base=base, blocked=tuple(blocked))
-    joint = brute_force.random_joint(rng, grid.cells, base)
-    joint[blocked] = [[1, 0], [0, 0]]
-    belief, model = Belief(joint), SensorModel(**brute_force.random_sensors(rng))
-    max_steps, max_visits = int(rng.integers(1, 13)), int(rng.integers(1, 4))
-    found = plan(grid, belief, model, max_steps, planner=planner, max_visits=max_visits)
-    path, visits = found.path.tolist(), np.bincount(found.path[1:], minlength=grid.cells)
-    around = brute_force.adjacent(width, height, blocked)
-    assert path[0] == path[-1] == base
-    assert 2 <= len(path) <= max_steps + 1
-    assert all(after in around[before] for before, after in pairwise(path))
-    assert visits.max() <= max_visits
-    assert found.information == pytest.approx(path_information(belief, model, path), abs=1e-9)
-    assert found.survival == pytest.approx(
-        brute_force.survival_of_visits(joint, model, visits[None])[0], abs=1e-12
-    )
-
-
 @for_each('planner', ['beam', 'relaxed'])
 def test_the_most_visits_bind(planner):
     """One interesting cell: the plan would look again and again, and is held to max_visits."""
@@ -107,31 +98,6 @@ def test_the_steps_are_used_up_to_the_last(planner):
     far = plan(Grid(5, 1), belief, model, 8, planner=planner)
     assert far.path.tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0]
     assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
-
-
-@for_each('planner', PLANNERS)
-def test_ties_are_broken_the_same_way_every_time(planner):
-    grid = Grid(6, 6, base=14)
-    belief, model = Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5)
-    first = plan(grid, belief, model, 9, planner=planner)
-    same = Belief(belief.joint.copy())
-    again = plan(Grid(6, 6, base=14), same, model, 9, planner=planner)
-    assert first.path.tolist() == again.path.tolist()
-    assert first.information == again.information
-
-
-@for_each('planner, grid', product(PLANNERS, [Grid(1, 1), Grid(3, 1, base=1, blocked=(0, 2))]))
-def test_a_robot_with_nowhere_to_go_stays(grid, planner):
-    found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, planner=planner)
-    assert set(found.path) == {grid.base}
-    assert 2 <= len(found.path) <= 4
-
-
-@for_each('planner', PLANNERS)
-def test_a_single_step_is_a_stay_at_the_base(planner):
-    grid = Grid(3, 3, base=4)
-    found = plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 1, planner=planner)
-    assert found.path.tolist() == [4, 4]
 
 
 def test_plans_are_what_they_were_before_losses_had_a_cost():
@@ -191,3 +157,69 @@ def test_a_plan_cannot_be_changed():
         found.information = 9.0
     with pytest.raises(ValueError, match='read-only'):
         found.path[0] = 1
+
+
+# An option of the search is stated in the table of parameters and in `SearchOptions` alone.
+
+
+OPTIONS = {field.name: field for field in fields(SearchOptions)}
+NAMES = {name: 'beam_width' if name == 'width' else name for name in OPTIONS}
+ROWS = {option: parameters_of('planner')[name] for option, name in NAMES.items()}
+
+
+def restated(source):
+    """Yield the lines of functions and calls that name three options or more."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef):
+            named = {each.arg for each in (*node.args.args, *node.args.kwonlyargs)}
+        elif isinstance(node, ast.Call) and getattr(node.func, 'id', '') != 'SearchOptions':
+            named = {each.arg for each in node.keywords}
+        else:
+            continue
+        if len(named & OPTIONS.keys()) > 2:
+            yield node.lineno
+
+
+def test_the_table_has_each_option_with_its_default():
+    assert {name: row.default for name, row in ROWS.items()} == vars(SearchOptions())
+    values = {row.name: row.default for row in ROWS.values()}
+    assert search_options(values) == SearchOptions()
+
+
+@for_each('name', OPTIONS)
+def test_the_planner_reads_each_parameter(name):
+    others = {'planner': 'relaxed', 'objective': 'behavioral', 'alpha': 2.0}
+    other = others[name] if name in others else getattr(SearchOptions(), name) + 1
+    options = replace(SearchOptions(objective='behavioral'), **{name: other})
+    values = {ROWS[each].name: value for each, value in vars(options).items()}
+    assert search_options(values) == options
+
+
+def test_the_table_allows_what_the_options_allow():
+    assert set(ROWS['planner'].choices) == set(PLANNERS)
+    assert tuple(ROWS['objective'].choices) == OBJECTIVES
+    for name, row in ROWS.items():
+        if row.limits:
+            lowest, highest = row.limits
+            for value in (lowest, highest):
+                replace(SearchOptions(objective='behavioral'), **{name: value})
+
+
+def test_robot_types_have_options_of_their_own():
+    options = SearchOptions(max_steps=9).of_type(RobotType(max_steps=4, lethality=0.2))
+    assert options == SearchOptions(max_steps=4)
+
+
+def test_options_are_restated_nowhere_else():
+    found = [
+        f'{path.relative_to(ROOT)}:{line}'
+        for path in sorted((ROOT / 'kbnitp_ros').rglob('*.py'))
+        for line in restated(path.read_text())
+    ]
+    assert found == []
+
+
+def test_a_restatement_is_found():
+    assert list(restated('def f(width, *, alpha, planner): ...')) == [1]
+    assert list(restated('f(width=1, alpha=1.0, max_steps=3)')) == [1]
+    assert list(restated('SearchOptions(width=1, alpha=1.0, max_steps=3)')) == []

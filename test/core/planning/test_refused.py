@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What robots keep off when plans are refused."""
+"""Where robots go after refusals, and where those that seek nothing go."""
 
 from itertools import pairwise, product
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kbnitp_ros.core import Belief, Grid, ORDINARY, SensorModel
+from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SearchOptions, SensorModel
+from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.planners import count_visits, random_walk
 from kbnitp_ros.core.planning.regions import keepout_cells, regions_of, without
 from laws import for_each
 import numpy as np
+import pytest
 from rounds import plan_round
 
 GRID = Grid(9, 9)
@@ -97,3 +100,148 @@ def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
         refused.append([plan.path for plan in team])
     ways = [[path.tolist() for path in paths] for paths in refused]
     assert all(one != other for one, other in pairwise(ways))
+
+
+# The planners that seek no information: what they draw, and what they come to.
+
+
+TOURS = ('coverage', 'shortest_unvisited')
+WALLED = Grid(6, 5, base=7, blocked=(8, 14, 20, 26))
+
+
+def prior(grid):
+    return Belief.prior(grid, 0.2, 0.3, 0.5)
+
+
+def sent(grid, planner, robots, max_steps, max_visits=3):
+    """Return the paths of robots that leave one after another."""
+    paths = []
+    for _ in range(robots):
+        found = plan(
+            grid,
+            prior(grid),
+            MODEL,
+            max_steps,
+            planner,
+            max_visits=max_visits,
+            visited=count_visits(grid, paths),
+        )
+        paths.append(grid.check_path(found.path, max_steps))
+    return paths
+
+
+def test_random_walks_are_uniform():
+    """All closed walks of four steps on 3x2 cells with an obstacle, against enumeration."""
+    grid = Grid(3, 2, base=1, blocked=(5,))
+    walks = [
+        walk
+        for walk in product(range(grid.cells), repeat=3)
+        if all(b in grid.neighbors(a) for a, b in pairwise((1, *walk, 1)))
+    ]
+    rng = np.random.default_rng(1)
+    reach, draws = reach_of(grid, SearchOptions(max_steps=4)), 100 * len(walks)
+    drawn = [tuple(random_walk(reach, 4, rng)[1:-1].tolist()) for _ in range(draws)]
+    counts = np.array([drawn.count(walk) for walk in walks])
+    assert counts.sum() == draws
+    # The mean of chi-square is its degrees of freedom, their double its variance.
+    freedom = len(walks) - 1
+    assert ((counts - 100) ** 2 / 100).sum() < freedom + 4 * np.sqrt(2 * freedom)
+
+
+@for_each('max_visits', [1, 2])
+def test_random_walks_enter_no_cell_too_often(max_visits):
+    reach = reach_of(WALLED, SearchOptions(max_steps=12))
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        walk = WALLED.check_path(random_walk(reach, max_visits, rng), 12)
+        assert np.bincount(walk[1:]).max() <= max_visits
+
+
+def test_where_only_the_base_is_free_a_robot_stays_there():
+    grid = Grid(2, 2, blocked=(1, 2, 3))
+    for planner in ('random', *TOURS):
+        assert plan(grid, prior(grid), MODEL, 5, planner, max_visits=1).path.tolist() == [0, 0]
+
+
+def test_the_random_planner_draws_the_same_for_the_same_belief_and_visits():
+    grid = Grid(9, 9)
+    paths = {tuple(path.tolist()) for path in sent(grid, 'random', 5, 18)}
+    assert len(paths) == 5
+    assert paths == {tuple(path.tolist()) for path in sent(grid, 'random', 5, 18)}
+
+
+@pytest.mark.slow
+@for_each(
+    'planner, max_visits, grid',
+    product(TOURS, [1, 3], [Grid(7, 7), Grid(9, 4, base=20, connectivity=4), WALLED]),
+)
+def test_tours_come_to_every_cell_in_reach_before_they_begin_anew(grid, planner, max_visits):
+    paths = sent(grid, planner, 40, 14, max_visits)
+    for path in paths:
+        assert np.bincount(path[1:]).max() <= max_visits
+    reach = grid.in_reach(14) & (np.arange(grid.cells) != grid.base)
+    if max_visits == 1:
+        # There may be no way back but the one there.
+        reach &= [any(cell in path for path in paths) for cell in range(grid.cells)]
+        assert reach.sum() > 5
+    first = next(n for n in range(41) if count_visits(grid, paths[:n])[reach].all())
+    # As long as cells are new, each tour comes to one.
+    for number in range(first):
+        seen = count_visits(grid, paths[:number])
+        assert (seen[paths[number]] == 0).any()
+
+
+def test_coverage_ploughs():
+    grid = Grid(4, 3)
+    assert plan(grid, prior(grid), MODEL, 20, 'coverage').path.tolist()[:12] == [
+        *(0, 1, 2, 3),
+        *(7, 6, 5, 4),
+        *(8, 9, 10, 11),
+    ]
+
+
+def test_the_nearest_cell_comes_next():
+    """On an open field with the base in a corner a way is as long as its longer side."""
+    grid = Grid(5, 5)
+    (path,) = sent(grid, 'shortest_unvisited', 1, 16)
+    row, col = np.divmod(np.arange(25), 5)
+    steps = np.maximum(abs(row[:, None] - row), abs(col[:, None] - col))
+    here, made, new = 0, 0, set(range(1, 25))
+    while near := [cell for cell in new if made + steps[here, cell] + steps[cell, 0] <= 16]:
+        target = min(near, key=lambda cell: (steps[here, cell], cell))
+        made += steps[here, target]
+        new -= set(path[: made + 1].tolist())
+        assert path[made] == target
+        here = target
+    assert made + steps[here, 0] == path.size - 1
+
+
+@for_each('planner', TOURS)
+def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
+    grid = Grid(7, 7)
+    team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
+    alone = sent(grid, planner, 3, 14)
+    assert [each.path.tolist() for each in team] == [path.tolist() for path in alone]
+
+
+@for_each('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])
+def test_visits_that_fit_no_cells_are_refused(visited):
+    grid = Grid(3, 3)
+    with pytest.raises(ValueError, match='visited has shape .*for each of the 9 cells'):
+        plan(grid, prior(grid), MODEL, 4, 'coverage', visited=visited)
+
+
+@pytest.mark.slow
+def test_walks_beyond_memory_are_refused():
+    grid = Grid(1000, 1000)
+    with pytest.raises(ValueError, match=r'max_steps = 1000 take about .* GB, and 1.1 GB'):
+        plan(grid, prior(grid), MODEL, 1000, 'random')
+
+
+@for_each('planner', ['coverage', 'shortest_unvisited'])
+def test_a_tour_with_more_steps_than_cells_ends(planner):
+    """A cell that cannot be entered again is not taken for one that is as far as the field."""
+    grid = Grid(3, 2, base=0, blocked=(4,))
+    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
+    path = plan(grid, belief, SensorModel(0.5), 12, planner, max_visits=1).path
+    assert grid.check_path(path, 12) is not None
