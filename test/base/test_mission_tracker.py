@@ -53,7 +53,7 @@ def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves()
     """Of the beliefs that are asked for then, that of a stranger may come first."""
     tracker, told = MissionTracker(), snapshots()
     tracker.accept_belief(told[3], known=3)
-    tracker.forget_newest()
+    tracker.newest = None
     with pytest.raises(ValueError, match='^model is .*0.04'):
         tracker.check_belief(snapshots(malfunction=0.04)[2], authors=2, known=3)
     tracker.check_belief(told[2], authors=2, known=3)

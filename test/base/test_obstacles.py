@@ -313,7 +313,7 @@ def test_what_is_missing_of_a_round_is_what_was_planned(planner, recorded, is_re
     at_base = set(on_record) if is_refused else set()
     resumed = rounds()
     for left in set(on_record) - at_base:
-        resumed.note_path(on_record[left])
+        resumed.count_path(on_record[left])
     missing = resumed.missing(planned_on(), AGENTS, on_record, at_base=at_base)
     assert list(missing) == list(plans)[recorded:]
     for sent, plan in missing.items():
